@@ -2,8 +2,8 @@
 
 A stop is measured by its stopping distance alone. After the command zero, a base that cruises at
 the speed v travels d = v (delay + v / 2b) with the deceleration b. So d / v rises linearly with v:
-the intercept is the delay, the slope is 1 / 2b. Stops from two speeds give both, however slowly
-odometry is sampled.
+the intercept is the delay, the slope is 1 / 2b. Stops from two speeds give delay and deceleration,
+however slowly odometry is sampled.
 """
 
 from __future__ import annotations
@@ -23,69 +23,76 @@ CRUISE = 0.5
 _STEADY = 0.08  # share by which the speeds of the two halves of a cruise may differ
 _MAX_DELAY = 1.2  # s, of a scan
 _DELAY_STEP = 0.005  # s
+_RATE_STEP = 0.02  # s to each side, over which a turn rate is measured
 _LEAST_TURN_RATE = 0.1  # rad/s (root mean square), below which a turn gives no delay
 
 
 class Braking(NamedTuple):
-    """A stop from a cruise at `speed` (m/s or rad/s).
+    """A stop from a cruise (a drive at steady speed)."""
 
-    `seconds`: the stopping distance divided by `speed`.
-    """
-
-    speed: float
-    seconds: float
+    speed: float  # of the cruise, m/s or rad/s
+    seconds: float  # stopping distance divided by `speed`
 
 
-def is_steady(times: Array, way: Array) -> bool:
-    """True if the speed over the last CRUISE s is steady.
+def is_steady(times: Array, distances: Array) -> bool:
+    """True if the speeds in the two halves of the last CRUISE s are nearly equal.
 
-    `way`: (n,) travelled m or rad at `times` (n,) s.
+    `distances`: (n,) travelled m or rad since the start, at `times` (n,) s.
     """
     if len(times) < 3 or times[0] > times[-1] - CRUISE:
         return False
-    a, b, c = np.interp(times[-1] - CRUISE * np.array((1.0, 0.5, 0.0)), times, way)
-    return bool(abs((c - b) - (b - a)) <= _STEADY * abs(c - a) / 2.0)
+    cruise_times = times[-1] - CRUISE * np.array((1.0, 0.5, 0.0))
+    start, middle, end = np.interp(cruise_times, times, distances)
+    return bool(abs((end - middle) - (middle - start)) <= _STEADY * abs(end - start) / 2.0)
 
 
-def stop_of(times: Array, way: Array, at: float) -> Braking | None:
-    """The stop after the command zero at `at` s; None without a cruise before it.
+def stop_of(times: Array, distances: Array, stop_time: float) -> Braking | None:
+    """The stop after the command zero at `stop_time` s; None without a cruise before.
 
-    `way`: (n,) travelled m or rad at `times` (n,) s of one clock, up to standstill, positive in the
-    direction of the drive.
+    `distances`: (n,) travelled m or rad at `times` (n,) s of one clock, up to standstill, positive
+    in the direction of the drive.
     """
-    before = np.flatnonzero(times <= at)
-    cruise = before[times[before] >= at - CRUISE]
+    before = np.flatnonzero(times <= stop_time)
+    cruise = before[times[before] >= stop_time - CRUISE]
     if len(cruise) < 3:
         return None
     first, last = cruise[0], cruise[-1]
-    speed = float((way[last] - way[first]) / (times[last] - times[first]))
+    speed = float((distances[last] - distances[first]) / (times[last] - times[first]))
     if speed <= 0.0:
         return None
-    rolled = float(way[-1] - way[last]) - speed * (at - float(times[last]))
-    return Braking(speed, rolled / speed)
+    # The stopping distance begins at `stop_time`, which lies after the last sample of the cruise.
+    distance = float(distances[-1] - distances[last]) - speed * (stop_time - float(times[last]))
+    return Braking(speed, distance / speed)
 
 
 def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
-    """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds."""
+    """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds.
+
+    A line is fitted to `Braking.seconds` over speed, see the module. A figure without a value says
+    why: too few stops, or a slope within the noise.
+    """
     if len(stops) < 4:
-        none = Figure(why="fewer than four stops")
-        return none, none
+        no_figure = Figure(why="fewer than four stops")
+        return no_figure, no_figure
+
+    # 1. The line by least squares: intercept = delay, slope = 1 / (2 deceleration).
     speeds, seconds = np.array(stops).T
-    off = speeds - speeds.mean()
-    slope = float(off @ seconds / (off @ off))
+    centred = speeds - speeds.mean()
+    slope = float(centred @ seconds / (centred @ centred))
     delay = float(seconds.mean() - slope * speeds.mean())
     errors = seconds - delay - slope * speeds
     scatter = math.sqrt(float(errors @ errors) / (len(stops) - 2))
-    deviation = scatter / math.sqrt(float(off @ off))
-    late = Figure(delay, scatter, len(stops))
-    if slope <= 3.0 * deviation:
-        return Figure(why="it brakes within the scatter of its odometry"), late
+    slope_deviation = scatter / math.sqrt(float(centred @ centred))
+    delay_figure = Figure(delay, scatter, len(stops))
+    if slope <= 3.0 * slope_deviation:
+        return Figure(why="it brakes within the scatter of its odometry"), delay_figure
+
+    # 2. The deceleration. To first order the scatter of `seconds` gives its scatter.
     is_fast = speeds > speeds.mean()
-    # To first order, the scatter of `seconds` gives the scatter of the deceleration.
-    shares = errors[is_fast] / (slope * speeds[is_fast])
-    brake = 0.5 / slope
-    spread = brake * max(float(np.std(shares)), deviation / slope)
-    return Figure(brake, spread, int(is_fast.sum())), late
+    relative_errors = errors[is_fast] / (slope * speeds[is_fast])
+    deceleration = 0.5 / slope
+    spread = deceleration * max(float(np.std(relative_errors)), slope_deviation / slope)
+    return Figure(deceleration, spread, int(is_fast.sum())), delay_figure
 
 
 def mean_of(values: Sequence[float], why: str) -> Figure:
@@ -95,67 +102,80 @@ def mean_of(values: Sequence[float], why: str) -> Figure:
     return Figure(float(np.mean(values)), float(np.std(values)), len(values))
 
 
-def scale_of(ways: Sequence[tuple[float, float]], why: str) -> Figure:
-    """The scale of odometry: distance by odometry over distance by scans; `why` without a pair.
+def scale_of(distances: Sequence[tuple[float, float]], why: str) -> Figure:
+    """The scale of odometry: distance by odometry over distance by scans.
 
-    `ways`: pairs of both distances in m. The value is the slope of least squares, with its
-    deviation: a place by a scan is some mm off at any distance, so a short way tells less.
+    `distances`: of each drive, the distance by odometry and the distance by scans, in m. The value
+    is the slope of least squares: a place by a scan is some mm off at any distance, so that a short
+    drive has little weight. Without drives a figure with the reason `why`.
     """
-    if not ways:
+    if not distances:
         return Figure(why=why)
-    odometry, seen = np.array(ways).T
-    weights = seen**2 / float(seen @ seen)
-    ratios = odometry / seen
+    by_odometry, by_scans = np.array(distances).T
+    weights = by_scans**2 / float(by_scans @ by_scans)
+    ratios = by_odometry / by_scans
     value = float(weights @ ratios)
-    return Figure(value, float(np.sqrt(weights @ (ratios - value) ** 2)), len(ways))
+    return Figure(value, float(np.sqrt(weights @ (ratios - value) ** 2)), len(distances))
 
 
 def turn_delay(
-    arrivals: Array, seen: Array, times: Array, measured: Array
+    arrivals: Array, scan_headings: Array, times: Array, odometry_headings: Array
 ) -> tuple[Figure, Figure]:
-    """The scan delay in s, and the scale of odometry: its turn over the turn seen by scans.
+    """The scan delay in s, and the scale of odometry: turn by odometry over turn by scans.
 
-    `seen`: (m,) headings in rad from scans that arrived at `arrivals` (m,) s. `measured`: (n,)
-    headings in rad by odometry at `times` (n,) s of the same clock. No heading is wrapped.
+    The robot has turned to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals`
+    (m,) s. `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not
+    wrapped. A figure without a value says why.
 
-    For each candidate delay, scale and offset are fitted by least squares; the delay with the least
-    error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
+    For each candidate delay, scale and offset are fitted by least squares, and the delay with the
+    least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
     """
     usable = arrivals - _MAX_DELAY >= times[0]
-    arrivals, seen = arrivals[usable], seen[usable]
+    arrivals, scan_headings = arrivals[usable], scan_headings[usable]
     if len(arrivals) < 8:
-        none = Figure(why="fewer than eight scans of the turns could be matched")
-        return none, none
+        no_figure = Figure(why="fewer than eight scans of the turns could be matched")
+        return no_figure, no_figure
+
+    # 1. The candidate delay with the least squared error.
     delays = np.arange(0.0, _MAX_DELAY, _DELAY_STEP)
-    fits = [_scaled(np.interp(arrivals - d, times, measured), seen) for d in delays]
+    fits = [
+        _fit_scale(np.interp(arrivals - candidate, times, odometry_headings), scan_headings)
+        for candidate in delays
+    ]
     errors = np.array([error for _, error in fits])
     best = int(errors.argmin())
     if best == len(delays) - 1:
-        none = Figure(why=f"no delay below {_MAX_DELAY:g} s explains the turns that scans show")
-        return none, none
+        text = f"no delay below {_MAX_DELAY:g} s explains the turns that scans show"
+        no_figure = Figure(why=text)
+        return no_figure, no_figure
     delay = float(delays[best])
-    if best > 0:  # refine by a parabola through the three least errors
-        a, b, c = errors[best - 1 : best + 2]
-        delay += _DELAY_STEP * 0.5 * float((a - c) / (a - 2.0 * b + c))
-    rates = np.interp(arrivals - delay + 0.02, times, measured)
-    rates -= np.interp(arrivals - delay - 0.02, times, measured)
-    rate = float(np.sqrt(np.mean((rates / 0.04) ** 2)))
+    if best > 0:  # refine the delay by a parabola through the least error and its two neighbours
+        before, least, after = errors[best - 1 : best + 2]
+        delay += _DELAY_STEP * 0.5 * float((before - after) / (before - 2.0 * least + after))
+
+    # 2. The turn rate at the scans, by central differences (root mean square, rad/s).
+    rates = np.interp(arrivals - delay + _RATE_STEP, times, odometry_headings)
+    rates -= np.interp(arrivals - delay - _RATE_STEP, times, odometry_headings)
+    rate = float(np.sqrt(np.mean((rates / (2.0 * _RATE_STEP)) ** 2)))
     if rate < _LEAST_TURN_RATE:
-        none = Figure(why="the robot did not turn")
-        return none, none
+        no_figure = Figure(why="the robot did not turn")
+        return no_figure, no_figure
+
+    # 3. The deviations, from the error of the headings in rad; the fit has 3 parameters.
     count = len(arrivals)
     error = math.sqrt(float(errors[best]) / (count - 3))
     scale = fits[best][0]
-    turned = float(np.std(seen))
+    heading_deviation = float(np.std(scan_headings))
     return (
         Figure(delay, error / rate, count),
-        Figure(1.0 / scale, error / (turned * math.sqrt(count)), count),
+        Figure(1.0 / scale, error / (heading_deviation * math.sqrt(count)), count),
     )
 
 
-def _scaled(measured: Array, seen: Array) -> tuple[float, float]:
-    """The least-squares scale from `measured` to `seen`, means removed, and the squared error."""
-    x, y = measured - measured.mean(), seen - seen.mean()
+def _fit_scale(odometry_headings: Array, scan_headings: Array) -> tuple[float, float]:
+    """The least-squares scale from odometry to scans, means removed, and the squared error."""
+    x = odometry_headings - odometry_headings.mean()
+    y = scan_headings - scan_headings.mean()
     scale = float(x @ y / max(float(x @ x), 1e-12))
-    rest = y - scale * x
-    return max(scale, 1e-6), float(rest @ rest)
+    residuals = y - scale * x
+    return max(scale, 1e-6), float(residuals @ residuals)

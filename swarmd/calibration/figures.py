@@ -12,17 +12,13 @@ DONE, REFUSED = "done", "refused"
 
 
 class Figure(NamedTuple):
-    """A measured value, its standard deviation from sample to sample, and the number of samples.
+    """A value that a calibration has measured, or the reason why it could not measure the value."""
 
-    `assumed`: the value in the platform file, or assumed by protection; NaN without such a value.
-    `why`: why there is no measured value; empty if there is a value.
-    """
-
-    value: float = math.nan
-    spread: float = math.nan
-    samples: int = 0
-    assumed: float = math.nan
-    why: str = ""
+    value: float = math.nan  # NaN if not measured
+    spread: float = math.nan  # standard deviation from sample to sample
+    samples: int = 0  # their number
+    assumed: float = math.nan  # by the platform file or by protection; NaN without such a value
+    why: str = ""  # why there is no measured value; empty if there is a value
 
     @property
     def is_measured(self) -> bool:
@@ -30,7 +26,7 @@ class Figure(NamedTuple):
         return not self.why
 
     def over(self, scale: Self) -> Self:
-        """The figure divided by a scale, whose deviation is added to its own."""
+        """The figure divided by a scale; the relative deviations are added in quadrature."""
         value = self.value / scale.value
         shares = self.spread / self.value, scale.spread / scale.value
         return self._replace(value=value, spread=value * math.hypot(*shares))
@@ -45,18 +41,17 @@ class Figure(NamedTuple):
     @classmethod
     def parse(cls, text: str) -> Self:
         """The figure in a text of `text`; ValueError if the text is no figure."""
-        first, *others = text.split(" ")
-        if first == "-" and len(others) > 1:
-            return cls(assumed=float(others[0]), why=" ".join(others[1:]))
-        if len(others) != 3:
+        parts = text.split(" ")
+        if parts[0] == "-" and len(parts) > 2:
+            return cls(assumed=float(parts[1]), why=" ".join(parts[2:]))
+        if len(parts) != 4:
             raise ValueError(f"{text!r} is no figure")
-        return cls(float(first), float(others[0]), int(others[1]), float(others[2]))
+        value, spread, samples, assumed = parts
+        return cls(float(value), float(spread), int(samples), float(assumed))
 
 
 AXES = ("linear", "angular", "lateral")
-"""The fields of a Twist, each of which drives measure. Only a base that moves sideways has the last
-and its figures.
-"""
+"""The fields of a Twist that drives measure; lateral only for a base that moves sideways."""
 NAMES: Mapping[str, tuple[str, str]] = {
     "braking_linear": ("braking, linear", "m/s2"),
     "braking_angular": ("braking, angular", "rad/s2"),

@@ -36,11 +36,12 @@ def top_speeds(platform: Platform) -> dict[str, float]:
 
 
 def needed_floor(platform: Platform, late: float = 0.0) -> float:
-    """The side in m of the square floor with the robot in its middle, rounded up to 0.1 m.
+    """The side in m of the free square floor that a calibration needs, rounded up to 0.1 m.
 
-    The floor has room for the longest drive, plus the gap that mode `barrier` needs at top speed
-    (docs/safety.md): ahead, and also at the sides of a base that moves sideways. `late`: s by which
-    scans arrive later than declared, which protection adds to their age.
+    The robot stands in the middle. The floor has room for the longest drive, and for the gap that
+    mode `barrier` needs at top speed (docs/safety.md): ahead, and for a base that moves sideways
+    also at the sides. `late`: s by which scans arrive later than declared, which protection adds to
+    the age of scans.
     """
     front, left = platform.footprint.max(axis=0).tolist()
     speeds = top_speeds(platform)
@@ -73,10 +74,10 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 
 
 def travel(speed: float) -> float:
-    """The distance in m from its start within which a drive at `speed` m/s brakes and stops.
+    """The distance in m that a drive of a calibration at `speed` m/s takes, with its stop.
 
-    A base that needs more than 0.3 s at that speed to stop (such as 1.0 m/s2 from 0.4 m/s on) stops
-    beyond this distance, in the gap that `needed_floor` adds for its deceleration.
+    A base that needs more than 0.3 s to stop from `speed` (such as 1.0 m/s2 from 0.4 m/s on) stops
+    beyond this distance, in the gap that `needed_floor` adds for the base's deceleration.
     """
     return _TRAVEL_TIME * speed
 

@@ -69,8 +69,8 @@ _AXES = {
 }
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
-_Ways: TypeAlias = tuple[float, float]
-"""A way in m by odometry, and by scans."""
+_Distances: TypeAlias = tuple[float, float]
+"""The distance of one drive in m by odometry, and by scans."""
 
 
 class CalibrationParams(Params, frozen=True, kw_only=True):
@@ -105,11 +105,11 @@ class _EndError(Exception):
 
 
 class Calibration(Pattern[CalibrationParams]):
-    """Measures brakes, delays and scales by a few short drives; see `swarmctl calibrate`.
+    """Measures decelerations, delays and the scales of odometry by a few short drives.
 
-    `swarmctl calibrate` asks for the floor, starts the pattern, and prints the figures. The robot
-    drives to and fro, also to both sides if its base moves sideways, and turns within the floor.
-    That takes about 90 s (sideways 130 s).
+    `swarmctl calibrate` asks for the size of the free floor, starts this pattern, and prints the
+    figures. The robot drives to and fro and turns within the floor; a base that moves sideways also
+    drives to both sides. A calibration takes about 90 s (sideways 130 s).
     """
 
     params_type = CalibrationParams
@@ -195,7 +195,7 @@ class Calibration(Pattern[CalibrationParams]):
     def _script(self) -> _Drives:
         yield ZERO
         yield from self._look()
-        scales = dict[str, list[_Ways]]()
+        scales = dict[str, list[_Distances]]()
         stops = dict[str, list[tuple[float, Braking]]]()
         for axis in (axis for axis in _AXES if axis in self._speeds):
             stops[axis], scales[axis] = [], []
@@ -262,13 +262,13 @@ class Calibration(Pattern[CalibrationParams]):
         y = pose.y + sin * points[:, 0] + cos * points[:, 1]
         inside = np.flatnonzero((np.abs(x) < half) & (np.abs(y) < half))
         if len(inside):
-            apart = np.hypot(points[inside, 0], points[inside, 1])
-            nearest = points[inside[int(apart.argmin())]]
+            ranges = np.hypot(points[inside, 0], points[inside, 1])
+            nearest = points[inside[int(ranges.argmin())]]
             bearing = math.degrees(math.atan2(nearest[1], nearest[0]))
             side = self.params.floor
             raise _EndError(
                 f"the floor of {side:g} x {side:g} m is not free: something stands"
-                f" {float(apart.min()):.2f} m from the axle at {bearing:.0f} deg"
+                f" {float(ranges.min()):.2f} m from the axle at {bearing:.0f} deg"
             )
 
     def _relative(self, pose: Pose) -> Pose:
@@ -280,16 +280,19 @@ class Calibration(Pattern[CalibrationParams]):
     def _locate(self, points: Array, guess: Pose) -> Located | None:
         return None if self._reference is None else self._reference.locate(points, guess)
 
-    def _stops(self, axis: str, stops: list[tuple[float, Braking]], scales: list[_Ways]) -> _Drives:
-        """Measure stops from two speeds, to and fro; appends (commanded speed, stop) to `stops`.
+    def _stops(
+        self, axis: str, stops: list[tuple[float, Braking]], scales: list[_Distances]
+    ) -> _Drives:
+        """Measure stops on an axis: to and fro, from two speeds.
 
-        After a drive without a steady speed, all stops are repeated at a slower speed.
+        Appends pairs of commanded speed and stop to `stops`, and distances to `scales`. After a
+        drive without a steady speed, all stops are repeated at a slower speed.
         """
-        failures, told = 0, _AXES[axis]
+        failures, words = 0, _AXES[axis]
         while len(stops) < 4 * self.params.repeats:
             top, index = self._speeds[axis], len(stops)
             speed = top if index % 4 < 2 else _SLOW * top
-            self._step_name = f"{told.move} {index + 1} of {4 * self.params.repeats}"
+            self._step_name = f"{words.move} {index + 1} of {4 * self.params.repeats}"
             stop = yield from self._stop(speed if index % 2 == 0 else -speed, axis, scales)
             if stop is not None:
                 stops.append((speed, stop))
@@ -297,48 +300,55 @@ class Calibration(Pattern[CalibrationParams]):
             failures += 1
             if failures > _RETRIES:
                 raise _EndError(
-                    f"it does not {told.move} steadily when {speed:.2f} {told.unit} are commanded:"
-                    f" protection limits it, or the base takes too long to get there{told.unsteady}"
+                    f"it does not {words.move} steadily when {speed:.2f} {words.unit} are"
+                    " commanded: protection limits it, or the base takes too long to get there"
+                    f"{words.unsteady}"
                 )
             stops.clear()
             self._speeds[axis] *= _SLOWER
 
     def _stop(
-        self, speed: float, axis: str, scales: list[_Ways]
+        self, speed: float, axis: str, scales: list[_Distances]
     ) -> Generator[Twist, Inputs, Braking | None]:
-        """Drive or turn until the speed is steady, then stop.
+        """Drive or turn until the speed is steady, then stop; yields the command of each step.
 
-        Returns the stop. None, after driving back, if the speed did not become steady. Ends the
-        calibration if odometry shows no motion.
+        `speed` in m/s or rad/s, signed. `axis`: the field of Twist: linear, lateral or angular. The
+        distances by odometry and by scans are appended to `scales`. Returns the stop; None if the
+        speed did not become steady, after the robot has driven back. Ends the calibration by
+        _EndError if odometry shows no motion.
         """
+        # 1. Drive until the speed was steady for _CLEAR s, or the drive gets too long.
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
-        before = self._rest()
-        begin, steady, is_over = self._now, math.inf, False
-        while not is_over and self._now - steady < _CLEAR:
+        pose_before = self._rest()
+        begin, steady_since, is_too_long = self._now, math.inf, False
+        while not is_too_long and self._now - steady_since < _CLEAR:
             yield twist
             track = self._track(begin)
-            way = _way(track, axis, sign)
-            if steady == math.inf and is_steady(track[:, 0], way):
-                steady = self._now
-            passed = self._now - begin
-            is_over = way[-1] > self._farthest[axis] or passed > _LONGEST_DRIVE
-            recent_way = way[-1] - np.interp(self._now - _UNSEEN_TIME, track[:, 0], way)
-            if passed > _UNSEEN_TIME and recent_way < _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME:
+            times, distances = track[:, 0], _distances(track, axis, sign)
+            if steady_since == math.inf and is_steady(times, distances):
+                steady_since = self._now
+            drive_time = self._now - begin
+            is_too_long = distances[-1] > self._farthest[axis] or drive_time > _LONGEST_DRIVE
+            recent = distances[-1] - np.interp(self._now - _UNSEEN_TIME, times, distances)
+            least = _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME
+            if drive_time > _UNSEEN_TIME and recent < least:
                 words = _AXES[axis]
                 raise _EndError(
                     f"odometry shows no {words.way} when {abs(speed):.2f} {words.unit} are"
                     f" commanded: {words.unseen}, or protection stops it"
                 )
-        at = self._now
+
+        # 2. Stop, and measure the stop.
+        stop_time = self._now
         yield from self._stand()
         track = self._track(begin)
-        stop = stop_of(track[:, 0], _way(track, axis, sign), at)
-        if stop is None or is_over:
-            yield from self._back(twist, at - begin)
+        stop = stop_of(track[:, 0], _distances(track, axis, sign), stop_time)
+        if stop is None or is_too_long:
+            yield from self._back(twist, stop_time - begin)
             return None
         if axis != "angular":
-            self._compare(before, self._rest(), scales)
+            self._compare(pose_before, self._rest(), scales)
         return stop
 
     def _back(self, twist: Twist, seconds: float) -> _Drives:
@@ -379,30 +389,38 @@ class Calibration(Pattern[CalibrationParams]):
         self,
         before: tuple[Pose, Located | None],
         after: tuple[Pose, Located | None],
-        scales: list[_Ways],
+        scales: list[_Distances],
     ) -> None:
-        """Add the way by odometry and that by scans in m, if scans tell it."""
-        (a, seen_a), (b, seen_b) = before, after
-        if seen_a is None or seen_b is None or not (seen_a.binds_place and seen_b.binds_place):
+        """Append the distances by odometry and by scans in m, if scans show the distance.
+
+        `before`, `after`: the poses at rest by odometry and by scans, from `_rest`.
+        """
+        (start, start_by_scan), (end, end_by_scan) = before, after
+        if start_by_scan is None or end_by_scan is None:
             return
-        start, end = seen_a.pose, seen_b.pose
-        way = math.hypot(end.x - start.x, end.y - start.y)
-        if way >= _LEAST_WAY:
-            scales.append((math.hypot(b.x - a.x, b.y - a.y), way))
+        if not (start_by_scan.binds_place and end_by_scan.binds_place):
+            return
+        a, b = start_by_scan.pose, end_by_scan.pose
+        distance = math.hypot(b.x - a.x, b.y - a.y)
+        if distance >= _LEAST_WAY:
+            scales.append((math.hypot(end.x - start.x, end.y - start.y), distance))
 
     def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
-        """Turn to and fro at a changing rate; returns scan arrivals, their points, odometry."""
-        begin, seen = self._now, self._scan
+        """Turn to and fro at a changing rate.
+
+        Returns the arrivals of the scans in s, the points of each scan, and odometry as `_track`.
+        """
+        begin, last_scan = self._now, self._scan
         arrivals: list[float] = []
         points: list[Array] = []
-        most = _SWING_SHARE * self._speeds["angular"]
+        top_rate = _SWING_SHARE * self._speeds["angular"]
         while self._now - begin < _SWINGS * _SWING_PERIOD:
             phase = 2.0 * math.pi * (self._now - begin) / _SWING_PERIOD
-            yield Twist(angular=most * math.sin(phase))
-            if self._scan is not seen and self._scan is not None:
-                seen = self._scan
+            yield Twist(angular=top_rate * math.sin(phase))
+            if self._scan is not last_scan and self._scan is not None:
+                last_scan = self._scan
                 arrivals.append(self._scan_at)
-                points.append(points_of(seen, self._spec.offset))
+                points.append(points_of(last_scan, self._spec.offset))
         yield from self._stand()
         return arrivals, points, self._track(begin - 2.0)
 
@@ -411,42 +429,55 @@ class Calibration(Pattern[CalibrationParams]):
     def _finish(
         self,
         stops: Mapping[str, Sequence[tuple[float, Braking]]],
-        scales: Mapping[str, Sequence[_Ways]],
+        scales: Mapping[str, Sequence[_Distances]],
         headings: Sequence[tuple[float, float]],
         track: Array,
     ) -> None:
-        barrier = self.context.platform.protection.get("barrier") or {}
+        """Compute all figures from the samples of the drives, and set the report.
+
+        `stops`: by axis, pairs of commanded speed and stop. `scales`: by axis, pairs of distances
+        in m by odometry and by scans. `headings`: arrival in s and heading in rad of each matched
+        scan of the turns. `track`: (n, 4) odometry of the turns: s, x, y, yaw.
+        """
+        # 1. Scan delay, and scale of odometry in turns.
         measured: dict[str, Figure] = {}
-        at, seen = np.array(headings).reshape(-1, 2).T
-        late, turned = turn_delay(at, seen, track[:, 0], track[:, 3] - self._start.yaw)
+        arrivals, scan_headings = np.array(headings).reshape(-1, 2).T
+        odometry_headings = track[:, 3] - self._start.yaw
+        scan_delay, turn_scale = turn_delay(arrivals, scan_headings, track[:, 0], odometry_headings)
         if self._reference is None or not headings:
             why = "what stands around shows no turn: too few returns, or a round room"
-            late = turned = Figure(why=why)
+            scan_delay = turn_scale = Figure(why=why)
+
+        # 2. Deceleration, delay, speed and scale of each axis.
+        barrier = self.context.platform.protection.get("barrier") or {}
         why = "what stands around does not show the way: too little of it, or a bare corridor"
-        for word, pairs in stops.items():
-            scale = turned if word == "angular" else scale_of(scales[word], why)
-            brake, delay = stopping([stop for _, stop in pairs])
-            fast = max(speed for speed, _ in pairs)
-            shares = [stop.speed / speed for speed, stop in pairs if speed == fast]
-            share = mean_of(shares, "no steady drive")
-            if scale.is_measured:  # protection measures its room by scans
-                share, brake = share.over(scale), brake.over(scale)
-            # `braking_linear` holds in each direction.
-            declared = "braking_angular" if word == "angular" else "braking_linear"
-            braking = float(barrier.get(declared, math.nan))
-            measured[f"braking_{word}"] = brake._replace(assumed=braking)
-            measured[f"reaction_{word}"] = delay._replace(assumed=REACTION_TIME)
-            measured[f"speed_{word}"] = share._replace(assumed=1.0)
-            measured[f"odometry_{word}"] = scale._replace(assumed=1.0)
-        measured["margin"] = self._margin(*(measured[f"reaction_{word}"] for word in stops))
+        for axis, pairs in stops.items():
+            scale = turn_scale if axis == "angular" else scale_of(scales[axis], why)
+            deceleration, reaction = stopping([stop for _, stop in pairs])
+            top_speed = max(speed for speed, _ in pairs)
+            speed_ratios = [stop.speed / speed for speed, stop in pairs if speed == top_speed]
+            speed_ratio = mean_of(speed_ratios, "no steady drive")
+            if scale.is_measured:  # to metres by scans, by which protection measures its gaps
+                speed_ratio, deceleration = speed_ratio.over(scale), deceleration.over(scale)
+            # `braking_linear` also holds for the lateral axis.
+            key = "braking_angular" if axis == "angular" else "braking_linear"
+            declared = float(barrier.get(key, math.nan))
+            measured[f"braking_{axis}"] = deceleration._replace(assumed=declared)
+            measured[f"reaction_{axis}"] = reaction._replace(assumed=REACTION_TIME)
+            measured[f"speed_{axis}"] = speed_ratio._replace(assumed=1.0)
+            measured[f"odometry_{axis}"] = scale._replace(assumed=1.0)
+        measured["margin"] = self._margin(*(measured[f"reaction_{axis}"] for axis in stops))
+
+        # 3. Ages. `_offset`: the robot's clock less odometry's clock, by the fastest sample.
         ages = np.array(self._ages) - self._offset
         measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
-        if late.is_measured and self._scan is not None and self._scan.ages is not None:
-            # A matched pose belongs to the newest ray; the delay means the mean age of the rays.
-            # While the order of rays is unknown all ages are equal, and the pose is the mean ray's.
-            ages_of_rays = self._scan.ages - self._scan.ages.min()
-            late = late._replace(value=late.value + float(ages_of_rays.mean()))
-        measured["scan_delay"] = late._replace(assumed=self._spec.latency)
+        if scan_delay.is_measured and self._scan is not None and self._scan.ages is not None:
+            # A matched pose is the pose at the newest ray; the delay is defined by the mean age of
+            # the rays. While the order of rays is unknown, all ages are equal, and a matched pose
+            # is the pose at the mean ray.
+            ray_ages = self._scan.ages - self._scan.ages.min()
+            scan_delay = scan_delay._replace(value=scan_delay.value + float(ray_ages.mean()))
+        measured["scan_delay"] = scan_delay._replace(assumed=self._spec.latency)
         self._report = {
             "state": figures.DONE,
             "drove": " ".join(f"{self._speeds[axis]:.6g}" for axis in AXES if axis in stops),
@@ -454,34 +485,38 @@ class Calibration(Pattern[CalibrationParams]):
         }
 
     def _margin(self, *delays: Figure) -> Figure:
-        """The margin that keeps the gap of a base that responds later than assumed.
+        """The protection margin in m that a base needs if it responds later than assumed.
 
-        The own surface and other objects move on for as long as the response exceeds REACTION_TIME.
+        `delays`: the reaction delays of the axes in s; each counts with two standard deviations.
+        While the response exceeds REACTION_TIME, the robot's surface and other objects move on.
         """
         barrier = self.context.platform.protection.get("barrier")
         if barrier is None:
             return Figure(why="mode barrier has no settings")
-        others = float(barrier["others_speed"])
+        others_speed = float(barrier["others_speed"])
         limits = self.context.platform.limits
-        own = math.hypot(limits.linear, limits.lateral)
-        surface = max(barrier.get("surface_speed") or others, own)
-        late = max((d.value + 2.0 * d.spread for d in delays if d.is_measured), default=0.0)
-        more = max(late - REACTION_TIME, 0.0) * (surface + others)
+        top_speed = math.hypot(limits.linear, limits.lateral)
+        surface_speed = max(barrier.get("surface_speed") or others_speed, top_speed)
+        reaction = max(
+            (delay.value + 2.0 * delay.spread for delay in delays if delay.is_measured), default=0.0
+        )
+        excess = max(reaction - REACTION_TIME, 0.0) * (surface_speed + others_speed)
         margin = float(barrier["margin"])
-        return Figure(margin + more, 0.0, sum(delay.samples for delay in delays), margin)
+        return Figure(margin + excess, 0.0, sum(delay.samples for delay in delays), margin)
 
 
-def _way(track: Array, axis: str, sign: float) -> Array:
-    """(n,) travelled rad (angular), m along the first heading (linear) or to its left (lateral).
+def _distances(track: Array, axis: str, sign: float) -> Array:
+    """The distances travelled on an axis since the first row of `track`, (n,) m or rad.
 
-    `track`: (n, 4) times, x, y, yaw. `sign`: -1.0 for a drive in the negative direction.
+    `track`: (n, 4) odometry: time, x, y, yaw. `axis`: linear (along the first heading), lateral (to
+    its left) or angular. `sign`: -1.0 for a drive in the negative direction.
     """
     _, x, y, turned = (track - track[0]).T
     yaw = float(track[0, 3])
     cos, sin = math.cos(yaw), math.sin(yaw)
-    ways: dict[str, Array] = {
+    distances: dict[str, Array] = {
         "linear": cos * x + sin * y,
         "lateral": cos * y - sin * x,
         "angular": turned,
     }
-    return sign * ways[axis]
+    return sign * distances[axis]

@@ -15,17 +15,13 @@ _DEVIATIONS = 2.0
 
 
 class Setting(NamedTuple):
-    """A value for a key of a platform file, such as `scan.latency`; `text`: its derivation.
+    """A value for a key of a platform file that follows from a calibration."""
 
-    `assumed`: the value in the present file. `is_safe`: `value` makes the robot at least as careful
-    as `assumed`.
-    """
-
-    key: str
+    key: str  # such as `scan.latency`
     value: float | str
-    assumed: float | str
-    text: str
-    is_safe: bool
+    assumed: float | str  # the value in the present file
+    text: str  # how `value` was derived
+    is_safe: bool  # `value` makes the robot at least as careful as `assumed`
 
 
 def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
@@ -48,31 +44,43 @@ def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
 def settings(
     figures: Mapping[str, Figure], drove: Sequence[float], sweep: SweepFigure | None = None
 ) -> list[Setting]:
-    """The settings that follow from figures, two standard deviations to the safe side.
+    """The settings of a platform file that follow from the figures of a calibration.
 
-    `drove`: the fastest commanded speeds in m/s and rad/s, in the order of AXES. `sweep`: the
-    measured sweep; None if the present file declares the sweep.
+    Values lie two standard deviations to the safe side. `drove`: the fastest commanded speeds in
+    m/s and rad/s, in the order of AXES; lateral only for a base that moves sideways. `sweep`: the
+    measured order and duration of the rays of a scan; None if the present file declares the sweep.
     """
     chosen = []
-    for word, speed in zip(AXES, drove, strict=False):
-        share = figures[f"speed_{word}"]
-        if word != "lateral":
-            axes = [word, "lateral"] if word == "linear" and len(drove) > 2 else [word]
-            chosen += _braking(word, {axis: figures[f"braking_{axis}"] for axis in axes})
-        if share.is_measured and share.value < 1.0 - _SLOWER:
-            text = f"{_text(share)} of the {speed:.3g} commanded"
-            chosen.append(_lower(f"limits.{word}", _down(share.value * speed), speed, text))
-    late, margin = figures["scan_delay"], figures["margin"]
-    if late.is_measured:
-        value = _up(late.value + _DEVIATIONS * late.spread)
-        text = f"{_text(late)}, and 2 sd"
-        is_safe = value >= late.assumed
-        chosen.append(Setting("scan.latency", value, late.assumed, text, is_safe))
+
+    # 1. Decelerations and speed limits. `braking_linear` must hold on the lateral axis, too.
+    for axis, speed in zip(AXES, drove, strict=False):
+        if axis != "lateral":
+            axes = [axis, "lateral"] if axis == "linear" and len(drove) > 2 else [axis]
+            chosen += _braking(axis, {name: figures[f"braking_{name}"] for name in axes})
+        speed_ratio = figures[f"speed_{axis}"]  # measured over commanded
+        if speed_ratio.is_measured and speed_ratio.value < 1.0 - _SLOWER:
+            text = f"{_text(speed_ratio)} of the {speed:.3g} commanded"
+            value = _down(speed_ratio.value * speed)
+            chosen.append(_lower(f"limits.{axis}", value, speed, text))
+
+    # 2. The scan.
+    scan_delay, margin = figures["scan_delay"], figures["margin"]
+    if scan_delay.is_measured:
+        value = _up(scan_delay.value + _DEVIATIONS * scan_delay.spread)
+        text = f"{_text(scan_delay)}, and 2 sd"
+        is_safe = value >= scan_delay.assumed
+        chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
     if sweep is not None and sweep.direction:
-        way = f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction}"
-        value_of = f"{way}, duration: {sweep.duration:.3g}}}" if sweep.duration else "null"
+        yaml = "null"  # all rays at one time
+        if sweep.duration:
+            yaml = (
+                f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction},"
+                f" duration: {sweep.duration:.3g}}}"
+            )
         text = f"measured in {sweep.samples} pairs of scans"
-        chosen.append(Setting("scan.sweep", value_of, "measured", text, True))
+        chosen.append(Setting("scan.sweep", yaml, "measured", text, True))
+
+    # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:
         text = "for a response after more than 0.05 s: see the reaction delays"
         chosen.append(
@@ -82,9 +90,9 @@ def settings(
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
-    """The setting of a deceleration that must hold on each axis of `brakes`: the weakest.
+    """The setting `braking_<word>`: the weakest deceleration of the axes in `brakes`.
 
-    Empty if nothing was measured. A stronger deceleration than assumed is set only if each axis was
+    Empty if no axis was measured. A stronger deceleration than assumed is set only if each axis was
     measured.
     """
     candidates = []
@@ -95,11 +103,8 @@ def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
             key = f"protection.barrier.braking_{word}"
             candidates.append(_lower(key, value, brake.assumed, text))
     candidates.sort(key=lambda setting: setting.value)
-    return (
-        candidates[:1]
-        if candidates[:1] and (candidates[0].is_safe or len(candidates) == len(brakes))
-        else []
-    )
+    has_all_axes = len(candidates) == len(brakes)
+    return [setting for setting in candidates[:1] if setting.is_safe or has_all_axes]
 
 
 def platform_file(

@@ -1,8 +1,8 @@
 """Estimates the pose of a scan by matching its points to a reference scan. Pure.
 
 Iterative closest point (ICP) with point-to-line distances (Chen and Medioni, IVC 1992; Censi, ICRA
-2008). The surroundings must constrain each coordinate: in a bare corridor the place along the
-corridor stays unknown, in a round room the heading.
+2008). A coordinate stays unknown if the surroundings do not constrain it: the place along a bare
+corridor, or the heading in a round room.
 """
 
 from __future__ import annotations
@@ -24,15 +24,16 @@ _FLAT = 0.1  # (thickness / length of a line) squared, at most
 _GATES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08)
 _LEAST_POINTS = 40
 _LEAST_SHARE = 0.5  # share of the points of a scan that must match
+_DAMPING = 1e-6  # for each matched point
 _LEAST_RELIEF = 0.15  # share of normals that must constrain a coordinate; noise gives less
 
 
 class Located(NamedTuple):
-    """The pose of a scan in the reference frame; `binds_...`: the coordinate is constrained."""
+    """The pose of a scan in the reference frame."""
 
     pose: Pose
-    binds_place: bool
-    binds_yaw: bool
+    binds_place: bool  # the points constrain x and y
+    binds_yaw: bool  # the points constrain the heading
 
 
 def points_of(scan: Scan, offset: tuple[float, float]) -> Array:
@@ -56,47 +57,60 @@ class Reference:
         self._squares = (self._points * self._points).sum(axis=1)
 
     def locate(self, points: Array, guess: Pose) -> Located | None:
-        """The pose at which `points` (k, 2) were seen; None if they do not match."""
+        """The pose in the reference frame at which `points` were seen, by point-to-line ICP.
+
+        `points`: (k, 2) m in the base frame. `guess`: a pose near the result, such as odometry's.
+        None if too few points match. `Located` also says which coordinates the points constrain.
+        """
         if min(len(points), len(self._points)) < _LEAST_POINTS:
             return None
         x, y, yaw = guess.x, guess.y, guess.yaw
-        count, matrix = 0, np.eye(3)
-        for gate in _GATES:
+        match_count, normal_matrix = 0, np.eye(3)
+        for max_distance in _GATES:
+            # 1. Match each point with the nearest point of the reference. The squared distances
+            # lack the term that is equal for all points of the reference.
             cos, sin = math.cos(yaw), math.sin(yaw)
-            turned = points @ np.array(((cos, sin), (-sin, cos)))
-            placed = turned + np.array((x, y))
-            # Squared distances, without the term that is equal for all points of the reference.
+            rotated = points @ np.array(((cos, sin), (-sin, cos)))
+            placed = rotated + np.array((x, y))
             nearest = (self._squares - 2.0 * placed @ self._points.T).argmin(axis=1)
-            off = placed - self._points[nearest]
-            is_match = (off * off).sum(axis=1) < gate * gate
-            count = int(is_match.sum())
-            if count < max(_LEAST_POINTS, _LEAST_SHARE * len(points)):
+            offsets = placed - self._points[nearest]
+            is_match = (offsets * offsets).sum(axis=1) < max_distance * max_distance
+            match_count = int(is_match.sum())
+            if match_count < max(_LEAST_POINTS, _LEAST_SHARE * len(points)):
                 return None
-            nearest, turned = nearest[is_match], turned[is_match]
+
+            # 2. One Gauss-Newton step on the distances from the reference's lines. The columns of
+            # the Jacobian are the derivatives by x, y and yaw.
+            nearest, rotated = nearest[is_match], rotated[is_match]
             normals = self._normals[nearest]
-            errors = (off[is_match] * normals).sum(axis=1)
-            levers = turned[:, 0] * normals[:, 1] - turned[:, 1] * normals[:, 0]
-            sides = np.column_stack((normals, levers))
-            matrix = sides.T @ sides
+            errors = (offsets[is_match] * normals).sum(axis=1)
+            by_yaw = rotated[:, 0] * normals[:, 1] - rotated[:, 1] * normals[:, 0]
+            jacobian = np.column_stack((normals, by_yaw))
+            normal_matrix = jacobian.T @ jacobian
             # The small diagonal keeps unconstrained coordinates at the guess.
-            change = np.linalg.solve(matrix + 1e-6 * count * np.eye(3), sides.T @ errors)
+            damped = normal_matrix + _DAMPING * match_count * np.eye(3)
+            change = np.linalg.solve(damped, jacobian.T @ errors)
             x, y, yaw = x - float(change[0]), y - float(change[1]), yaw - float(change[2])
-        size = float(np.median(np.hypot(points[:, 0], points[:, 1])))
-        place = float(np.linalg.eigvalsh(matrix[:2, :2])[0])
-        heading = float(matrix[2, 2]) / size**2
-        least = count * _LEAST_RELIEF**2
-        return Located(Pose(x, y, yaw), place >= least, heading >= least)
+
+        # 3. A coordinate is constrained if enough normals point along it: for the place in its
+        # weakest direction, for the heading relative to the median range.
+        median_range = float(np.median(np.hypot(points[:, 0], points[:, 1])))
+        place_information = float(np.linalg.eigvalsh(normal_matrix[:2, :2])[0])
+        heading_information = float(normal_matrix[2, 2]) / median_range**2
+        least = match_count * _LEAST_RELIEF**2
+        pose = Pose(x, y, yaw)
+        return Located(pose, place_information >= least, heading_information >= least)
 
 
 def _middle(points: Array) -> Array:
     """(n, 2) the median point of each bearing bin, in the order of bearings."""
     ranges, bearings = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     bins = ((bearings + np.pi) * (_BINS / (2.0 * np.pi))).astype(np.intp) % _BINS
-    middle = []
-    for number in np.unique(bins):
-        among = bins == number
-        middle.append((float(np.median(ranges[among])), float(np.median(bearings[among]))))
-    r, b = np.array(middle).T
+    medians = []
+    for bin_index in np.unique(bins):
+        is_in_bin = bins == bin_index
+        medians.append((float(np.median(ranges[is_in_bin])), float(np.median(bearings[is_in_bin]))))
+    r, b = np.array(medians).T
     return np.stack((r * np.cos(b), r * np.sin(b)), axis=1)
 
 
@@ -106,6 +120,6 @@ def _normal(places: Array, i: int) -> Array | None:
     near = near[np.hypot(*(near - places[i]).T) <= _NEIGHBOR]
     if len(near) < _FEWEST:
         return None
-    off = near - near.mean(axis=0)
-    sizes, axes = np.linalg.eigh(off.T @ off)
+    centred = near - near.mean(axis=0)
+    sizes, axes = np.linalg.eigh(centred.T @ centred)
     return axes[:, 0] if sizes[0] <= _FLAT * sizes[1] else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import State, Status
@@ -43,61 +43,104 @@ class Plan:
 
 
 def plan_of(file: SwarmFile, view: MembersView) -> Plan:
-    """The changes that bring the robots in `view` to the content of a file.
+    """The changes that bring the robots in `view` to the content of a swarm file.
 
-    A robot without a status is `unknown`. A file without labels leaves all labels as they are. The
-    same holds for the goal and for parameters.
+    A robot without a status is `unknown`, and gets no changes. A file without labels leaves all
+    labels as they are. A file without a goal, or without parameters, leaves these as they are.
     """
-    there = {
+    statuses = {
         name: member.status
         for name, member in view.members.items()
         if member.status is not None and member.contact is Contact.ANSWERED
     }
-    expected = sorted(view.expected - there.keys())
+
+    # 1. Labels. `labels`: of the file; `new_labels`: those that differ from the robot's labels.
+    labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
+    new_labels = {
+        name: wanted for name, wanted in labels.items() if set(wanted) != {*statuses[name].labels}
+    }
+    lines = [
+        ("labels", name, f"{_words(statuses[name].labels)} -> {_words(wanted)}")
+        for name, wanted in new_labels.items()
+    ]
+
+    # 2. The goal.
+    change = _goal_change(file, view, statuses, labels)
+    lines += change.lines
+
+    # 3. Parameters of running patterns.
+    params: dict[str, Params] = {}
+    for name, status in statuses.items():
+        new_params = _param_changes(file, name, status, labels, change.goal)
+        if new_params:
+            params[name] = new_params
+        for key, value in new_params.items():
+            lines.append(("param", name, f"{key} {_value(status, key)} -> {number(value)}"))
+    return Plan(
+        labels=new_labels,
+        goal=change.goal,
+        targets=change.targets,
+        resume=change.resume,
+        params=params,
+        lines=tuple(lines),
+        unknown=_unknown_robots(file, view, statuses),
+        left=change.left,
+    )
+
+
+class _GoalChange(NamedTuple):
+    """The part of a plan that concerns the goal; the fields are those of `Plan`."""
+
+    goal: Mapping[str, Any] | None = None
+    targets: tuple[str, ...] = ()
+    resume: tuple[str, ...] = ()
+    left: Mapping[str, str] = {}
+    lines: tuple[tuple[str, str, str], ...] = ()
+
+
+def _goal_change(
+    file: SwarmFile,
+    view: MembersView,
+    statuses: Mapping[str, Status],
+    labels: Mapping[str, tuple[str, ...]],
+) -> _GoalChange:
+    """The change from the present goal of the swarm to the goal in the file.
+
+    `labels`: the labels of the file by robot, empty if the file names none. If the present goal has
+    the content of the file, robots that were offered the goal resume it, and runs that have ended
+    are only reported (`left`). Otherwise the file's goal is a new goal.
+    """
+    if file.goal is None:
+        return _GoalChange()
+    content = file.goal.content
+    wanted = Goal(generation=1, issuer="file", id="file", **content)
+    robot_labels = {name: labels.get(name, status.labels) for name, status in statuses.items()}
+    targets = tuple(name for name in sorted(statuses) if wanted.is_for(name, robot_labels[name]))
+    present, _ = present_goals(view)
+    if not is_like(present, content):
+        before = "no goal" if present is None else present.text
+        line = ("goal", _words(targets), f"{before} -> {_goal_text(content)}")
+        return _GoalChange(goal=content, targets=targets, lines=(line,))
+    resume = tuple(name for name in targets if _is_offered(statuses[name]))
+    left = {
+        name: status.goal.reason
+        for name, status in statuses.items()
+        if name in targets and status.goal and _has_ended(status.goal)
+    }
+    lines = tuple(("resume", name, file.goal.pattern or "stand") for name in resume)
+    return _GoalChange(targets=targets, resume=resume, left=left, lines=lines)
+
+
+def _unknown_robots(
+    file: SwarmFile, view: MembersView, statuses: Mapping[str, Status]
+) -> dict[str, str]:
+    """The reason for each robot that cannot be compared: expected or named, without a status."""
+    expected = sorted(view.expected - statuses.keys())
     unknown = {name: absence(view.members.get(name)) for name in expected}
     for label, robots in file.members.items():
         for name in set(robots) - view.members.keys() - unknown.keys():
             unknown[name] = f"labels.{label} names it, and no such robot is known"
-    labels = {name: labels_in(file, name) for name in there} if file.labels else {}
-    changed = {
-        name: wanted for name, wanted in labels.items() if set(wanted) != {*there[name].labels}
-    }
-    lines = [
-        ("labels", name, f"{_words(there[name].labels)} -> {_words(wanted)}")
-        for name, wanted in changed.items()
-    ]
-    present, _ = present_goals(view)
-    goal: Mapping[str, Any] | None = None
-    targets: tuple[str, ...] = ()
-    resume: tuple[str, ...] = ()
-    left: dict[str, str] = {}
-    if file.goal is not None:
-        after = {name: labels.get(name, status.labels) for name, status in there.items()}
-        wanted_goal = Goal(generation=1, issuer="file", id="file", **file.goal.content)
-        targets = tuple(n for n in sorted(after) if wanted_goal.is_for(n, after[n]))
-        if is_like(present, file.goal.content):
-            resume = tuple(name for name in targets if _is_offered(there[name]))
-            left = {
-                name: status.goal.reason
-                for name, status in there.items()
-                if name in targets and status.goal and _is_left(status.goal)
-            }
-            lines += [("resume", name, file.goal.pattern or "stand") for name in resume]
-        else:
-            goal = file.goal.content
-            before = "no goal" if present is None else present.text
-            lines.append(("goal", _words(targets), f"{before} -> {_goal_text(file.goal.content)}"))
-    params = {
-        name: changes
-        for name, status in there.items()
-        if (changes := _param_changes(file, name, status, labels, goal))
-    }
-    lines += [
-        ("param", name, f"{key} {_value(there[name], key)} -> {number(value)}")
-        for name, changes in params.items()
-        for key, value in changes.items()
-    ]
-    return Plan(changed, goal, targets, resume, params, tuple(lines), unknown, left)
+    return unknown
 
 
 def labels_in(file: SwarmFile, robot: str) -> tuple[str, ...]:
@@ -116,7 +159,7 @@ def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:
 def params_in(file: SwarmFile, robot: str, labels: tuple[str, ...], pattern: str) -> Params:
     """The parameters of a robot's pattern in a file.
 
-    A robot's own parameters replace those of its labels.
+    Parameters for the robot replace parameters for its labels.
     """
     params: dict[str, Any] = {}
     for label in labels:
@@ -131,10 +174,10 @@ def _param_changes(
     labels: Mapping[str, tuple[str, ...]],
     goal: Mapping[str, Any] | None,
 ) -> Params:
-    """The parameters of a running pattern that differ from the file.
+    """The parameters of a robot's running pattern whose value in the file differs.
 
-    Parameters of a goal take precedence over the file. None where a new goal lets the robot run
-    another pattern: its parameters are compared after that.
+    The file's parameters of its goal replace the file's parameters for robots and labels. Empty if
+    the robot does not run, and if the plan has a new goal (`goal`): that goal has its parameters.
     """
     pattern = status.pattern
     if status.state is not State.RUNNING or pattern is None or goal is not None:
@@ -146,8 +189,8 @@ def _param_changes(
     return {key: value for key, value in wanted.items() if key in known and known[key] != value}
 
 
-def _is_left(goal: GoalStatus) -> bool:
-    """True if the run has ended. Of a run that goes on, parameters are compared separately."""
+def _has_ended(goal: GoalStatus) -> bool:
+    """True if the robot's run of the goal has ended, and the robot may not resume it."""
     return bool(goal.reason) and goal.state not in (GoalState.OFFERED, GoalState.RUNNING)
 
 

@@ -55,13 +55,13 @@ def _iterated(
 class AsyncSwarm:
     """A swarm, as `swarmd.connect` gives it in an `async with` block.
 
-    It has the methods of `Swarm`, with the same parameters and results. `events` and `states` are
-    async iterators; all other methods are awaited. Each method runs on a thread, so that the event
-    loop does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are
-    under way.
+    The methods, their parameters and results are those of `Swarm`. `events` and `states` are async
+    iterators; all other methods are awaited. Each method runs on a thread, so that the event loop
+    does not wait for robots. A stop waits for no other method. SwarmError if 8 requests are under
+    way.
 
-    If a task is cancelled, it no longer waits, but robots may have applied its request. Three
-    methods also end: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
+    A cancelled task no longer waits, but robots may have applied its request. The cancellation also
+    ends three methods: a `wait`; a run with a canary, whose canaries are stopped; and a run `at` a
     later moment, whose robots are stopped before they start.
     """
 
@@ -100,8 +100,8 @@ class AsyncSwarm:
     async def close(self) -> None:
         """Leave the network; see `Swarm.close`.
 
-        Waits up to 6 s for calls under way. A cancelled call may still have to stop its robots,
-        which the end of the program would prevent.
+        Waits up to 6 s for calls under way: a cancelled call may still have to stop its robots, and
+        the end of the program would prevent that stop.
         """
 
         def close() -> None:
@@ -114,7 +114,12 @@ class AsyncSwarm:
 async def _from_thread(
     make: Callable[[], Iterator[R]], cancelled: threading.Event
 ) -> AsyncGenerator[R, None]:
-    """The items of an iterator that runs on a thread; an error of the iterator is raised here."""
+    """Yield the items of an iterator that runs on a thread of its own.
+
+    `make` makes the iterator, on that thread. An error of the iterator is raised here. `cancelled`
+    is set at the end of this generator, so that the iterator and its thread end soon. At most
+    MAX_WAITING items wait for the reader; then the thread waits.
+    """
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()
     room = threading.Semaphore(MAX_WAITING)
@@ -128,21 +133,21 @@ async def _from_thread(
                 return
             loop.call_soon_threadsafe(items.put_nowait, item)
 
-    done = asyncio.wrap_future(begin(work))
+    thread_end = asyncio.wrap_future(begin(work))
     try:
         while True:
-            taking = asyncio.ensure_future(items.get())
-            both: set[asyncio.Future[Any]] = {taking, done}
-            await asyncio.wait(both, return_when=asyncio.FIRST_COMPLETED)
-            if not taking.done():
-                taking.cancel()
+            next_item = asyncio.ensure_future(items.get())
+            either: set[asyncio.Future[Any]] = {next_item, thread_end}
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+            if not next_item.done():  # the thread has ended
+                next_item.cancel()
                 while not items.empty():
                     yield items.get_nowait()
-                done.result()
+                thread_end.result()  # raises the error of the iterator
                 return
             room.release()
-            yield taking.result()
+            yield next_item.result()
     finally:
         cancelled.set()
-        taking.cancel()  # it would wait on in a loop that goes on, such as that of a notebook
-        done.cancel()  # its thread may end after the loop
+        next_item.cancel()  # the loop of a notebook goes on, and the task would wait for ever
+        thread_end.cancel()  # the thread may end after the loop

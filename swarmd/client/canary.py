@@ -19,15 +19,17 @@ MAX_DUTY_RISE = 0.3
 """By how much the share of ticks in which protection acts may rise over the run before."""
 MIN_DECISIONS = 60
 """Ticks after which that share is judged: 3 s."""
+MAX_STATUS_WAIT = 0.5  # s of one wait for a status
 
 
 def choose_canaries(
     wanted: int | str, names: Iterable[str], option: str = "canary"
 ) -> tuple[str, ...]:
-    """The canaries among the targets: the first `wanted` robots, or the robot with that name.
+    """Choose the canaries (robots that run a pattern first) among the targets `names`.
 
-    RequestError if that robot is no target. ConfigError for a number below 1, and if no target is
-    left for the run after the canaries. Each error names `option`.
+    `wanted`: a number of canaries, which are the first names, or the name of the only canary.
+    RequestError if the named robot is no target. ConfigError for a number below 1, and if no target
+    is left for the run after the canaries. `option`: the option's name, for errors.
     """
     known = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
@@ -42,9 +44,10 @@ def choose_canaries(
 
 
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
-    """Why a canary does not run well; empty if it does. Pure.
+    """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: its status before the run. `first`: its first status in the run.
+    `before`: the canary's status before the run. `first`, `now`: its first and its newest status in
+    the run.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -69,25 +72,32 @@ def watch_canary(
     seconds: float,
     before: Mapping[str, Status | None] | None = None,
 ) -> dict[str, str]:
-    """Watch canaries for `seconds`; returns those that do not run well, with the reason.
+    """Watch canaries (the robots that run a pattern before all others) for `seconds`.
 
-    It ends at the first fault, and when the session is cancelled. A robot that sends no status has
-    a fault.
+    `before`: the status of each canary before the run. Returns the canaries that do not run well,
+    with the reason; empty if all run well. A robot that sends no status does not run well. The
+    watch ends at the first fault, and when the session is cancelled.
     """
     from swarmd.client.ask_robots import next_status, statuses_of  # most runs have no canary
 
-    heard, until = dict.fromkeys(names, boottime()), boottime() + seconds
-    first: dict[str, Status] = {}
+    last_heard, until = dict.fromkeys(names, boottime()), boottime() + seconds
+    first_status: dict[str, Status] = {}
     faults: dict[str, str] = {}
-    with statuses_of(session.operator) as news:
-        while not (faults or session.is_cancelled()) and (left := until - boottime()) > 0:
-            status = next_status(news, min(left, 0.5))
-            if status is not None and (robot := status.robot) in heard:
-                heard[robot] = boottime()
-                earlier = (before or {}).get(robot)
-                if fault := fault_of(earlier, first.setdefault(robot, status), status):
+    with statuses_of(session.operator) as status_queue:
+        while not (faults or session.is_cancelled()) and (time_left := until - boottime()) > 0:
+            # 1. Judge the next status.
+            status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
+            if status is not None and status.robot in last_heard:
+                robot = status.robot
+                last_heard[robot] = boottime()
+                status_before = (before or {}).get(robot)
+                fault = fault_of(status_before, first_status.setdefault(robot, status), status)
+                if fault:
                     faults[robot] = fault
-            for robot, at in heard.items():
-                if (silence := boottime() - at) > STATUS_SILENCE and robot not in faults:
+
+            # 2. Find silent canaries.
+            for robot, heard_at in last_heard.items():
+                silence = boottime() - heard_at
+                if silence > STATUS_SILENCE and robot not in faults:
                     faults[robot] = f"sent no status for {silence:.0f} s"
     return faults

@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 def reset(targeted: TargetedView, *, reason: str = "", findings: bool = False) -> Outcome:
-    """Clear the emergency stops and faults that the look has shown.
+    """Clear the emergency stops and faults of robots, as their statuses in `targeted` show them.
 
-    An emergency stop that comes later stays. With `findings` the findings of the assumption monitor
-    that the look has shown end, too.
+    An emergency stop that came after these statuses stays. With `findings`, also clear the findings
+    of the assumption monitor that the statuses show.
     """
     ids = tuple(sorted(targeted.view.latches(targeted.names)))
     shown_findings = findings_of(targeted.view, targeted.names) if findings else ()

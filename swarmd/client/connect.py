@@ -128,15 +128,18 @@ def connect(
 ) -> Connection:
     """A connection to a swarm: `with connect(...)` gives a `Swarm`, `async with` an `AsyncSwarm`.
 
-    The options are those of swarmctl, with its defaults: `$SWARM`, `$SWARM_CONFIG` and the context
-    in use (`context` names another one), else swarm `default` of robots on this machine. `config`:
-    a swarm file. `profile`: dev, field or routed. `identity`: the folder of your identity; by
-    default that of this user or machine for the swarm. `timeout` in s bounds each method that
-    states none. `tell` takes lines for the user, such as robots that did not answer; by default
-    they are warnings of the logger `swarmd.client`.
+    The options are the options of swarmctl, with the same defaults: `$SWARM`, `$SWARM_CONFIG` and
+    the context in use, else swarm `default` of robots on this machine. `context`: another context
+    (a named set of options, see `swarmctl context`). `config`: a swarm file. `profile`: dev, field
+    or routed. `identity`: the folder of your identity; by default the folder of this user or
+    machine for the swarm. `timeout`: s, for each method that is called without a timeout. `tell`
+    takes lines for the user, such as robots that did not answer; by default these lines are
+    warnings of the logger `swarmd.client`.
 
-    Nothing is opened before the block begins; ConfigError and NetworkError come there.
+    Raises ConfigError for an option of a wrong type. Nothing is opened before the block begins: its
+    begin raises ConfigError for wrong options, and NetworkError if the network cannot be opened.
     """
+    # 1. Check the types: without a type checker any value may come.
     if profile is not None and profile not in get_args(Profile):
         raise ConfigError(unknown("profile", profile, get_args(Profile)))
     check_time("timeout", timeout)
@@ -149,9 +152,11 @@ def connect(
             raise ConfigError(f"{name} is {place!r}; expected a path")
     if not isinstance(insecure, bool):  # a text such as "no" would count as True
         raise ConfigError(f"insecure is {insecure!r}; expected True or False")
+
+    # 2. Make the options. Without a context, $SWARM_CONFIG may name the swarm file.
     if config is None and context is None:
         config = NetworkOptions.of_environment().config
-    given = NetworkOptions(
+    options = NetworkOptions(
         swarm=swarm,
         config=None if config is None else Path(config),
         context=context,
@@ -161,4 +166,4 @@ def connect(
         identity=None if identity is None else Path(identity),
         insecure=insecure,
     )
-    return Connection(given.operator, timeout=timeout, tell=tell)
+    return Connection(options.operator, timeout=timeout, tell=tell)

@@ -30,10 +30,12 @@ _NO_HOLD = (None, Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
 class EventLine:
     """An event of a robot, for display.
 
-    - `event`: from the robot's own log.
-    - `hold`: a change of the hold in its statuses.
+    The values of `kind`:
+
+    - `event`: a line of the robot's own log.
+    - `hold`: the reason for which protection holds the robot has changed.
     - `watch`: the robot appeared, fell silent or returned.
-    - `gap`: some events are not known.
+    - `gap`: some events of the robot are missing here.
     """
 
     at: float  # s on the clock of the caller
@@ -43,9 +45,10 @@ class EventLine:
 
 
 class EventFeed:
-    """Turns statuses and looks into event lines. Times in s on one clock.
+    """Turns the statuses of robots, and lists of members, into event lines.
 
-    Events that are older than `since` s at the first status of a robot are left out.
+    Times are in s on one clock. `since`: events that are older, in s, when the first status of a
+    robot comes are left out.
     """
 
     def __init__(self, since: float = float("inf")) -> None:

@@ -30,10 +30,10 @@ def events_of(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[
 
 
 def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterator[list[EventLine]]:
-    """Yields lists of events until the session is cancelled or the iterator is closed.
+    """Yield lists of new events until the session is cancelled or the iterator is closed.
 
-    Events before the first look come first, in the order of time. An empty list comes each 0.5 s
-    without an event.
+    The first list has the events so far, in the order of time. An empty list comes after each 0.5 s
+    without an event, so that the caller can end the iterator.
     """
     news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
     watch = SwarmWatch(session.operator, on_status=news.put, on_view=news.put)

@@ -40,34 +40,36 @@ class NetworkOptions:
         return cls(config=Path(config) if config else None)
 
     def in_context(self) -> Self:
-        """These options, completed from the context in use.
+        """These options; options that are not set come from the context in use.
 
-        The context counts only for options that neither the command line nor $SWARM sets. A swarm
-        file that the options or $SWARM_CONFIG name replaces the context. A context of one swarm is
-        not used for another swarm. ConfigError if the context does not exist.
+        A context is a named set of options. It sets no option that the command line or $SWARM sets.
+        It is not used if the options or $SWARM_CONFIG name a swarm file, and if the context belongs
+        to another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 
         from swarmd.settings.contexts import ENVIRONMENT, context_in_use
 
         environ = os.environ if self.context is None else {**os.environ, ENVIRONMENT: self.context}
-        chosen = context_in_use(environ) if self.config is None else None
-        if chosen is None:
+        name_and_context = context_in_use(environ) if self.config is None else None
+        if name_and_context is None:
             return self
+        _, context = name_and_context
         swarm = self.swarm or os.environ.get("SWARM")
-        if swarm and chosen[1].swarm not in (None, swarm):
+        if swarm and context.swarm not in (None, swarm):
             return self
-        given = msgspec.structs.asdict(chosen[1])
-        given["swarm"] = swarm or chosen[1].swarm
+        values = msgspec.structs.asdict(context)
+        values["swarm"] = swarm or context.swarm
         for name in ("config", "identity"):
-            given[name] = Path(given[name]) if given[name] else None
-        return replace(self, **{key: one for key, one in given.items() if not getattr(self, key)})
+            values[name] = Path(values[name]) if values[name] else None
+        missing = {name: value for name, value in values.items() if not getattr(self, name)}
+        return replace(self, **missing)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
-        """A session in the swarm's network, a context manager.
+        """An operator in the swarm's network, a context manager.
 
-        `tell` takes a line if the own certificate ends soon. ConfigError for a wrong file or
-        option, NetworkError if there is no session.
+        `tell` takes a line for the user if the operator's certificate ends soon. ConfigError for a
+        wrong file or option, NetworkError if the network cannot be used.
         """
         from swarmd.network.operator.operator import Operator
 
@@ -87,12 +89,14 @@ class NetworkOptions:
         return self.in_context()._network()
 
     def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
+        """As `network`, from these options alone, without the context in use."""
         from swarmd.network.settings import NetworkSettings, Profile
         from swarmd.security.identity import check_asker, choose_identity
 
         if self.config is not None:
             from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
 
+            # Options replace values of the file; None: not given.
             overrides = {
                 "swarm": self.swarm,
                 "profile": self.profile,

@@ -26,10 +26,10 @@ PARTS = 4
 def follow_runs(
     session: Session, goal: Goal, patience: float, running: dict[str, Epoch | None]
 ) -> None:
-    """Wait until no robot of `running` runs the goal any more; reports each end.
+    """Wait until no robot in `running` runs the goal any more; tell the user each end.
 
-    `running`: robots with their epochs at the run; an earlier status of the same daemon is ignored.
-    A robot that sends no status for `patience` s is no longer waited for.
+    `running`: the robots, with their epochs at the start of the run; a status from before the start
+    is ignored. A robot that sends no status for `patience` s counts as ended.
     """
     heard = dict.fromkeys(running, boottime())
     with statuses_of(session.operator) as news:

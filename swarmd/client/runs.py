@@ -120,20 +120,23 @@ def carry_out(
     opened: ExitStack,
     option: Callable[[str], str] = str,
 ) -> StartedRun:
-    """Start a checked run on the robots of `targeted`.
+    """Start a run, whose options `Run.check` has checked, on the robots of `targeted`.
 
-    `targets`: the targets of the goal. A lease is renewed until `opened` is closed. Raises
-    ConfigError, RequestError and SwarmError as `choose_canaries`, `start_at` and `run_with_canary`
-    do.
+    `targets`: the targets of the goal, which may be globs and labels. A run with a lease stops
+    unless its lease is renewed: a thread renews the lease until `opened` is closed. `option`
+    returns the name of an option as the user writes it. Raises ConfigError, RequestError and
+    SwarmError as `choose_canaries`, `start_at` and `run_with_canary` do.
     """
-    first: tuple[str, ...] = ()
+    canaries: tuple[str, ...] = ()
     if run.canary is not None:
         from swarmd.client.canary import choose_canaries
 
-        first = choose_canaries(run.canary, targeted.names, option("canary"))
+        canaries = choose_canaries(run.canary, targeted.names, option("canary"))
     goal = run.goal(targeted, targets)
-    if first:
-        return StartedRun(goal, *run_with_canary(targeted, goal, first, run.canary_time))
+
+    # `Run.check` permits only one of canary, `at` and lease.
+    if canaries:
+        return StartedRun(goal, *run_with_canary(targeted, goal, canaries, run.canary_time))
     if run.at is not None:
         return StartedRun(goal, *start_at(targeted, goal, run.at))
     if run.lease is not None:
@@ -177,74 +180,94 @@ def send_goal(
 def start_at(
     targeted: TargetedView, goal: Goal, at: float
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
-    """Send the run of a goal; all robots start at one moment, in `at` s.
+    """Send the run of a goal, so that all robots start at one moment, in `at` s.
 
-    Returns the outcome, and notes on the start: `in` and `skew` in s, and the error of each clock.
-    A robot whose clock does not answer is not asked, and counts as missing. ConfigError if the
-    timeout ends before the start. SwarmError if the session is cancelled before the start: robots
-    that were asked and have not refused are then stopped.
+    Each robot gets the start on its own clock, from a measured clock offset. Returns the outcome,
+    and notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
+    A robot whose clock does not answer gets no request, and counts as missing. Raises ConfigError
+    if the timeout ends before the start. Raises SwarmError if the session is cancelled before the
+    start; robots that have accepted the run are then stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
-    session, operator, wait = targeted.session, targeted.operator, targeted.time_left
-    if wait is not None and wait <= at:
+    session, operator, timeout = targeted.session, targeted.operator, targeted.time_left
+    if timeout is not None and timeout <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
+
+    # 1. The start on the clock of each robot.
     offsets = read_clocks(operator, targeted.names)
-    moment = boottime() + at
-    starts, skew = start_times(offsets, moment)
-    known = targeted.view.epochs(targeted.names)
-    epochs = {name: epoch for name, epoch in known.items() if name in starts}
-    unknown = tuple(sorted(set(targeted.names) - epochs.keys()))
-    if unknown:
-        session.tell(f"not asked, since their clocks did not answer: {', '.join(unknown)}")
+    start = boottime() + at
+    starts, skew = start_times(offsets, start)
+    all_epochs = targeted.view.epochs(targeted.names)
+    epochs = {name: epoch for name, epoch in all_epochs.items() if name in starts}
+    without_clock = tuple(sorted(set(targeted.names) - epochs.keys()))
+    if without_clock:
+        session.tell(f"not asked, since their clocks did not answer: {', '.join(without_clock)}")
     if len(starts) > 1:
         session.tell(
             f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
     session.check_awaited()
+
+    # 2. Send the request. A robot replies when it starts, or at once if it refuses.
     is_withdrawn = False
 
-    def withdraw() -> bool:
+    def is_cancelled_before_start() -> bool:
         nonlocal is_withdrawn
-        is_withdrawn = session.is_cancelled() and boottime() < moment
+        is_withdrawn = session.is_cancelled() and boottime() < start
         return is_withdrawn
 
-    fields = {"timeout": wait, "least": REQUEST_WAIT + at, "is_ended": withdraw, "at": starts}
     try:
-        outcome = send_goal(operator, epochs, goal, **fields)
+        outcome = send_goal(
+            operator,
+            epochs,
+            goal,
+            timeout=timeout,
+            least=REQUEST_WAIT + at,
+            is_ended=is_cancelled_before_start,
+            at=starts,
+        )
     except (KeyboardInterrupt, SystemExit):
-        stop_on_interrupt(session, epochs)  # otherwise they would start without their operator
+        stop_on_interrupt(session, epochs)  # else the robots would start without their operator
         raise
-    accepted = epochs.keys() - outcome.replies.keys()  # robots reply when they start
+
+    # 3. After a cancellation stop the robots that have not refused.
+    accepted = epochs.keys() - outcome.replies.keys()
     if is_withdrawn and accepted:
         raise SwarmError(stop_on_interrupt(session, accepted, "start cancelled"))
     errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
-    return replace(outcome, missing=tuple(sorted((*outcome.missing, *unknown)))), notes
+    return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
 
 
 def run_with_canary(
     targeted: TargetedView, goal: Goal, canaries: tuple[str, ...], seconds: float | None
 ) -> tuple[Outcome, Mapping[str, list[str]]]:
-    """Run a goal on canaries for `seconds`, then on all targets.
+    """Run a goal on canaries for `seconds`, then on all robots of `targeted`.
 
-    `seconds` None: CANARY_TIME. Returns the outcome, and the names of the canaries and of the
-    others. The goal of the canaries targets only them, so that it ends no run of another robot. If
-    a canary does not start, the canaries are stopped, and their outcome is returned. If a canary
-    fails, all canaries are stopped, and RequestError is raised.
+    `seconds` None: CANARY_TIME. The canaries first get a goal that targets only the canaries, so
+    that this goal ends no run of another robot. Returns the outcome, and the names of the canaries
+    and of the other robots. If a canary does not start, the canaries are stopped, and the outcome
+    of their start is returned without names. If a canary fails later, all canaries are stopped, and
+    RequestError is raised.
     """
     from swarmd.client.canary import CANARY_TIME, watch_canary
 
     seconds = seconds or CANARY_TIME
     session, operator, view = targeted.session, targeted.operator, targeted.view
-    own, wait = resigned(operator, goal, targets=canaries), targeted.time_left
-    outcome = send_goal(operator, view.epochs(canaries), own, timeout=wait)
+
+    # 1. Start the canaries.
+    canary_goal = resigned(operator, goal, targets=canaries)
+    epochs_before = view.epochs(canaries)
+    outcome = send_goal(operator, epochs_before, canary_goal, timeout=targeted.time_left)
     if len(outcome.applied) < len(canaries):
         stop_names(operator, canaries)
         names = ", ".join(canaries)
         session.tell(f"canary: {names} did not start; nothing was sent to the others")
         return outcome, {}
+
+    # 2. Watch the canaries.
     session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
     before = {name: view.members[name].status for name in canaries if name in view.members}
     try:
@@ -256,10 +279,12 @@ def run_with_canary(
         faults = dict.fromkeys(canaries, "the run was cancelled")
     if faults:
         _fail(operator, canaries, faults, len(targeted.names))
+
+    # 3. Run the goal on all robots, newer than any goal that was issued meanwhile. A robot that was
+    # stopped or changed while the canaries ran refuses the request by its epoch.
     others = tuple(name for name in targeted.names if name not in canaries)
-    later = operator.members(timeout=session.timeout)
-    goal = resigned(operator, goal, generation=next_generation(operator, later))
-    # A robot that was stopped or changed while the canaries ran refuses, by its epoch.
+    present_view = operator.members(timeout=session.timeout)
+    goal = resigned(operator, goal, generation=next_generation(operator, present_view))
     epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
     outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
     return outcome, {"canary": list(canaries), "others": list(others)}
@@ -268,11 +293,12 @@ def run_with_canary(
 def _fail(
     operator: Operator, canaries: tuple[str, ...], faults: Mapping[str, str], targeted: int
 ) -> NoReturn:
+    """Stop the canaries and raise RequestError; `targeted`: the number of all target robots."""
     stopped = stop_names(operator, canaries)
-    why = "; ".join(f"{name}: {fault}" for name, fault in faults.items())
+    reasons = "; ".join(f"{name}: {fault}" for name, fault in faults.items())
     missing = ", ".join(stopped.missing)
-    end = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
-    others = targeted - len(canaries)
-    rest = f"the other {others} robots" if others > 1 else "the other robot"
-    text = f"canary failed: {why}; {end}; nothing was sent to {rest}"
+    stop_text = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
+    count = targeted - len(canaries)
+    rest = f"the other {count} robots" if count > 1 else "the other robot"
+    text = f"canary failed: {reasons}; {stop_text}; nothing was sent to {rest}"
     raise RequestError(text, PARTIAL if missing else FAILED)

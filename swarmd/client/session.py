@@ -24,10 +24,10 @@ LEAST_REQUEST_TIME = 0.02
 
 @dataclass(frozen=True, slots=True)
 class Session:
-    """An operator's session for a verb.
+    """An operator's session for one verb, such as `run` or `members`.
 
-    `timeout`: bound of the verb in s. `tell` takes lines for the user. `is_cancelled` returns True
-    once the caller no longer waits; verbs that wait then end.
+    `timeout`: the longest time in s that the verb takes. `tell` takes lines for the user.
+    `is_cancelled` returns True once the caller no longer waits; a verb that waits then ends.
     """
 
     operator: Operator
@@ -36,11 +36,12 @@ class Session:
     is_cancelled: Callable[[], bool] = lambda: False
 
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
-        """The members, once all robots have answered or after `timeout`; reports missing robots.
+        """Query all members (a look), and tell the user which robots are missing.
 
-        With `is_request_next` half of `timeout` is left for a request (see `time_left`). If no
-        daemon was reached: NetworkError, which names the swarms that were found. Before a request:
-        SwarmError as `check_awaited`.
+        Returns once all expected robots have answered, or after `timeout`. With `is_request_next`
+        half of `timeout` is left for a request (see `time_left`), and SwarmError is raised as by
+        `check_awaited`. NetworkError, which names the swarms that were found, if no daemon was
+        reached.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
 
-PERIOD = 0.2  # s after which a wait for news is interrupted
+PERIOD = 0.2  # s after which a wait for a state is interrupted
 MAX_WAITING = 10_000
-"""States that wait for the reader; later ones are dropped."""
+"""States that wait for the reader; later states are dropped."""
 POSE_TIME = 0.3
-"""For how long a look waits for poses at most, in s: robots send them ten times a second."""
+"""The longest wait for poses, in s: robots publish their poses ten times a second."""
 
 Pose = tuple[float, float, float]
 """x and y in m, yaw in rad, by the odometry of a robot, in a frame of its own."""
@@ -60,37 +60,41 @@ class RobotState(Struct, frozen=True, kw_only=True):
 def follow_states(
     session: Session, targets: Targets, *, seconds: float | None = None, poses: bool = False
 ) -> Iterator[RobotState]:
-    """Yields a state for each status: on each change and each second; with `poses` 10 a second.
+    """Yield the states of the robots in `targets` as these publish them.
 
-    With `poses` the states of a robot begin with its first pose, so that no pose is unknown. The
-    iterator ends after `seconds`, when the session is cancelled, or when the iterator is closed.
+    A robot publishes its status on each change and each second. With `poses` a state is also
+    yielded for each pose, 10 a second, and the states of a robot begin with its first pose, so that
+    no pose is unknown. The iterator ends after `seconds`, when the session is cancelled, or when
+    the iterator is closed.
     """
-    news: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
-    last: dict[str, tuple[Status, Motion | None]] = {}
-    lock = threading.Lock()
-    has_looked = False
+    states: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
+    last_status: dict[str, Status] = {}  # by robot
+    last_motion: dict[str, Motion] = {}
+    lock = threading.Lock()  # Zenoh's threads call `on_status` and `on_motion`
+    is_first_view = True
 
     def on_status(status: Status) -> None:
         with lock:
-            motion = last.get(status.robot, (status, None))[1]
-            last[status.robot] = status, motion
+            last_status[status.robot] = status
+            motion = last_motion.get(status.robot)
         if not poses or _has_pose(motion):
-            _put(news, status, motion)
+            _put(states, status, motion)
 
     def on_motion(robot: str, payload: bytes) -> None:
         motion = _motion(payload)
         with lock:
-            if motion.robot != robot or robot not in last:
+            if motion.robot != robot or robot not in last_status:
                 return
-            status = last[robot][0]
-            last[robot] = status, motion
+            status = last_status[robot]
+            last_motion[robot] = motion
         if poses and _has_pose(motion):
-            _put(news, status, motion)
+            _put(states, status, motion)
 
     def on_view(view: MembersView) -> None:
-        nonlocal has_looked
-        if not has_looked:
-            has_looked = True
+        """Tell the user once which robots are awaited."""
+        nonlocal is_first_view
+        if is_first_view:
+            is_first_view = False
             session.tell_awaited(view, targets)
 
     operator = session.operator
@@ -100,11 +104,11 @@ def follow_states(
     operator.watch("motion", on_motion)
     watch.start()
     try:
-        while not session.is_cancelled() and (left := until - boottime()) > 0:
+        while not session.is_cancelled() and (time_left := until - boottime()) > 0:
             with suppress(queue.Empty):
-                one = news.get(timeout=min(left, PERIOD))
-                if targets.matching([one.robot]):
-                    yield one
+                state = states.get(timeout=min(time_left, PERIOD))
+                if targets.matching([state.robot]):
+                    yield state
     finally:
         watch.close()
         operator.unwatch("motion")
@@ -132,13 +136,14 @@ def _has_pose(motion: Motion | None) -> bool:
     return motion is not None and math.isfinite(motion.x + motion.y + motion.yaw)
 
 
-def _put(news: queue.Queue[RobotState], status: Status, motion: Motion | None) -> None:
-    moved = {}
+def _put(states: queue.Queue[RobotState], status: Status, motion: Motion | None) -> None:
+    """Put the state of a robot into a queue, unless the queue is full."""
+    pose_and_command = {}
     if motion is not None and _has_pose(motion):
         linear, angular, lateral = motion.safe
-        moved = {"x": motion.x, "y": motion.y, "yaw": motion.yaw}
-        moved |= {"linear": linear, "angular": angular, "lateral": lateral}
-    one = RobotState(
+        pose_and_command = {"x": motion.x, "y": motion.y, "yaw": motion.yaw}
+        pose_and_command |= {"linear": linear, "angular": angular, "lateral": lateral}
+    state = RobotState(
         time=time.time(),
         robot=status.robot,
         state=status.state,
@@ -146,7 +151,7 @@ def _put(news: queue.Queue[RobotState], status: Status, motion: Motion | None) -
         pattern=status.pattern,
         report=status.report,
         readings=status.readings,
-        **moved,
+        **pose_and_command,
     )
     with suppress(queue.Full):
-        news.put_nowait(one)
+        states.put_nowait(state)

@@ -26,25 +26,28 @@ def send_stop(
     until_all: bool = False,
     on_progress: Callable[[tuple[str, ...]], None] | None = None,
 ) -> Outcome:
-    """Stop the targets at once; a full name that no robot has counts as not answering.
+    """Stop the targets at once ("stop"), or stop them until a reset ("estop", with `reason`).
 
-    `on_progress` gets the robots without an acknowledgement whenever they change; by default they
-    are reported to the user. With `until_all` the stop ends once all robots have acknowledged, or
-    when the session is cancelled. NetworkError if no daemon was reached, RequestError if no robot
-    is targeted.
+    `on_progress` gets the robots without an acknowledgement whenever these change; by default the
+    user is told. With `until_all` sending ends only once all robots have acknowledged, or when the
+    session is cancelled. Returns the outcome, in which a target name that no robot has counts as
+    missing. Raises NetworkError if no daemon was reached, RequestError if no robot is targeted.
     """
     operator = session.operator
+
+    # 1. Replace labels by robots. A robot whose labels are not known is stopped, too.
     if targets.labels:
         timeout = session.timeout
-        look = STOP_LOOK if timeout is None else min(timeout / 2, STOP_LOOK)
-        view = operator.members(timeout=look)
-        unclear = unlabelled(view, targets)
+        search_time = STOP_LOOK if timeout is None else min(timeout / 2, STOP_LOOK)
+        view = operator.members(timeout=search_time)
+        without_labels = unlabelled(view, targets)
         targets = stopped(view, targets)
-        if unclear:
-            text = ", ".join(unclear)
+        if without_labels:
+            text = ", ".join(without_labels)
             session.tell(f"labels are not known, a stop is sent to them, too: {text}")
 
     def tell_missing(missing: tuple[str, ...]) -> None:
+        """Tell the user which robots have not acknowledged."""
         view = operator.seen()
         lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
         session.tell(f"waiting for {'; '.join(lines)}")
@@ -61,32 +64,36 @@ def send_stop(
             is_ended=session.is_cancelled,
         )
 
-    before = operator.identity
+    # 2. Send the stop. Robots with a newer roster cannot verify the stop: if robots are missing,
+    # take the newer roster, and send the stop again with its keys.
+    identity_before = operator.identity
     outcome = send()
     if outcome.missing or not outcome.replies:
         operator.update_roster()
-        if operator.identity is not before:  # robots may have heard nothing of it
+        if operator.identity is not identity_before:
             outcome = send()
+
+    # 3. Report robots that did not answer, and names that no robot has.
     session.tell_notices()
     view = operator.seen()
     if not outcome.reached and not outcome.replies and not view.roster:
         how = f"`{verb}` was sent {where(operator)} for {seconds(outcome.seconds)}"
         raise unreachable(operator, f"; {how} and no robot answered")
     known = view.members.keys() | view.roster | outcome.replies.keys()
-    lost = [name for name in outcome.missing if name not in known]
-    if not outcome.targeted or len(lost) == outcome.targeted:
+    unknown_names = [name for name in outcome.missing if name not in known]
+    if not outcome.targeted or len(unknown_names) == outcome.targeted:
         names = robots_of(view, targets)
         raise no_target(*(f"{name} has left" for name in names))
     if not outcome.reached and not outcome.replies:
         session.tell(f"no robot was heard{instead(operator)}")
-    session.tell_gaps(view, [name for name in outcome.missing if name not in lost])
-    warnings = (unknown("robot", name, view.members) for name in lost)
+    session.tell_gaps(view, [name for name in outcome.missing if name not in unknown_names])
+    warnings = (unknown("robot", name, view.members) for name in unknown_names)
     return replace(outcome, warnings=(*outcome.warnings, *warnings))
 
 
-def stop_on_interrupt(session: Session, names: Collection[str], why: str = "interrupted") -> str:
-    """Stop these robots when a verb is interrupted; reports and returns which of them stopped."""
-    text = f"{why}: stop sent: {stop_names(session.operator, names).line}"
+def stop_on_interrupt(session: Session, names: Collection[str], reason: str = "interrupted") -> str:
+    """Stop these robots when a verb is interrupted; tells the user, and returns that line."""
+    text = f"{reason}: stop sent: {stop_names(session.operator, names).line}"
     session.tell(text)
     return text
 

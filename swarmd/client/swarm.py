@@ -32,17 +32,17 @@ Places: TypeAlias = Callable[[], Mapping[str, Pose]]
 class Swarm:
     """A swarm, as `swarmd.connect` gives it in a `with` block; each method waits for its answer.
 
-    `robots` are names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`: one word or several;
+    `robots`: names, globs such as `tb3-*` and ranges such as `tb3-[01-07]`, as one text or several.
     None means all robots, and an empty list no robot. `labels` adds robots with any of these
-    labels, `exclude` leaves robots out. `timeout` in s bounds one method.
+    labels, `exclude` leaves robots out. `timeout`: the longest time in s that the method takes.
 
-    Methods that ask robots to change give an `Outcome`, as `swarmctl` counts it: `line`, `applied`,
+    Methods that change robots return an `Outcome`, counted as by `swarmctl`: `line`, `applied`,
     `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
-    robot that refuses or does not answer raises no error. RequestError (with the exit code of
-    swarmctl) if no robot is targeted, NetworkError if no daemon is reached, ConfigError for a
-    wrong value: nothing was sent then. SwarmError, the base of all, if the connection is closed or
-    8 requests are under way. Several threads may use one object; a stop waits for no
-    other method.
+    robot that refuses or does not answer raises no error. If nothing was sent, a method raises
+    RequestError (with the exit code of swarmctl) because no robot is targeted, NetworkError because
+    no daemon is reached, or ConfigError because a value is wrong. SwarmError, the base of these
+    errors, if the connection is closed or 8 requests are under way. Several threads may use one
+    object; a stop waits for no other method.
     """
 
     def __init__(
@@ -174,10 +174,11 @@ class Swarm:
             yield from follow_states(session, targets, seconds=seconds, poses=poses)
 
     def frame(self, states: Iterable[RobotState] | None = None) -> Any:
-        """A pandas DataFrame: a row for each of `states`; without them, one for each robot now.
+        """A pandas DataFrame with a row for each of `states`.
 
-        Reports and readings are columns `report.NAME` and `reading.NAME`. PluginError without
-        pandas (`pip install 'swarmd[table]'`).
+        `states` None: a row for each robot, with its present state. Reports and readings are
+        columns `report.NAME` and `reading.NAME`. PluginError without pandas (`pip install
+        'swarmd[table]'`).
         """
         from swarmd.client.frames import members_frame, states_frame
 
@@ -203,14 +204,17 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> Outcome:
-        """Start a pattern on robots; it becomes their goal.
+        """Start a pattern on robots; the run becomes the goal of these robots.
 
-        A robot answers `applied` when the pattern is loaded and will be stepped. `seconds`: the run
-        ends after this time. `until`: conditions as of `swarmctl run --until`; the first that is
-        met ends the run. `at`: all robots start at one moment, in so many s. `canary`: first this
-        robot, or so many, for `canary_time` s (10); the others if it runs well. `lease`: robots
-        stop when this connection is closed, or its program has ended, for so many s. `on_join`
-        "run": robots that join within `valid` s run it, too.
+        A robot answers `applied` once the pattern is loaded and will be stepped. Times are in s.
+
+        `robots`, `labels`, `exclude`: the targets; without these all robots. `seconds`: duration of
+        the run; None: until a stop. `until`: conditions as in `swarmctl run --until`; the first
+        condition that is met ends the run. `at`: the time from now at which all robots start at one
+        moment. `canary`: the name, or the number, of robots that run first, for `canary_time` s
+        (default 10); the other robots follow if the canaries run well. `lease`: robots stop if this
+        connection was closed, or its program has ended, that long ago. `on_join` "run": robots that
+        join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
@@ -234,7 +238,7 @@ class Swarm:
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
-                # The operator goes on renewing the lease until the connection is closed.
+                # The lease is renewed until the connection is closed, not only in this method.
                 self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
 
@@ -276,10 +280,11 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> Outcome:
-        """Clear emergency stops and faults of robots, which become idle; moves nothing.
+        """Clear emergency stops and faults of robots. The robots become idle, and do not move.
 
-        Only those that are seen now; a later one stays. With `findings` also those of the
-        assumption monitor: the robots then drive at full speed again.
+        Only emergency stops and faults that the robots report now are cleared; a later emergency
+        stop stays. With `findings`, also clear the findings of the assumption monitor, so that the
+        robots may drive at full speed again.
         """
         from swarmd.client.changes import reset
 
@@ -360,10 +365,12 @@ class Swarm:
         exclude: Words = (),
         timeout: float | None = None,
     ) -> tuple[str, ...]:
-        """Wait until robots meet each condition, for `timeout` s (30); gives those that do.
+        """Wait until robots meet all conditions, at most `timeout` s (default 30).
 
-        `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`, as of
-        `swarmctl wait --for`. RequestError with exit code 5, naming each robot that does not.
+        `conditions`: `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`,
+        as in `swarmctl wait --for`. `robots`, `labels`, `exclude`: the robots; without these all
+        robots. Returns the names of the robots that meet the conditions. Raises RequestError with
+        exit code 5 after the timeout; its text names each robot that does not meet them.
         """
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited

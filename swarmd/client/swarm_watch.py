@@ -78,10 +78,10 @@ class SwarmWatch:
             self._ending.wait(max(LOOK_PERIOD - (time.monotonic() - began), 0.05))
 
     def _lacks_status(self) -> bool:
-        """True if a robot that is heard does not publish its status at 1 Hz by itself.
+        """True if a robot whose beacons are heard does not publish its status each second.
 
-        Then the look must ask for statuses. With 50 robots such a look takes three times the
-        processor time.
+        Then the next query of all members must ask for statuses. With 50 robots such a query takes
+        three times the CPU time.
         """
         recent = {name for name, (_, age) in self.statuses().items() if age <= STATUS_SILENCE}
         heard = [m.robot for m in self._view.members.values() if m.contact in _HEARD]

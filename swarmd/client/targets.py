@@ -27,10 +27,11 @@ The stop is sent to robots that have not answered by then, too.
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Names and globs of robots, and labels, without the robots in `exclude`.
+    """The robots that a request is for: by names and globs, and by labels.
 
-    A robot with any of the `labels` is a target. Without names and labels all robots are targets.
-    Labels are known only from statuses: `named` replaces them by names.
+    A robot with any of the `labels` is a target, too. Without names and labels all robots are
+    targets. Robots in `exclude` are no targets. Labels are known only from statuses of robots:
+    `named` replaces labels by names.
     """
 
     names: tuple[str, ...] = ()
@@ -48,10 +49,10 @@ class Targets:
         return tuple(name for name in self.names if is_id(name) and not self._is_excluded(name))
 
     def select(self, known: Collection[str]) -> tuple[str, ...]:
-        """The targets among `known`.
+        """The targets among the robot names in `known`.
 
-        RequestError if a name or glob, excluded or not, matches no robot. RequestError if there are
-        labels, which names do not show.
+        RequestError if a name or glob, also of `exclude`, matches no robot. RequestError if there
+        are labels, since names do not show labels.
         """
         if self.labels:
             raise RequestError("this verb takes names, not labels; see `swarmctl members`", USAGE)
@@ -134,10 +135,11 @@ def named(view: MembersView, targets: Targets) -> Targets:
 
 
 def stopped(view: MembersView, targets: Targets) -> Targets:
-    """The targets of a stop: all robots except those whose known labels match no label.
+    """The targets of a stop by labels, with the labels replaced by names.
 
-    All robots if no robot was heard. RequestError if all robots have answered and none has such a
-    label.
+    A robot whose labels are not known is a target, too: only robots whose known labels differ are
+    left out. All robots if no robot was heard. RequestError if all robots have answered and no
+    robot has such a label.
     """
     labels_by_robot = labels_of(view)
     if view.expected and view.expected <= labels_by_robot.keys():

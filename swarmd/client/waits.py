@@ -38,11 +38,11 @@ class Waited:
 
 
 def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
-    """Wait until the targets, or all robots, meet the conditions; for the timeout, or TIME.
+    """Wait until the targets meet the conditions, at most for the session's timeout (else TIME).
 
-    A robot of the roster, and a robot that is named, is waited for even before it is heard.
-    NetworkError if no daemon was reached by the end. The wait ends early if the session is
-    cancelled.
+    Robots of the roster, and robots that `targets` names, must meet the conditions even if they
+    were not heard so far. NetworkError if no daemon was reached by the end. The wait ends early if
+    the session is cancelled.
     """
     limit = TIME if session.timeout is None else session.timeout
     operator, until = session.operator, boottime() + limit

@@ -39,10 +39,10 @@ HANDED_ON = "handed on by "
 
 
 class Audit:
-    """Makes a log line and an audit entry for each request, and counts those beyond the rates.
+    """Makes a log line and an audit entry for each request, within limits of the rates.
 
-    `write` takes a line, `keep` an entry. `clock` names the clock of `now`. `wall` returns s since
-    1970.
+    Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock` names the
+    clock from which callers read `now`. `wall` returns s since 1970.
     """
 
     def __init__(
@@ -70,33 +70,42 @@ class Audit:
         targets: int | None = None,
         is_relayed: bool = False,
     ) -> None:
-        """Make the line and the entry of a request and its reply, if the rates permit.
+        """Make the audit entry and the log line of a request and its reply, if the rates permit.
 
-        `what` begins with the verb. `targets`: the count of target robots, None for all. `now` in
-        s. `is_relayed`: another robot relayed the request, and nothing proves its operator.
+        Entries and lines have separate rate limits. `what`: the request in words, which begin with
+        the verb. `source`: the address of the sender. `targets`: the count of target robots, None
+        for all. `now` in s. `is_relayed`: another robot relayed the request, so that nothing proves
+        its operator; such requests have their own, lower limits.
         """
         source = f"{HANDED_ON}{source}" if is_relayed else source
-        lines = self._peer_lines if is_relayed else self._lines
-        entries = self._peer_entries if is_relayed else self._entries
+        line_limits = self._peer_lines if is_relayed else self._lines
+        entry_limits = self._peer_entries if is_relayed else self._entries
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
         is_applied = reply.code is Code.APPLIED
-        if (left_out := entries.take(is_applied, now)) is not None:
+
+        # 1. The entry. `take` returns the count of requests left out before; None: leave it out.
+        omitted = entry_limits.take(is_applied, now)
+        if omitted is not None:
             entry = self._entry(what, operator, source, result, reply.text, now)
-            self._keep(replace(entry, targets=targets, left_out=left_out))
-        if (left_out := lines.take(is_applied, now)) is None:
+            self._keep(replace(entry, targets=targets, left_out=omitted))
+
+        # 2. The line.
+        omitted = line_limits.take(is_applied, now)
+        if omitted is None:
             return
-        who = f"by {shortened(operator)}{',' if is_relayed else ' from'} {shortened(source)}"
-        line = f"{shortened(what, MAX_WHAT)}, {who}: {result}: {reply.text}"
+        origin = f"by {shortened(operator)}{',' if is_relayed else ' from'} {shortened(source)}"
+        line = f"{shortened(what, MAX_WHAT)}, {origin}: {result}: {reply.text}"
         line = _printable(line.removesuffix(": "))
-        if left_out:
-            line = f"[{left_out} requests left out of this log] {line}"
+        if omitted:
+            line = f"[{omitted} requests left out of this log] {line}"
         self._write(line[:MAX_LINE])
 
     def note(self, what: str, operator: str, source: str, text: str, now: float) -> None:
         """Make the entry of a change without a request, such as a latch of a peer; no line."""
-        if (left_out := self._peer_entries.take(True, now)) is not None:
+        omitted = self._peer_entries.take(True, now)
+        if omitted is not None:
             entry = self._entry(what, operator, source, "taken", text, now)
-            self._keep(replace(entry, left_out=left_out))
+            self._keep(replace(entry, left_out=omitted))
 
     def _entry(
         self, what: str, operator: str, source: str, result: str, text: str, now: float
@@ -124,7 +133,10 @@ class _Limits:
         self._left_out = 0
 
     def take(self, is_applied: bool, now: float) -> int | None:
-        """The count left out since the last request that passed; None if this one is left out."""
+        """The count of requests left out since the last request that passed.
+
+        None if this request is left out.
+        """
         if not (self._applied if is_applied else self._others).take(1.0, now):
             self._left_out += 1
             return None
@@ -157,8 +169,8 @@ _decoder = msgspec.json.Decoder(AuditEntry)
 class AuditLog:
     """The audit files in `folder`, each of at most `max_bytes`.
 
-    A thread writes the entries. On this thread `on_event` takes a line when the disk fails, and
-    when the disk works again.
+    A thread of its own writes the entries. That thread calls `on_event` with a line for the user
+    when the disk fails, and when the disk works again.
     """
 
     def __init__(
@@ -193,11 +205,13 @@ class AuditLog:
     def read(
         self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
     ) -> tuple[list[AuditEntry], bool, str]:
-        """The matching entries, oldest first; whether older entries match; a fault of the disk.
+        """Read the entries that match a query, oldest first.
 
-        Blocks for up to READ_TIMEOUT until the queued entries are written; if this takes longer,
-        the fault says that the newest entries are missing. `since` of the query leaves out entries
-        that are older or of unknown age. Damaged lines are left out.
+        Also returns whether older entries match, and a fault of the disk (empty without a fault).
+        `age_of` returns the age of an entry in s; None: unknown. With `query.since`, entries that
+        are older or of unknown age are left out. Damaged lines are left out. Blocks until the
+        queued entries are written, at most READ_TIMEOUT: then the fault says that the newest
+        entries are missing.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()

@@ -1,7 +1,7 @@
 """Opens and reopens the carrier of datagrams (UDP sockets or a router) and the Zenoh session.
 
-1. A change of the interface's address, or of the identity, closes and reopens both. The robot stops
-   first.
+1. A change of the interface's address, or of the identity, closes and reopens carrier and session.
+   The robot stops first.
 2. A flood of connections, or a new IPv4 address, reopens only the session. The run continues.
 """
 
@@ -76,6 +76,7 @@ class NetworkConnection:
         drops: DropCounter,
         owner: ConnectionOwner,
     ) -> None:
+        """Everything stays closed until `open`. `owner` gets the datagrams and changes."""
         self._settings = settings
         self._robot = robot
         self._tag = tag
@@ -87,10 +88,10 @@ class NetworkConnection:
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
         self._opened = settings  # with the actual port of the session
-        self._flood: LinkFlood | None = None
-        self._gate: LinkGate | None = None
-        self._watch: InterfaceWatch | None = None
-        self._reopening: asyncio.Task[None] | None = None
+        self._flood: LinkFlood | None = None  # detects a flood of connections to the session
+        self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
+        self._watch: InterfaceWatch | None = None  # in profile field
+        self._reopening: asyncio.Task[None] | None = None  # under way
         self._is_stale = False  # the sockets belong to an earlier state of the interface
         # IPv4 addresses of the interface when the first, and when the last session was opened.
         self._first_ipv4: tuple[str, ...] | None = None
@@ -134,8 +135,8 @@ class NetworkConnection:
     def watch_for_flood(self, now: float) -> None:
         """Let only known hosts connect while too many connections wait; called on each tick.
 
-        A known host has sent a signed datagram. Reopens the session, which ends the connections
-        that wait.
+        A known host has sent a signed datagram. At the begin of a flood this method also reopens
+        the session, which ends the connections that wait.
         """
         flood, session = self._flood, self._session
         if flood is None or session is None or not flood.is_due(now):
@@ -306,10 +307,10 @@ class NetworkConnection:
         self._set_gate(now)
 
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
-        """The UDP carrier, and a session that listens on the same port number.
+        """Open the UDP carrier, and a session that listens on the same port number by TCP.
 
-        Peers dial the port from which beacons come. Without a configured port, a port that is
-        taken for the session is replaced by another, up to MAX_PORT_TRIES times.
+        Peers dial the port from which beacons come. Without a configured port: if the TCP port is
+        in use, another port is tried for both, up to MAX_PORT_TRIES times.
         """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)

@@ -120,22 +120,26 @@ class Daemon:
     """One robot's daemon; `run` is its whole life. `sink` takes the inputs of the driver."""
 
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
+        """Make all parts of the daemon, on the running loop; `run` opens and starts them.
+
+        Raises ConfigError if the protection of this platform needs more than the driver gives.
+        """
         check_protected(settings.platform, driver, settings.driver)
         self._gripper = gripper_of(driver)
-        if self._gripper is None:
+        if self._gripper is None:  # the driver cannot operate a gripper that the platform has
             platform = settings.platform
             platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
             settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
-        self._active_until = -math.inf
+        self._active_until = -math.inf  # s until which the last event keeps the full tick rate
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
-        self._crash: BaseException | None = None
+        self._crash: BaseException | None = None  # the first error that ends the daemon
         self._crashed = asyncio.Event()
         self._begin_driver(driver)
-        self._instance = secrets.token_hex(6)
-        self._seed = secrets.randbits(48)
-        self._notify = Notifier()
+        self._instance = secrets.token_hex(6)  # marks this life of the daemon
+        self._seed = secrets.randbits(48)  # of the robot's random generator
+        self._notify = Notifier()  # to systemd
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
@@ -212,7 +216,7 @@ class Daemon:
         )
 
     def _begin_requests(self) -> None:
-        """The services of the daemon, and the server that hands requests to them."""
+        """Make the services of the daemon, and the server that hands requests to them."""
         settings = self._settings
         self._recording = RecordingService(
             settings.id, settings.recording, self._head, self.on_event
@@ -225,6 +229,7 @@ class Daemon:
             keys=lambda: self._rosters.summary,
             sandbox=lambda: self._runner.sandbox,
         )
+        # Each request that was answered gives a line of the log and an entry of a file.
         self._audit = Audit(self._on_audit, self._tools.audit.add, clock=clock_id(), wall=time.time)
         self._requests = RequestServer(
             settings.id,
@@ -262,32 +267,36 @@ class Daemon:
         )
 
     async def run(self, stop: asyncio.Event) -> None:
-        """Serve until `stop` is set.
+        """Join the network and serve until `stop` is set; then command zero and close all parts.
 
-        Raises SwarmError if the network cannot be opened or another daemon has the id. Raises the
-        exception of a crash after zero has been commanded.
+        Raises SwarmError if the network cannot be opened or another daemon has the id. A crash is
+        an exception of the daemon itself: it ends the daemon, and is raised here after zero has
+        been commanded.
         """
-        living = asyncio.create_task(self._live())
-        ends = {living, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
+        life = asyncio.create_task(self._live())
+        stop_or_crash = (asyncio.create_task(event.wait()) for event in (stop, self._crashed))
+        tasks = {life, *stop_or_crash}
         try:
-            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            if living.done():
-                error = living.exception()
+            # 1. Serve until `stop`, a crash, or the end of `_live`.
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            if life.done():
+                error = life.exception()
                 if error is not None and not isinstance(error, SwarmError):
                     self._crash = self._crash or _cause_of(error)
                     raise self._crash
-                living.result()
+                life.result()  # raises a SwarmError of `_live`
             if self._crash is not None:
                 raise self._crash
         finally:
+            # 2. Leave. Without a join the task must not go on joining.
             self._notify("STOPPING=1")
             if not self._has_joined:
-                await _end(living)  # which still joins the network
+                await _end(life)
             try:
                 self._leave()
             finally:
-                for end in ends:
-                    await _end(end)
+                for task in tasks:
+                    await _end(task)
                 await self._goals.close()
                 await self._pattern_versions.close()
         if self._crash is not None:  # during `_leave`
@@ -296,6 +305,7 @@ class Daemon:
     # Start and end
 
     async def _live(self) -> None:
+        """Join the network, then run the driver until this task is cancelled."""
         self._recording.start_if_wanted()  # before any input, so that a replay has all inputs
         self._check_storage()
         await self._join()
@@ -349,10 +359,10 @@ class Daemon:
         serve_shared(bus, "roster", self._rosters.share)
 
     def _leave(self) -> None:
-        """Command zero, announce the leave to the peers and close all parts.
+        """Command zero, announce to the peers that this robot leaves, and close all parts.
 
-        The driver sends zero once more when it ends. After a crash no leaving beacon is sent, so
-        that the peers list the robot as failed.
+        The driver sends zero once more when it ends. After a crash the robot gets no further input
+        and no farewell is sent, so that the peers list the robot as failed.
         """
         self._timer.stop()
         self._output.send_zero()
@@ -361,7 +371,7 @@ class Daemon:
         try:
             if self._crash is None:
                 self.step(events.LeaveInput())
-                self._timer.stop()
+                self._timer.stop()  # `step` has set the timer again
         finally:
             self._neighborhood.close()
             self._rosters.close()
@@ -502,10 +512,10 @@ class Daemon:
     # Pushed patterns
 
     def _operators(self) -> Mapping[str, bytes] | None:
-        """The public keys of the operators whose pushed code is accepted.
+        """The public keys of the operators whose pushed code is accepted, by name.
 
-        None: code needs no signature. In a swarm without keys this is so only on loopback, since on
-        a network anyone could run code here; there the mapping is empty.
+        None: code needs no signature, in a swarm without keys on loopback. Empty, so that no code
+        is accepted, in a swarm without keys on a network: anyone could run code here.
         """
         identity = self._rosters.identity
         if identity is not None:
@@ -524,15 +534,23 @@ class Daemon:
     # Ticks and actions
 
     def _on_tick(self) -> None:
-        before, self._periods = self._periods, self._timer.periods
+        """Step the robot by time, and do the periodic work whose time has come.
 
-        def is_due(period: int) -> bool:
-            return self._periods // period > before // period
+        The timer calls this once each period (a twentieth of a second), and between two periods if
+        the robot asked for it.
+        """
+        periods_before, self._periods = self._periods, self._timer.periods
 
-        # A wake-up between two periods does not repeat an unchanged command.
-        self.step(events.TICK_INPUT, may_repeat=self._periods > before)
+        def is_due(interval: int) -> bool:
+            """True once every `interval` periods."""
+            return self._periods // interval > periods_before // interval
+
+        # 1. The robot. A call between two periods does not repeat an unchanged command.
+        self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._timer.rest(is_quiet and self._robot.is_at_rest)
+
+        # 2. The network.
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
@@ -540,6 +558,8 @@ class Daemon:
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
             self._publish_motion()
+
+        # 3. Log, disk, CPU use and neighbors.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # blocks the loop, so never during a run
@@ -605,10 +625,17 @@ class Daemon:
                 self.step(events.HostInput(self._pushed_runs.granted(kept)))
 
     def _carry_out(self, actions: Actions, *, may_repeat: bool) -> None:
+        """Carry out what the robot wants after an input, the command to the base first.
+
+        `may_repeat` as in `DriverOutput.command`. Latches are on disk before any reply is sent;
+        goals are written by a task.
+        """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
-        if actions.is_quiet:
+        if actions.is_quiet:  # nothing but a command
             return
         robot = self._robot
+
+        # 1. Disk, pattern host and gripper.
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
@@ -620,26 +647,19 @@ class Daemon:
                 self._runner.send(command)
         if actions.grip is not None and self._gripper is not None:
             self._gripper.grip(actions.grip)
-        for name, value in actions.messages.items():
-            try:
-                payload = encode_value(value)
-            except CodecError as error:
-                log.debug("message on %s not sent: %s", name, error)
-                self._drops.add(f"msg/{name}:unsendable")
-                continue
-            self._network.publish("message", partial(self._message, name, value))
-            if self._carrier is None:
-                self._network.publish_message(name, payload)
-            else:
-                self._carrier.send_message(name, payload)
+
+        # 2. Messages of the pattern, and the robot's state.
+        for channel, value in actions.messages.items():
+            self._send_message(channel, value)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
             if self._display is not None:
                 self._shown_status = self._status()
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-        # The reply to a stop or reset waits until the goals are on disk: after a restart the robot
-        # must not join a goal that this request has ended.
+
+        # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
+        # restart the robot must not join a goal that this request has ended.
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:
@@ -650,6 +670,20 @@ class Daemon:
                 self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
+
+    def _send_message(self, channel: str, value: Value) -> None:
+        """Send a message of the pattern to viewers and robots; count a value without encoding."""
+        try:
+            payload = encode_value(value)
+        except CodecError as error:
+            log.debug("message on %s not sent: %s", channel, error)
+            self._drops.add(f"msg/{channel}:unsendable")
+            return
+        self._network.publish("message", partial(self._message, channel, value))
+        if self._carrier is None:
+            self._network.publish_message(channel, payload)
+        else:  # the base has a radio for the messages of patterns
+            self._carrier.send_message(channel, payload)
 
     async def _answer(self, reply: Reply, is_stored: bool) -> None:
         """Send a reply once the goals are on disk, or the write has failed or timed out."""

@@ -41,11 +41,11 @@ class StopCounters(Struct, frozen=True):
 
 
 class DatagramGuard:
-    """Signs and verifies with the keys of the present identity.
+    """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    `counters`: the file of `StopCounters`. `on_event` takes a line for the log. `on_newer_roster`
-    takes robot name, address and roster generation of an unverified beacon that shows a newer
-    roster.
+    `counters`: the file with the greatest counters of stops (`StopCounters`). `on_event` takes a
+    line for the log. `on_newer_roster` takes robot name, address and roster generation of an
+    unverified beacon that shows a newer roster.
     """
 
     def __init__(
@@ -59,15 +59,20 @@ class DatagramGuard:
         on_event: Callable[[str], None],
         on_newer_roster: Callable[[str, Address, int], None],
     ) -> None:
+        """Read the counters of stops from the file `counters`.
+
+        `lease`: s of silence after which a peer has failed. `on_event(text)`: a warning for the
+        operator. `on_newer_roster(robot, address, generation)`: a peer may have a newer roster.
+        """
         self._identity = identity
         self._tag = tag
         self._file = StateFile(counters, StopCounters, "replayed stops may count")
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
         self._trust = Trust.of(identity)
-        self._written: Mapping[bytes, int] = self._file.read().counters
+        self._written: Mapping[bytes, int] = self._file.read().counters  # on disk now
         self._writing = threading.Lock()
-        self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)
+        self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)  # by host, limits followed hints
         self._noticed_at = self._replay_at = -1e9
@@ -82,11 +87,12 @@ class DatagramGuard:
     def take(self, identity: Identity) -> None:
         """Use the keys of `identity`.
 
-        After a newer roster, stops signed under the previous one stay valid for PREVIOUS_TIME.
+        After a newer roster, stops signed with keys of the previous roster stay valid for
+        PREVIOUS_TIME.
         """
-        old = self._identity
-        previous = Previous(old.datagram_keys, old.roster, boottime() + PREVIOUS_TIME)
-        is_newer = identity.roster.generation > old.roster.generation
+        before = self._identity
+        previous = Previous(before.datagram_keys, before.roster, boottime() + PREVIOUS_TIME)
+        is_newer = identity.roster.generation > before.roster.generation
         self._trust = Trust.of(identity, previous if is_newer else None)
         self._identity = identity
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)

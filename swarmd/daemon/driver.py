@@ -45,13 +45,16 @@ def make_bare_driver(settings: DaemonSettings) -> Driver:
 
 
 def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, with a watchdog process if its options need one.
+    """The daemon's driver, not yet connected, with a watchdog process if the base needs one.
 
-    Raises SwarmError if the driver or its options are wrong.
+    A base with a command timeout stops by itself when commands cease. For a base without one
+    (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed. Raises
+    SwarmError if the driver or its options are wrong, ConfigError if they leave the base without
+    such a stop.
     """
     name = settings.driver
     base = base_options(settings.driver_options, f"driver {name}")
-    driver = make_bare_driver(settings)
+    driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
     if base.idle_output == "silent":
@@ -64,8 +67,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
             f"driver {name}: command_timeout is none, and this driver has no watchdog;"
             " give command_timeout: base, or its seconds, if this base stops by itself"
         )
-    spec = driver.zero_sender()
-    if spec is None:
+    spec = driver.zero_sender()  # how the watchdog process sends zero to the base
+    if spec is None:  # a process of the driver itself sends zero
         return driver
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
@@ -77,7 +80,7 @@ RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
 
 
 class DriverOutput:
-    """Sends commands to the driver called `name`.
+    """Runs the driver called `name`, and sends commands to the base through it.
 
     `idle_output`: the output of an idle robot, as in `BaseOptions`. `on_crash` takes an exception
     that the driver raised for a command; `command` itself never raises.
@@ -105,9 +108,9 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        `may_repeat` False: do not send the same command twice in a row. A simulated base waits for
-        a command after each scan, so its commands are repeated all the same, except the zero of an
-        idle or stopped robot.
+        `may_repeat` False: do not send a command that equals the last command. A simulated base
+        waits for a command after each scan. So commands to a simulated base are repeated in any
+        case, except the zero of an idle or stopped robot.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped
@@ -139,10 +142,10 @@ class DriverOutput:
 
 
 class DriverSink:
-    """The sink of the driver: turns its measurements into inputs for `step`.
+    """Takes the measurements of the driver, and hands them as inputs to `step`.
 
-    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver senses
-    robots itself. `drops`: counts of unreadable inputs by kind.
+    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver itself
+    senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
     def __init__(

@@ -22,10 +22,11 @@ STORE_TIME = 1.0  # s for which the answer to a stop waits for the disk
 
 
 class GoalService:
-    """Stores the goals, and verifies received goals.
+    """Stores the robot's goals on disk, and verifies received goals.
 
-    A goal counts if its issuer, an operator of the roster, has signed it. Without an `identity`
-    every goal counts. `on_event` takes a line for the log.
+    A goal is valid if its issuer is an operator of the roster and has signed the goal. `identity`
+    returns the present identity; None: a swarm without keys, in which every goal is valid.
+    `on_event` takes a line for the log.
     """
 
     def __init__(

@@ -70,10 +70,10 @@ class HealthMeter:
     def added_to(
         self, health: Health, *, network: str, storage: str, sandbox: Sandbox | None
     ) -> Health:
-        """`health` of the robot, completed by the values of the daemon.
+        """The robot's `health` with the values that the daemon measures.
 
-        `network`: the state of the interface. `storage`: why a restart would lose latches; empty
-        if it would not. `sandbox`: of the pattern host.
+        `network`: the state of the interface in words. `storage`: why a restart would lose latches;
+        empty if a restart would keep them. `sandbox`: the sandbox of the pattern host.
         """
         dropped = dict(health.dropped)
         for drops in self._drops:

@@ -65,7 +65,9 @@ from swarmd.security.identity import Identity, authority_of
 log = logging.getLogger(__name__)
 
 MAX_ACK_TEXT = 300  # bytes
-CLAIM_WARNING = 5.0
+CLAIM_WARNING = 5.0  # s of a claim after which the rivals are logged
+MAX_CLAIM_PAUSE = 0.05  # s between two steps of a claim, at most
+SYNC_PERIOD = 0.02  # s between two checks whether the latches of the peers have come
 
 
 class NetworkOwner(Protocol):
@@ -119,10 +121,11 @@ class NetworkRobot:
 
 
 class Network:
-    """The network of one daemon. `drops` counts messages that could not be read, handled or sent.
+    """The network of one daemon: sends and receives, and hands results to the daemon.
 
-    With an `identity` the swarm is secured. Then `stop_counters` is required: the file of the
-    greatest counters of stops, by which replayed stops are refused.
+    `drops` counts messages that could not be read, handled or sent. With an `identity` the swarm is
+    secured. Then `stop_counters` is required: the file of the greatest counters of stops, by which
+    replayed stops are refused.
     """
 
     def __init__(
@@ -135,6 +138,10 @@ class Network:
         stop_counters: Path | None,
         hears_programs: bool = True,
     ) -> None:
+        """Nothing is opened until `join`.
+
+        `hears_programs` False: messages of Zenoh programs are neither taken nor sent.
+        """
         self._settings = settings
         self._own, self._roster = robot, robot.roster
         self._robot, self._instance = robot.name, bytes.fromhex(robot.instance)
@@ -145,13 +152,13 @@ class Network:
         self._loop = asyncio.get_running_loop()
         self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self.drops = drops
-        self._guard: DatagramGuard | None = None
-        self._lost = 0
+        self._guard: DatagramGuard | None = None  # signs and checks, in a secured swarm
+        self._lost = 0  # messages of patterns that did not arrive
         self._connection = NetworkConnection(settings, robot.name, self._tag, identity, drops, self)
         self._is_settled = False  # True once the id is owned and the latches of peers are known
-        self._is_duplicate = False
-        self._is_full = False
-        self._peer: Peer | None = None
+        self._is_duplicate = False  # another daemon holds this robot's id
+        self._is_full = False  # there were more members than MAX_MEMBERS
+        self._peer: Peer | None = None  # the datagram protocol, from `join` on
 
     # State
 
@@ -235,11 +242,12 @@ class Network:
     # Life
 
     async def join(self, owner: NetworkOwner) -> None:
-        """Open the network, claim the id, get the latches of the peers, then serve operators.
+        """Open the network, claim the robot's id, get the latches of the peers, serve operators.
 
-        Raises NetworkError if the network cannot be opened, IdHeldError if another daemon has the
-        id.
+        A claim is won if no other daemon shows the same id for `settings.settle` s. Raises
+        NetworkError if the network cannot be opened, IdHeldError if another daemon has the id.
         """
+        # 1. Open the network, and make the datagram protocol.
         settings = self._settings
         self._owner = owner
         if self._identity is not None:
@@ -272,6 +280,8 @@ class Network:
             admission=None if self._guard is None else self._guard.admission,
             check_goal=self._owner.check_goal,
         )
+
+        # 2. Claim the id. The claim lasts longer while another daemon claims the id, too.
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
             self.advance()
@@ -283,9 +293,12 @@ class Network:
                     f"robot id {self._robot!r} is held by another daemon (instance {holder});"
                     " stop it, or give this one another id"
                 )
-            await asyncio.sleep(max(0.0, min(self._peer.wake_at() - boottime(), 0.05)))
+            due_in = self._peer.wake_at() - boottime()
+            await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
+
+        # 3. Wait for the latches (held emergency stops) of the peers.
         while not self._peer.is_in_sync(boottime()):
-            await asyncio.sleep(0.02)
+            await asyncio.sleep(SYNC_PERIOD)
         self._is_settled = True
         self._serve()
 
@@ -363,8 +376,8 @@ class Network:
     def take_identity(self, identity: Identity) -> None:
         """Use roster, keys and certificate of `identity` from now on.
 
-        The network is reopened after a moment in which pending answers are sent. The network stays
-        closed for an identity that is no longer on the roster.
+        Carrier and session are reopened after a moment, in which pending answers are sent. They
+        stay closed if the roster lacks the identity's name.
         """
         self._roster = identity.roster.robots
         if self._guard is not None:
@@ -424,7 +437,11 @@ class Network:
         *,
         is_any: bool,
     ) -> None:
-        """Hand a datagram that waited for `waited` s to the peer; carry out the peer's actions."""
+        """Hand a datagram to the protocol (`peer`), and carry out what follows from it.
+
+        `waited`: s from arrival until the datagram was read. `author`: its signer in a secured
+        swarm. `is_any`: the datagram is for any swarm.
+        """
         effects = peer.on_datagram(
             body,
             source,
@@ -435,9 +452,11 @@ class Network:
             waited=waited,
         )
         for stop, sender in effects.stops:
-            # A repeated datagram counts as relayed by a robot, so that it renews no reset latch.
-            shown = replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
-            self._owner.on_stop(shown, sender, partial(self._ack, stop, sender, author))
+            # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
+            # which may be replayed, counts as relayed.
+            hops = max(stop.hops, 1) if effects.is_repeated else stop.hops
+            answer = partial(self._ack, stop, sender, author)
+            self._owner.on_stop(replace(stop, hops=hops), sender, answer)
         if self._guard is not None:
             self._note_flaws(self._guard, body, source, author, effects)
         self._carry_out(effects, source, author)
@@ -468,13 +487,20 @@ class Network:
     def _carry_out(
         self, effects: PeerActions, source: Address | None = None, author: Author | None = None
     ) -> None:
-        """Carry out the peer's actions; `source`, `author`: of the datagram that caused them."""
+        """Send the datagrams of the protocol, and hand its results to the daemon.
+
+        `source`, `author`: sender and signer of the datagram that led to `effects`; None if time
+        has led to them.
+        """
+        # 1. Datagrams to send. An answer to `source` is signed for `author`.
         for body, address in effects.sends:
             self._send(body, address, author if address == source else None)
         if self._carrier is not None:
             for address in effects.indirect_addresses:
                 self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
         self._lost += effects.lost
+
+        # 2. Inputs of the robot.
         if effects.latches:
             self._owner.on_input(LatchesInput(dict(effects.latches)))
         for received in effects.goals:
@@ -487,6 +513,8 @@ class Network:
             self._take_message(message)
         for place in effects.places:
             self._owner.on_input(PlaceInput(place))
+
+        # 3. Clocks, records of peers, and changes of the members.
         for sample in effects.clocks:
             self._owner.on_clock(sample)
         if effects.beacon is not None and source is not None:

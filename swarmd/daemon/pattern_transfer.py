@@ -3,10 +3,10 @@
 1. A thread checks signature and SHA-256 of the code, and writes its files.
 2. The robot tries the code in a pattern host of its own, as for a reload.
 3. After a successful trial a thread writes the record of the new version to disk.
-4. Only then the version is current, and the robot acts on the end of the trial.
+4. After this write the version is current, and the robot acts on the end of the trial.
 
 A push starts and stops no run, with one exception: the robot may join a valid goal that it could
-not join before for lack of the code (`robot/goals.py`).
+not join before because it lacked the code (`robot/goals.py`).
 
 Robots also pull from each other. A beacon shows a digest of the table (all signed manifests). A
 robot that joined late, was cut off or restarted pulls the table of a peer with another digest,
@@ -20,6 +20,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Collection, Coroutine
 from functools import partial
+from typing import NamedTuple
 
 from msgspec.structs import replace
 
@@ -53,6 +54,14 @@ MAX_QUEUE = 4
 MAX_UPLOADS = 2  # incomplete pushed patterns that are kept
 # Refusals that do not concern the code: the same push may succeed later.
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
+
+
+class _CheckedTable(NamedTuple):
+    """The result of the check of a pulled table."""
+
+    trusted: list[Entry]  # new entries with a valid signature
+    new_count: int
+    has_false_signature: bool  # of an operator of the roster; the check ended there
 
 
 class PatternIntake:
@@ -143,10 +152,11 @@ class PatternIntake:
     def take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
     ) -> None:
-        """Queue code to check, write and try, or a removal to carry out; answers `request`, if any.
+        """Queue code to check, write and try, or a removal to carry out.
 
-        The entries of the queue are handled in turn: a robot may pull a pattern from a peer while
-        an operator pushes the same pattern.
+        `source`: where the code came from, in words. `request`: the push to answer at the end;
+        None: the code came from a peer. Entries are handled one by one: a robot may pull a pattern
+        from a peer while an operator pushes the same pattern.
         """
         self._queue.append((entry, code, source, request))
         self._take_next()
@@ -165,32 +175,40 @@ class PatternIntake:
     async def _take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None
     ) -> None:
+        """Check, write and try one pushed pattern, or carry out a removal; reply to the push.
+
+        `entry`: the signed manifest. `source`: where the code came from, in words. `request`: the
+        push that the reply answers; None: the code was pulled from a peer.
+        """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun
 
         def refuse(code: Code, text: str) -> None:
+            """Reply after an error in this method."""
             refusal = Refusal.PATTERN_FAILED if code is Code.REFUSED else None
             reply = self._refused(id, Refusal.PATTERN_FAILED, text)
             self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
-            fault = self._refusal_of(entry)  # again, since the entry may have waited
+            # The entry may have waited in the queue, so that its manifest is checked again.
+            refusal_and_text = self._refusal_of(entry)
             reply = None
             try:
                 await asyncio.to_thread(self._state.files.prune, self._state.in_use())
-                fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
-                if fault is not None:
-                    refusal, text = fault
+                if refusal_and_text is None:
+                    refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
+                if refusal_and_text is not None:
+                    refusal, text = refusal_and_text
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)
+                    reply = await self._adopt(id, entry)  # needs no trial
             finally:
                 self._is_taking = False
             if reply is not None:
                 self._state.control.reply(reply)
-            else:
+            else:  # the reply follows after the trial
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 
@@ -251,10 +269,10 @@ class PatternIntake:
         )
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
-        """Filter an event of the pattern host before the robot gets it.
+        """Take an event of the pattern host before the robot gets the event.
 
-        Returns the event, or None for a successful trial: the robot gets that event once the
-        version is on disk.
+        Returns the event for the robot. None for a successful trial: the robot gets this event
+        later, once the version is on disk.
         """
         if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
             self.check_again()
@@ -285,9 +303,10 @@ class PatternIntake:
         state.control.end_trial(event)
 
     def on_reply(self, reply: Reply) -> Reply:
-        """Filter a reply of the robot; the reply to the trial ends the trial.
+        """Take a reply of the robot before it is sent; returns the reply to send.
 
-        The text of a successful reply then also says that the version is provisional.
+        The reply to a trial ends the trial. If the trial succeeded, the text of the reply then also
+        says that the version is provisional.
         """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:
@@ -333,9 +352,9 @@ takes 4 ms of a core, and an honest robot keeps only verified entries."""
 
 
 class PatternPull:
-    """Pulls missing manifests and code from peers, and serves the own ones to peers.
+    """Pulls missing manifests and code from peers, and serves this robot's to peers.
 
-    `puller` fetches the code that `state` lacks, and `store` takes it. `on_taken(robot, entry)` is
+    `puller` fetches what `state` lacks, and `store` takes the code. `on_taken(robot, entry)` is
     called when code from a peer goes into its trial. `drops` counts unreadable tables.
     """
 
@@ -387,9 +406,9 @@ class PatternPull:
             self._pull_code(robot, address, now)
 
     def _pull_table(self, robot: str, digest: bytes, address: Address, now: float) -> bool:
-        def on_done(blob: Blob, why: str) -> None:
+        def on_done(blob: Blob, reason: str) -> None:
             if blob is None:
-                log.info("the pushed patterns of %s are not known: %s", robot, why)
+                log.info("the pushed patterns of %s are not known: %s", robot, reason)
                 self._asks.wait((robot, digest), now + CODE_PERIOD)
             else:
                 self._checking = asyncio.get_running_loop().create_task(
@@ -428,43 +447,46 @@ class PatternPull:
             return
 
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
+        """Check a table that was pulled from `robot`, and take its signed entries.
+
+        `blob`: the encoded table, one signed manifest an entry. Then the code of a missing pattern
+        is pulled from `robot` at `address`. An entry with a false signature of an operator of the
+        roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
+        """
         known, operators = set(self._state.table), self._state.operators()
 
-        def trusted() -> tuple[list[Entry], int, bool]:
-            """The trusted new entries, the count of new entries, and whether a signature is false.
-
-            Ends at the first false signature of an operator of the roster.
-            """
-            new, good = [entry for entry in decode_table(blob) if entry not in known], list[Entry]()
+        def check_signatures() -> _CheckedTable:
+            new = [entry for entry in decode_table(blob) if entry not in known]
+            trusted: list[Entry] = []
             for entry in new:
                 if self._state.is_trusted(entry):
-                    good.append(entry)
+                    trusted.append(entry)
                 elif operators is not None and entry.manifest.issuer in operators:
-                    return good, len(new), True
-            return good, len(new), False
+                    return _CheckedTable(trusted, len(new), has_false_signature=True)
+            return _CheckedTable(trusted, len(new), has_false_signature=False)
 
         def refuse(code: Code, text: str) -> None:
             log.warning("%s: %s", robot, text)
 
         with self._drops.refusing(f"shared/{TABLE}", refuse):
             try:
-                good, count, is_false = await asyncio.to_thread(trusted)
+                checked = await asyncio.to_thread(check_signatures)
             finally:
                 self._checking = None
-            if is_false:
+            if checked.has_false_signature:
                 self._asks.wait(robot, boottime() + FALSE_PERIOD)
-            if len(good) < count:
+            if len(checked.trusted) < checked.new_count:
                 log.warning(
                     "%s has patterns that no operator of the roster signed; they are left out",
                     robot,
                 )
-            if good:
-                self._store.merge(good)
+            if checked.trusted:
+                self._store.merge(checked.trusted)
                 self._pull_code(robot, address, boottime())
 
-    def _on_code(self, robot: str, entry: Entry, blob: Blob, why: str) -> None:
+    def _on_code(self, robot: str, entry: Entry, blob: Blob, reason: str) -> None:
         if blob is None:
-            log.info("%s is not pulled yet: %s", entry.manifest.label, why)
+            log.info("%s is not pulled yet: %s", entry.manifest.label, reason)
         elif not self._store.is_busy:
             self._on_taken(robot, entry)
             self._store.take(entry, blob, robot)

@@ -1,8 +1,9 @@
 """The versions of pushed patterns on a robot: manifests, trust, disk and choice of a version.
 
 `PatternVersions` has the table (all signed manifests of the swarm) and the versions on this robot,
-and writes both to disk. `robot/pushed_pattern.py` has the rules by which a version changes its
-standing. `PushedRuns` chooses the version for a load, and counts the seconds of its runs.
+and writes table and versions to disk. `robot/pushed_pattern.py` has the rules by which a version
+changes its standing (provisional, held, failed). `PushedRuns` chooses the version for a load by the
+pattern host, and counts the seconds of a version's runs.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ Operators = Mapping[str, bytes]
 
 
 class PatternControl:
-    """The access of pushed patterns to robot and daemon; all calls are on the daemon's loop.
+    """The calls by which pushed patterns reach robot and daemon, all on the daemon's loop.
 
-    `on_request` takes a request to the robot, `step` any other input, `reply` the answer to a push.
-    `warn` logs a warning, also among the robot's events.
+    `on_request` takes a request to the robot, `step` takes any other input, `reply` sends the
+    answer to a push. `warn` logs a warning, also among the robot's events.
     """
 
     def __init__(
@@ -103,10 +104,10 @@ CHANGED = "its file was changed or damaged on the disk"
 
 
 class Candidate(Struct, frozen=True):
-    """Code in its trial, for the request `id`.
+    """A version of a pattern whose code is being tried, for the request `id`.
 
-    `is_passed`: the trial succeeded, and the version is being written. `is_accepted`: the version
-    is on disk.
+    `is_passed`: the trial succeeded, and the version is being written to disk. `is_accepted`: the
+    version is on disk.
     """
 
     id: str
@@ -119,10 +120,10 @@ class Candidate(Struct, frozen=True):
 class PatternVersions:
     """The pushed patterns of `robot`, in memory and on disk; a thread writes the newest state.
 
-    `operators` returns the public keys of the operators whose code is stored and loaded; None: code
-    needs no signature. Patterns of packages and of `plugin_dir` belong to the owner of the robot
-    and need no signature. `candidate`: code in its trial. `pinned`: by name, the version with which
-    the last run began.
+    `operators` returns the public keys of the operators whose code is accepted; None: code needs no
+    signature. Patterns of installed packages and of `plugin_dir` belong to the owner of the robot
+    and need no signature. `candidate`: the version that is being tried. `pinned`: by pattern name,
+    the version with which the last run began.
     """
 
     def __init__(
@@ -198,8 +199,8 @@ class PatternVersions:
     ) -> str:
         """As `apply`, but first write the new state to disk.
 
-        Returns why nothing has changed; empty on success. `is_wanted` is asked after the write;
-        False undoes it. Only one entry is adopted at a time.
+        `is_wanted` is called after the write; if it returns False, the write is undone. Only one
+        entry is adopted at a time. Returns the reason if nothing has changed; empty on success.
         """
         assert self._adopting is None
         self._adopting = entry, version
@@ -423,15 +424,17 @@ class PushedRuns:
         self._ran_to: tuple[int, float] = (-1, 0.0)  # generation, time
 
     def overlay(
-        self, found: Mapping[str, Origin], load: Load, is_trial: bool
+        self, installed: Mapping[str, Origin], load: Load, is_trial: bool
     ) -> Mapping[str, Origin]:
-        """The patterns for a load, by name: the robot's own (`found`) and the pushed patterns.
+        """The origin of each pattern for a load by the pattern host, by name.
 
-        A restart takes the version with which the run began, a trial the candidate. Raises
-        ChangedCodeError if the pushed code of the pattern is damaged; an own pattern of the same
-        name is not loaded instead.
+        `installed`: the origins of the robot's own patterns, to which this method adds the pushed
+        patterns. A load takes the current version. A restart takes the version with which the run
+        began. A trial (`is_trial`) takes the candidate, a version that was just pushed. Raises
+        ChangedCodeError if the pushed code of the load's pattern is damaged; an installed pattern
+        of the same name is not loaded instead.
         """
-        origins = dict(found)
+        origins = dict(installed)
         candidate = self._state.candidate if is_trial else None
         for name, code in self._state.versions.items():
             version = code.current
@@ -441,20 +444,23 @@ class PushedRuns:
                 if name == load.pattern and candidate is None:
                     raise ChangedCodeError(f"{code.fault}; push it again")
                 origins.pop(name, None)
-            if version is None or not self._lay(origins, name, version, found):
-                continue
-            if not is_trial:
+            is_added = version is not None and self._add(origins, name, version, installed)
+            if version is not None and is_added and not is_trial:
                 self._note_load(load, name, version)
         if candidate is not None:
-            self._lay(origins, load.pattern, candidate.version, found)
+            self._add(origins, load.pattern, candidate.version, installed)
         return origins
 
-    def _lay(
-        self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
+    def _add(
+        self,
+        origins: dict[str, Origin],
+        name: str,
+        version: Version,
+        installed: Mapping[str, Origin],
     ) -> bool:
-        """Add a version to the origins; False if the robot's own pattern must stay."""
+        """Add a version to `origins`; False if an installed pattern of this name must stay."""
         manifest = pattern_manifest.read_entry(version.signed).manifest
-        if name in own and not manifest.replaces:
+        if name in installed and not manifest.replaces:
             return False
         value, is_file = self._state.files.place(manifest)
         source = f"{manifest.label} of {manifest.issuer}"

@@ -1,10 +1,10 @@
 """Records a robot by a process of its own, and hands recordings to operators.
 
 The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
-the loop. Entries are gathered and sent twice a second: a process that wakes at each tick finds its
-code out of the caches, and costs twice as much. If the disk is slower than the robot, the socket
-fills; then a batch is dropped and counted. If the process ends, an event says so and the robot
-continues.
+the loop. Entries are sent in batches, twice a second: if the process wakes at each tick, its code
+has left the CPU's caches each time, and the recording costs twice as much. If the disk is slower
+than the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
+reports the end, and the robot continues.
 """
 
 from __future__ import annotations
@@ -109,10 +109,10 @@ class _Process:
 
 
 class Recorder:
-    """Records one robot between `start` and `stop`. `on_event` takes a line for the robot's log.
+    """Records one robot between `start` and `stop`.
 
-    `dropped`: the count of entries that the recording lost. `fault`: why the recording ended, empty
-    after `stop`.
+    `on_event` takes a line for the robot's log. `dropped`: the count of entries that are missing in
+    the recording. `fault`: why the recording ended by itself; empty after `stop`.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:
@@ -140,9 +140,10 @@ class Recorder:
         return self._open is not None
 
     def start(self, folder: Path, name: str, about: Mapping[str, str], limits: FileLimits) -> None:
-        """Start a recording process; called only while `is_on` is False. OSError if that fails.
+        """Start a process that writes entries to files in `folder`; call it while `is_on` is False.
 
-        `about`: texts on the robot, for the head of each file.
+        `name`: the begin of the file names. `about`: texts on the robot, for the head of each file.
+        `limits`: of the sizes of files. OSError if the process cannot be started.
         """
         recorder = self._open = _Process()
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
@@ -151,19 +152,20 @@ class Recorder:
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
-        at = self.began = boottime()
+        began = self.began = boottime()
         self.add(
             frames.Begin(
-                at=at,
+                at=began,
                 folder=str(folder),
                 name=name,
                 about=dict(about),
-                wall=time.time() - (boottime() - at),
+                wall=time.time() - (boottime() - began),  # at `began`
                 limits=limits,
             )
         )
+        # A replay begins with the inputs that still hold, then with the robot's memory.
         for input in list(self._lasting.values()):
-            self.input(input, at)
+            self.input(input, began)
         self._is_memory_due = True
 
     def stop(self) -> None:
@@ -481,9 +483,11 @@ def _is_told(name: str) -> bool:
 
 
 def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
-    """The entry of a file; `lost`: dropped entries so far if the file is being written, else None.
+    """The entry of a recording in the reply to an operator; None if the file was removed.
 
-    None if the file has been removed meanwhile.
+    `path`: the .mcap file. `lost`: the count of entries dropped so far, if the file is being
+    written; else None. A finished file has an index beside it, with its checksum and times. A file
+    that is being written or was cut off has no index.
     """
     try:
         size = path.stat().st_size
@@ -492,7 +496,8 @@ def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
     name = path.name
     try:
         index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
-        begin, end = (clock_of(index["about"], int(index[key])) for key in ("begin_ns", "end_ns"))
+        begin = clock_of(index["about"], int(index["begin_ns"]))
+        end = clock_of(index["about"], int(index["end_ns"]))
         return verbs.RecordingFile(
             name=name,
             size=size,

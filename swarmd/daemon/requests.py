@@ -1,8 +1,8 @@
 """Decodes the requests of operators, hands them to the robot or a service, and sends the replies.
 
 The table of `core/verbs.py` names the part of the daemon that answers a verb. The daemon refuses a
-request of another version, or with a missing, mistyped or out-of-bounds field. It drops a payload
-that is no map, or that does not target the robot.
+request of another version, or with a missing, mistyped or out-of-bounds field. The daemon drops a
+payload that is no map, and a request that does not target the robot.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
 UNREADABLE = "?"
-"""The id in the refusal of a request of which it cannot be read."""
+"""The id in the refusal of a request without a readable id."""
 
 MAX_ANSWERS = 8
 """Answers from threads to one verb at a time; further questions are dropped, and repeated."""
@@ -68,11 +68,12 @@ class SendReply(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Services:
-    """The services of a daemon that answer verbs; a `Handler` of core/verbs.py names each field.
+    """The services of a daemon that answer verbs.
 
-    A service has a method `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries
-    out a request. `on_<verb>(question)` returns the answer to a question, or a function that makes
-    the answer in a thread.
+    The table of core/verbs.py names for each verb the field of its service. A service has a method
+    `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries out a request.
+    `on_<verb>(question)` returns the answer to a question, or a function that makes the answer in a
+    thread.
     """
 
     recording: RecordingService
@@ -91,7 +92,7 @@ class RequestServer:
     """Answers the requests and questions to one robot. `on_request` hands a request to the robot.
 
     1. An operator repeats a request until a reply comes. A repeat is not carried out again: it gets
-       the reply of its id, as soon as there is one. Stop and estop are carried out each time.
+       the reply to the first request with its id. Stop and estop are carried out each time.
     2. Beyond MAX_PENDING requests without a reply, further requests are dropped, except stop and
        estop.
     3. `audit` takes each answered request.
@@ -110,20 +111,21 @@ class RequestServer:
         drops: DropCounter,
         is_secured: bool = False,
     ) -> None:
+        """A verb whose row names a service is answered by the service, else by the robot."""
         self._drops = drops
         self._is_secured = is_secured
         self._robot = robot
         self._on_request = on_request
-        self._handlers: dict[str, Callable[..., Any]] = {
-            row.name: services.handler(row)
-            if row.handler.is_service
-            else lambda request, answer: on_request(request)
-            for row in verbs.VERBS.values()
-            if row.handler is not verbs.Handler.NETWORK
-        }
+        self._handlers: dict[str, Callable[..., Any]] = {}  # by verb
+        for row in verbs.VERBS.values():
+            if row.handler.is_service:
+                self._handlers[row.name] = services.handler(row)
+            elif row.handler is not verbs.Handler.NETWORK:
+                self._handlers[row.name] = lambda request, answer: on_request(request)
+        # By verb: the tasks that wait for an answer made in a thread.
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
-        self._pending: dict[str, _Pending] = {}
+        self._pending: dict[str, _Pending] = {}  # by request id, without a reply so far
         self._replies: dict[str, Reply] = {}  # by request id, the last MAX_REPLIES replies
 
     def serve(self, bus: ZenohBus) -> None:
@@ -134,10 +136,11 @@ class RequestServer:
                 bus.serve(CONTROL, row.name, partial(handle, row.name))
 
     def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
-        """Send a reply to the pending request of its id, and audit the request.
+        """Send a reply to the request that waits for it, and audit the request.
 
-        `is_stored` False: the latches could not be written to disk; the text then says so.
-        `is_audited` False: the reply answers only a part of a request.
+        A reply without such a request is dropped. `is_stored` False: the latches could not be
+        written to disk, and the text of the reply says so. `is_audited` False: the reply answers
+        only a part of a request, such as a piece of a pushed pattern.
         """
         pending = self._pending.pop(reply.id, None)
         if pending is None:
@@ -152,23 +155,21 @@ class RequestServer:
         with self._drops.refusing("control/audit"):
             if is_audited and not is_repeat:
                 request = pending.request
-                what = describe_request(request)
-                count = None if request.targets is None else len(request.targets)
-                source = pending.source()
                 self._audit.record(
-                    what,
+                    describe_request(request),
                     request.operator,
-                    source,
+                    pending.source(),
                     reply,
                     boottime(),
-                    targets=count,
+                    targets=None if request.targets is None else len(request.targets),
                     is_relayed=pending.is_relayed,
                 )
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
-        """Carry out a stop or estop that came as a datagram and targets this robot.
+        """Carry out a stop or emergency stop that came as a datagram, if it targets this robot.
 
-        Each repeat is carried out and answered; only the first of an id is audited.
+        `source`: the address of the sender. `answer` sends the ack. An operator repeats a stop with
+        one id: each copy is carried out and answered, and only the first copy is audited.
         """
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
@@ -199,20 +200,20 @@ class RequestServer:
 
     def ask(self, verb: str, query: Query) -> None:
         """Answer the question in a query that came on the key of `verb`."""
-        asked = (
+        question = (
             verbs.Nothing()
             if verbs.VERBS[verb].asked is verbs.Nothing
             else _DECODERS[verb](query.payload or _NO_FIELDS)
         )
-        found = self._handlers[verb](asked)
-        if not callable(found):
-            query.reply(encode(found))
+        answer = self._handlers[verb](question)  # or a function that makes the answer in a thread
+        if not callable(answer):
+            query.reply(encode(answer))
             return
         tasks = self._threads[verb]
         if len(tasks) >= MAX_ANSWERS:
             query.drop()
             return
-        task = asyncio.get_running_loop().create_task(self._answer_from_thread(verb, found, query))
+        task = asyncio.get_running_loop().create_task(self._answer_from_thread(verb, answer, query))
         tasks.add(task)
         task.add_done_callback(tasks.discard)
 
@@ -257,11 +258,14 @@ class RequestServer:
         return reply.code is not Code.FAILED or earlier.code is Code.FAILED
 
     def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
-        """Refuse a malformed request or a request of another version, or reply a failure.
+        """Reply to a request that could not be decoded, or whose handler failed; audit it.
 
-        An unreadable id becomes UNREADABLE. The reply is kept for repeats only if the id is
-        readable and belongs to no pending or answered request.
+        `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
+        fields may have wrong types. A request without a readable head, or for other robots, is
+        dropped. An unreadable id becomes UNREADABLE. The reply is kept for repeats only if the id
+        is readable and belongs to no pending or answered request.
         """
+        # 1. The targets and the id.
         try:
             header = _header(query.payload)
         except CodecError:
@@ -279,6 +283,8 @@ class RequestServer:
         if pending is not None and pending.query is query:  # the handler of this request failed
             del self._pending[id]
             pending = None
+
+        # 2. The reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
         refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
@@ -293,6 +299,8 @@ class RequestServer:
             refusal=refusal,
             text=verbs.shortened(text, MAX_TEXT),
         )
+
+        # 3. Keep, send and audit the reply.
         is_repeat = is_readable and id in self._replies
         if is_readable and not is_repeat and pending is None:
             self._keep(reply)

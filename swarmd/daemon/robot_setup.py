@@ -22,10 +22,15 @@ from swarmd.settings.settings import DaemonSettings
 def make_robot(
     settings: DaemonSettings, instance: str, seed: int, *, latches: LatchRecord, goals: GoalRecord
 ) -> Robot:
-    """The robot for the life `instance` of the daemon; `latches` and `goals` come from files."""
+    """The robot of this daemon, at rest and without a run.
+
+    `instance`: marks this life (start to end) of the daemon, in hex. `seed`: of the robot's random
+    generator. `latches`, `goals`: emergency stops and goals that files kept from earlier lives.
+    """
 
     def layers(pattern: str) -> Layers:
-        return settings.pattern_layers(pattern, robot.labels)  # labels may change during a life
+        """The layers of parameters of a pattern, for the robot's present labels."""
+        return settings.pattern_layers(pattern, robot.labels)
 
     robot = Robot(
         settings.id,
@@ -54,11 +59,13 @@ def make_robot(
 def recording_head(
     settings: DaemonSettings, robot: Robot, instance: str, seed: int, pushed: Iterable[str]
 ) -> RecordingHead:
-    """The head of a recording: all that a replay needs to make the same robot.
+    """The head of a recording: all values from which a replay makes the same robot.
 
+    `robot`: as it is at the begin of the recording. `instance`, `seed`: as in `make_robot`.
     `pushed`: the names of the pushed patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
+    # The layers of parameters of each pattern; patterns without own parameters are left out.
     layers = {name: settings.pattern_layers(name, robot.labels) for name in sorted(names)}
     return RecordingHead(
         robot=settings.id,

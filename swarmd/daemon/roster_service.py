@@ -1,7 +1,7 @@
 """Takes rosters from operators and peers, and hands the own roster to peers.
 
-A thread checks and writes a roster. Then, on the loop and in this order: the robot stops, the
-request is answered, and the network is reopened with the new roster.
+A thread checks a roster and writes it to disk. Then the loop stops the robot, answers the request,
+and reopens the network with the new roster, in this order.
 """
 
 from __future__ import annotations

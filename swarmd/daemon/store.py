@@ -83,10 +83,10 @@ class StateFile(Generic[T]):
 class LatchFile(StateFile[LatchRecord]):
     """The file `latches` in a robot's state folder, which the daemon writes on its loop.
 
-    A latch is on disk before it is acknowledged. A new latch has stopped the robot, and zero has
-    been sent, so a slow disk ends no run. An unreadable file counts as a latch.
+    A latch (a held emergency stop) is on disk before the stop is acknowledged. The robot stops
+    before the write, so that a slow disk delays no stop. An unreadable file counts as a latch.
 
-    `fault`: why a restart would lose the present latches; empty if it would not.
+    `fault`: why a restart would lose the present latches; empty if a restart would keep them.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -126,8 +126,8 @@ class LatchFile(StateFile[LatchRecord]):
 class RecordWriter(Generic[T]):
     """Writes the newest record of `file` in a thread, since a disk may take seconds.
 
-    After a failure the newest record is tried again every RETRY_PERIOD. `on_event` takes a line at
-    the first failure, and at the first success after it. All methods are called on the loop.
+    After a failure the newest record is written again every RETRY_PERIOD. `on_event` takes a line
+    for the log at the first failure, and at the next success. Call all methods on the loop.
     """
 
     def __init__(self, file: StateFile[T], on_event: Callable[[str], None]) -> None:

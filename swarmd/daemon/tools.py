@@ -64,14 +64,16 @@ MAX_LINKS = 512  # in an answer
 MAX_PINGS = 20  # round trips that one question measures
 PUBLISH_PERIOD = 0.2  # s between two batches of records
 MAX_BATCH = 48 * 1024  # bytes of records in a batch or an answer
+RECORD_OVERHEAD = 64  # bytes of a record beside its text, at most
 CACHE_TIME = 2.0  # s for which measured facts of the machine are reused
 
 
 class FieldTools:
-    """Answers such questions for the life `instance` of a daemon of the package version `version`.
+    """Answers questions about the condition of a robot, its daemon and its network.
 
-    `keys` returns the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
-    log. `storage`: why a restart would lose latches, as in `Health`.
+    `instance`: marks this life of the daemon, in hex. `version`: of the package. `keys` returns a
+    summary of the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
+    log. `storage`: why a restart would lose latches, as in `Health`; empty without a fault.
     """
 
     def __init__(
@@ -84,15 +86,16 @@ class FieldTools:
         keys: Callable[[], KeySummary | None],
         sandbox: Callable[[], Sandbox | None],
     ) -> None:
+        """Begin to capture log records, and open the audit log in the folder of this robot."""
         self._settings, self._instance, self._network = settings, instance, network
         self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()
         self._ring = LogRing()
         self._capture = LogCapture(self._ring)
-        self._published = 0
-        self._publish_at = 0.0
-        self._pinged = 0
-        self._measuring = threading.Lock()
+        self._published = 0  # number of the last log record that was published
+        self._publish_at = 0.0  # s; the next batch of records is due
+        self._pinged = 0  # index of the robot to ping next
+        self._measuring = threading.Lock()  # guards the facts, which a thread measures
         self._measured_at = -math.inf
         self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
         self.storage = ""
@@ -159,12 +162,12 @@ class FieldTools:
         return self._batch(self._ring.matching(query))
 
     def _batch(self, records: list[verbs.LogRecord]) -> verbs.LogBatch:
-        """The newest records that fit into MAX_BATCH."""
-        room, first = MAX_BATCH, max(len(records) - verbs.LOG_PAGE, 0)
-        for number in range(len(records) - 1, first - 1, -1):
-            room -= len(records[number].text.encode()) + 64
-            if room < 0:
-                first = number + 1
+        """The newest records that fit into MAX_BATCH bytes."""
+        bytes_left, first = MAX_BATCH, max(len(records) - verbs.LOG_PAGE, 0)
+        for index in range(len(records) - 1, first - 1, -1):
+            bytes_left -= len(records[index].text.encode()) + RECORD_OVERHEAD
+            if bytes_left < 0:
+                first = index + 1
                 break
         return verbs.LogBatch(
             robot=self._settings.id,
@@ -186,8 +189,8 @@ class FieldTools:
             self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
             self._pinged = first + MAX_PINGS
         reports = tuple(
-            verbs.LinkReport(robot, one.received, one.lost, one.age, one.round_trip, ways)
-            for robot, one, ways in links[:MAX_LINKS]
+            verbs.LinkReport(robot, link.received, link.lost, link.age, link.round_trip, ways)
+            for robot, link, ways in links[:MAX_LINKS]
         )
         unlisted = max(len(links) - MAX_LINKS, 0)
         return verbs.LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)
@@ -204,7 +207,10 @@ class FieldTools:
         return partial(self._doctor, heard)
 
     def _doctor(self, heard: dict[str, int]) -> verbs.DoctorReply:
-        """In a thread. One measurement at a time, and an answer may be CACHE_TIME old."""
+        """Measure machine and network, in a thread; facts may be CACHE_TIME s old.
+
+        `heard`: by way of the datagrams, the count of robots alive that were heard by this way.
+        """
         settings, keys = self._settings, self._keys()
         with self._measuring:
             if boottime() - self._measured_at > CACHE_TIME:

@@ -1,12 +1,12 @@
 """The access rules of a Zenoh session: the messages that each name of a roster may send. Pure.
 
 A roster and the own name give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh
-drops a message that no rule allows, without notice to its sender. The subject of a rule is the
-common name in the certificate of the other end of a link, which must be equal. A session keeps its
+drops a message that no rule allows, without notice to its sender. A rule applies to a link if the
+subject of the rule equals the common name in the certificate at the other end. A session keeps its
 rules until it is closed: another roster needs another session.
 
-Directions are seen from the session that has the rules: `ingress` is what it receives from the
-named end of the link, `egress` what it sends to that end.
+Directions are seen from the session that has the rules: `ingress` messages come from the named end
+of the link, `egress` messages go to that end.
 
 - A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
   viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
@@ -46,9 +46,12 @@ def may_ask(role: Role, verb: str) -> bool:
 
 
 def robot_access(roster: Roster, robot: str) -> Access:
-    """The `access_control` of the session on which a robot listens.
+    """Zenoh's `access_control` for the session on which the robot `robot` listens.
 
-    Raises ConfigError if the roster lacks the robot, or has no operator.
+    `rules.allow(names, flow, messages, keys)` permits these kinds of Zenoh messages on these keys,
+    over links to these names. `flow` is seen from this robot: _IN is from the names, _OUT to them.
+    Zenoh drops every message that no rule permits. Raises ConfigError if the roster lacks the
+    robot, or has no operator.
     """
     if roster.role_of(robot) is not Role.ROBOT:
         raise ConfigError(f"{robot} is no robot of roster {roster.generation} of {roster.swarm}")
@@ -58,37 +61,50 @@ def robot_access(roster: Roster, robot: str) -> Access:
             " command this robot; add one with `swarmctl keys add`"
         )
     readers = (*roster.operators, *roster.viewers)
-    state = build(roster.swarm, robot, "state", ANY)
-    control = build(roster.swarm, robot, CONTROL, ANY, ANY)
-    shared = build(roster.swarm, robot, SHARED, ANY, ANY)
-    states = [build(roster.swarm, ANY, "state", ANY)]
-    tokens = [token(roster.swarm, ANY)]
-    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
+    robot_state = build(roster.swarm, robot, "state", ANY)
+    robot_control = build(roster.swarm, robot, CONTROL, ANY, ANY)
+    robot_messages = build(roster.swarm, robot, MESSAGE, ANY, ANY)
+    robot_shared = build(roster.swarm, robot, SHARED, ANY, ANY)
+    # Operators and viewers query and subscribe with a wildcard in place of the robot's name.
+    all_states = [build(roster.swarm, ANY, "state", ANY)]
+    all_tokens = [token(roster.swarm, ANY)]
+    all_messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     rules = _Rules()
-    rules.allow(readers, _OUT, ["put"], [state, build(roster.swarm, robot, MESSAGE, ANY, ANY)])
-    rules.allow(readers, _OUT, ["reply", "declare_queryable"], [state, control, shared])
+
+    # 1. This robot to operators and viewers: its state, messages, replies and liveliness token.
+    rules.allow(readers, _OUT, ["put"], [robot_state, robot_messages])
+    replied = [robot_state, robot_control, robot_shared]
+    rules.allow(readers, _OUT, ["reply", "declare_queryable"], replied)
     rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
-    rules.allow(readers, _OUT, _LIVELINESS, tokens)
-    rules.allow(readers, _IN, _LIVELINESS, tokens)
-    rules.allow(roster.operators, _OUT, ["declare_subscriber"], messages)
-    rules.allow(readers, _IN, ["query", "declare_subscriber"], states)
-    rules.allow(readers, _IN, ["declare_subscriber"], messages)
+    rules.allow(readers, _OUT, _LIVELINESS, all_tokens)
+    rules.allow(readers, _IN, _LIVELINESS, all_tokens)
+    rules.allow(roster.operators, _OUT, ["declare_subscriber"], all_messages)
+
+    # 2. Operators and viewers to this robot: subscriptions, and the liveliness token of the sender.
+    rules.allow(readers, _IN, ["query", "declare_subscriber"], all_states)
+    rules.allow(readers, _IN, ["declare_subscriber"], all_messages)
     for name in readers:
         rules.allow([name], _IN, ["liveliness_token"], [token(roster.swarm, name)])
+
+    # 3. Operators to this robot: messages under the operator's own name. A message may move it.
     for name in roster.operators:
-        own = build(roster.swarm, name, MESSAGE, ANY, ANY)
-        rules.allow([name], _IN, ["put"], [own])
-    rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [shared])
+        rules.allow([name], _IN, ["put"], [build(roster.swarm, name, MESSAGE, ANY, ANY)])
+
+    # 4. Requests and pulls. The last chunk of a key is the name that asks.
+    rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [robot_shared])
     for name in (*readers, *roster.robots):
-        own = build(roster.swarm, robot, SHARED, ANY, name)
-        rules.allow([name], _IN, ["query"], [*_questions(roster, name), own])
+        pulled = build(roster.swarm, robot, SHARED, ANY, name)
+        rules.allow([name], _IN, ["query"], [*_request_keys(roster, name), pulled])
     return rules.access()
 
 
 def asker_access(roster: Roster, name: str) -> Access:
-    """The `access_control` of a session that dials robots, as operator, viewer or pulling robot.
+    """Zenoh's `access_control` for a session that dials robots.
 
-    Raises ConfigError if the roster lacks the name, or has no robot.
+    `name`: the operator or viewer that dials, or the robot that pulls a record from another robot.
+    Directions are seen from this session: _IN is from the robots, _OUT to the robots. Zenoh drops
+    every message that no rule permits. Raises ConfigError if the roster lacks the name, or has no
+    robot.
     """
     role = roster.role_of(name)
     if role is None:
@@ -98,22 +114,29 @@ def asker_access(roster: Roster, name: str) -> Access:
             f"roster {roster.generation} of {roster.swarm} has no robot; add one with"
             " `swarmctl keys add`"
         )
+    # A robot that pulls needs no state: `allow` adds no rule for an empty list of keys.
     states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
-    shared = build(roster.swarm, ANY, SHARED, ANY, name)
+    pulled = build(roster.swarm, ANY, SHARED, ANY, name)
+    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     rules = _Rules()
+
+    # 1. Messages of patterns and liveliness tokens.
     if role is not Role.ROBOT:
-        messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
         rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
         rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
         for flow in (_IN, _OUT):
             rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
     if role is Role.OPERATOR:
-        own = build(roster.swarm, name, MESSAGE, ANY, ANY)
-        rules.allow(roster.robots, _OUT, ["put"], [own])
+        own_messages = build(roster.swarm, name, MESSAGE, ANY, ANY)
+        rules.allow(roster.robots, _OUT, ["put"], [own_messages])
         rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
-    rules.allow(roster.robots, _OUT, ["query"], [*_questions(roster, name), shared, *states])
+
+    # 2. Queries of this name, and what each robot may send back on its own keys.
+    queried = [*_request_keys(roster, name), pulled, *states]
+    rules.allow(roster.robots, _OUT, ["query"], queried)
     rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
-    for robot in roster.robots:  # one rule each: Zenoh takes 0.1 ms for a rule at each opening
+    # Only one rule for each robot: Zenoh takes 0.1 ms for a rule whenever a link opens.
+    for robot in roster.robots:
         rules.allow(
             [robot],
             _IN,
@@ -124,32 +147,37 @@ def asker_access(roster: Roster, name: str) -> Access:
 
 
 def router_access(roster: Roster, router: str) -> Access:
-    """The `access_control` of a Zenoh router of profile routed, for links to names of the roster.
+    """Zenoh's `access_control` for a router of profile routed.
 
-    The ingress rules decide what each name may send, query and subscribe to. The egress rules allow
-    everything of the swarm: a router sends to a link only the keys to which the other end
-    subscribed, and replies. `router`: the name in the certificates of all routers of the swarm.
+    Directions are seen from the router. The ingress rules (_IN) decide what each name of the roster
+    may send, query and subscribe to. The egress rules (_OUT) permit all keys of the swarm: a router
+    sends to a link only replies, and keys to which the other end subscribed. `router`: the name in
+    the certificates of all routers of the swarm.
     """
-    swarm, everyone = roster.swarm, [f"{ROOT}/{roster.swarm}/**"]
-    heard = build(swarm, ANY, "multicast", "all")
+    swarm = roster.swarm
+    all_keys = [f"{ROOT}/{swarm}/**"]
+    datagrams_to_all = build(swarm, ANY, "multicast", "all")
     states = build(swarm, ANY, "state", ANY)
     names = (*roster.robots, *roster.operators, *roster.viewers)
     rules = _Rules()
-    rules.allow([router], _IN, _ALL_MESSAGES, everyone)
-    rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, everyone)
+    rules.allow([router], _IN, _ALL_MESSAGES, all_keys)
+    rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, all_keys)
     for name in names:
         is_robot = roster.role_of(name) is Role.ROBOT
         sender = name if is_robot else OPERATOR_SENDERS
-        own = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
-        asked = [*_questions(roster, name), build(swarm, ANY, SHARED, ANY, name)]
-        wanted = [heard, build(swarm, ANY, "unicast", sender)]
-        rules.allow([name], _IN, ["put"], own)
-        rules.allow([name], _IN, ["query"], asked if is_robot else [*asked, states])
-        rules.allow([name], _IN, ["declare_subscriber"], wanted if is_robot else [*wanted, states])
+        own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
+        queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]
+        subscribed = [datagrams_to_all, build(swarm, ANY, "unicast", sender)]
+        if not is_robot:
+            queried.append(states)
+            subscribed.append(states)
+        rules.allow([name], _IN, ["put"], own_keys)
+        rules.allow([name], _IN, ["query"], queried)
+        rules.allow([name], _IN, ["declare_subscriber"], subscribed)
         rules.allow([name], _IN, ["liveliness_token"], [token(swarm, name)])
         rules.allow([name], _IN, _LIVELINESS, [token(swarm, ANY)])
         if is_robot:
-            rules.allow([name], _IN, ["reply", "declare_queryable"], own)
+            rules.allow([name], _IN, ["reply", "declare_queryable"], own_keys)
     return rules.access()
 
 
@@ -158,8 +186,8 @@ def subtree(roster: Roster, robot: str) -> str:
     return f"{ROOT}/{roster.swarm}/{robot}/**"
 
 
-def _questions(roster: Roster, name: str) -> list[str]:
-    """The keys of `control`, of each robot and of all, that a name may ask."""
+def _request_keys(roster: Roster, name: str) -> list[str]:
+    """The keys `control/<verb>/<name>` of any robot on which `name` may send requests."""
     role = roster.role_of(name)
     if role is None:
         return []
@@ -178,14 +206,15 @@ class _Rules:
         self._policies: list[Access] = []
 
     def allow(self, names: Iterable[str], flow: str, messages: list[str], keys: list[str]) -> None:
-        """Allow these kinds of messages on these keys, on links to these names.
+        """Permit these kinds of Zenoh messages on these keys, over links to these names.
 
-        `flow`: _IN for messages from these names, _OUT for messages to these names.
+        `flow`: _IN for messages from these names, _OUT for messages to these names. Without names
+        or keys no rule is added.
         """
-        who = tuple(names)
-        if not who or not keys:  # Zenoh takes an empty list of names for all names
+        link_names = tuple(names)
+        if not link_names or not keys:  # Zenoh takes an empty list of names for all names
             return
-        subject = self._subjects.setdefault(who, f"names{len(self._subjects)}")
+        subject = self._subjects.setdefault(link_names, f"names{len(self._subjects)}")
         rule = f"rule{len(self._rules)}"
         self._rules.append(
             {

@@ -164,10 +164,10 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
 
 
 class Solicit(_Datagram, frozen=True, kw_only=True):
-    """Asks robots to answer at once: a beacon, and member lists, latches and the goal as wanted.
+    """Asks robots to answer at once with a beacon, and with the lists that `wants_...` names.
 
-    `echo` is repeated in the answer, so that the asker knows the round trip, and in a secured swarm
-    that the robot lives now.
+    The answer repeats `echo`. So the asker knows the round trip, and in a secured swarm that the
+    answer is no replay.
     """
 
     echo: Number
@@ -227,11 +227,12 @@ class Stop(_Datagram, frozen=True, kw_only=True):
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):
-    """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`).
+    """The answer of `robot` to a stop or emergency stop.
 
+    `via`: the robot that has handed the answer on; empty if `robot` itself sent the datagram.
     `code` and `refusal` are values of `Code` and `Refusal`; a later version may send new values.
-    `is_moving` as of `Reply`. `proof` shows the operator that `robot` made the ack
-    (`signature.py`).
+    `is_moving`: the base is not known to rest, as in `Reply`. `proof` shows the operator that
+    `robot` made the ack (`signature.py`).
     """
 
     id: Name
@@ -270,10 +271,11 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Shows that the operator of a run is present; sent at least each third of the goal's lease.
+    """Renews the lease of a run: without renewal for the lease's time the robots stop.
 
-    `id`: of the goal. `count` rises with each `RunLease`: a robot ignores a count that is not
-    greater than the last, so that a replayed datagram cannot keep a run going.
+    The operator sends it at least each third of the lease. `id`: of the goal. `count` rises with
+    each `RunLease`: a robot ignores a count that is not greater than the last count, so that a
+    replayed datagram cannot keep a run going.
     """
 
     id: Name
@@ -370,10 +372,10 @@ def pack(tag: bytes, body: Datagram) -> bytes:
 
 
 def unpack(tag: bytes, payload: bytes) -> Datagram | None:
-    """The body of a datagram; None for another swarm, or a kind that this version does not know.
+    """Decode a datagram of the swarm with this tag; None for another swarm or an unknown kind.
 
-    A `Solicit` or `Swarm` with the tag of any swarm is read, too. Raises CodecError for a malformed
-    datagram.
+    `payload`: head, body and perhaps a signature, which is not read. A `Solicit` or `Swarm` with
+    the tag of any swarm is decoded, too. Raises CodecError for a malformed datagram.
     """
     if len(payload) < _HEAD.size or len(payload) > MAX_DATAGRAM or payload[:4] != MAGIC:
         raise CodecError("no datagram of a swarm")

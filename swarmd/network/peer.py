@@ -1,8 +1,8 @@
 """The datagram protocol of one robot. Pure: datagrams and times in, `PeerActions` out.
 
-`Peer` combines the claim of the robot id, the membership, the spread of latches and goals, the
-relay of stops and the loss count of pattern messages. The daemon sends the datagrams in
-`PeerActions.sends`, and carries out the other actions.
+`Peer` combines the claim of the robot id, the membership, the spread of latches (held emergency
+stops) and goals, the relay of stops, and the loss count of pattern messages. The daemon sends the
+datagrams in `PeerActions.sends`, and carries out the other fields of `PeerActions`.
 """
 
 from __future__ import annotations
@@ -17,10 +17,11 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
-from swarmd.core.messages import Body, Latch, State
+from swarmd.core.messages import Body, Latch, Presence, State
 from swarmd.core.record import RecordKind
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import (
+    PRESENCES,
     STATES,
     Ack,
     Address,
@@ -148,8 +149,8 @@ class Peer:
     """The protocol state of one robot.
 
     `roster`: the robots that the swarm expects. `admission`: the checks of a secured swarm; None:
-    the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, None
-    if the check must wait (`GoalCheck`).
+    the swarm is not secured. `check_goal(goal, now)`: True if the goal of a peer is accepted, False
+    if it is not signed, None if the check must wait (`GoalCheck`).
     """
 
     def __init__(
@@ -245,14 +246,18 @@ class Peer:
         author: Author | None = None,
         waited: float = 0.0,
     ) -> PeerActions:
-        """Take a datagram; returns what the daemon must do.
+        """Take a datagram; returns the datagrams to send, and what the daemon must carry out.
 
-        `is_any`: the datagram is for any swarm. `author`: its signer in a secured swarm. `waited`:
-        s from arrival until now, for example while the process was frozen.
+        `source`: the address of the sender. `summary`: this robot's state, latches and goal.
+        `is_any`: the datagram is for any swarm. `author`: its signer in a secured swarm, None
+        without a valid signature. `waited`: s from arrival until now, for example while the process
+        was frozen. `flaw` is set in the result if the datagram is refused.
         """
         effects = PeerActions()
         if isinstance(body, Stop) and waited > 0.0:
-            body = replace(body, age=body.age + round(1000.0 * waited))
+            body = replace(body, age=body.age + round(1000.0 * waited))  # ms
+
+        # In a secured swarm: check the role of the signer, and that the datagram is no replay.
         if self._admission is not None and not is_any:
             admitted = self._admit(body, author, now)
             if isinstance(admitted, Flaw):
@@ -260,6 +265,8 @@ class Peer:
                 self._question(body, admitted, source, now, effects)
                 return effects
             body = admitted
+
+        # `_claim` is None once this robot owns its id.
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
@@ -271,12 +278,7 @@ class Peer:
                 self._on_solicit(body, source, now, summary, effects, is_robot=is_robot)
             case MemberList():
                 self.membership.on_member_list(body, now)
-                effects.indirect_addresses = [
-                    (heard.host, heard.port)
-                    for heard in body.members
-                    if heard.hops == 0 and heard.presence == 0 and heard.port
-                    and self.membership.indirect_address(heard.robot) == (heard.host, heard.port)
-                ]  # fmt: skip
+                effects.indirect_addresses = self._indirect_addresses(body)
             case Stop():
                 self._on_stop(body, source, now, effects)
             case Ack() if self.membership.knows(body.robot):
@@ -351,8 +353,14 @@ class Peer:
         return self._beacon(summary, Flag.LEFT)
 
     def advance(self, now: float, summary: Summary) -> PeerActions:
-        """Send what is due at `now`; call it at `wake_at` and at least ten times a second."""
+        """Returns the datagrams that are due at `now`, and what the daemon must carry out.
+
+        Call it at `wake_at`, and at least ten times a second. `summary`: this robot's state,
+        latches and goal.
+        """
         effects = PeerActions()
+
+        # 1. The claim of the id: `_claim` is None once this robot owns its id.
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._times.send_now(now)
@@ -361,11 +369,15 @@ class Peer:
             # The answers show the latches of the peers before the claim is won.
             self._solicits_at.pop(0)
             effects.sends.append((self._solicit(now), None))
+
+        # 2. Members whose lease has ended, and members that are silent.
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
+
+        # 3. Beacon, latches, relayed stops and goals. The beacon goes before the latches: peers
+        # compare its digest with the digest of their own latches.
         self._times.note_latches(digest_of(summary.latches), now)
-        # The beacon goes before the latches: peers compare its digest with their own.
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
@@ -375,12 +387,15 @@ class Peer:
             (Solicit(echo=echo, wants_goal=True), address)
             for echo, address in self._goal_sync.repeats(summary.goal, now)
         )
+
+        # 4. Ask a random member for its member list, which shows robots that are not heard here.
         if now >= self._lists_at:
             self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())
             if alive:
-                ask = self._solicit(now, members=True)
-                effects.sends.append((ask, self._random.choice(alive)[1]))
+                request = self._solicit(now, members=True)
+                _, address = self._random.choice(alive)
+                effects.sends.append((request, address))
         return effects
 
     def _advance_members(self, now: float, effects: PeerActions) -> None:
@@ -401,9 +416,27 @@ class Peer:
 
     # Parts
 
+    def _indirect_addresses(self, list_: MemberList) -> list[Address]:
+        """The addresses of robots that the list's sender hears, and that this robot does not."""
+        alive = PRESENCES.index(Presence.ALIVE)
+        return [
+            (report.host, report.port)
+            for report in list_.members
+            if report.hops == 0
+            and report.presence == alive
+            and report.port
+            and self.membership.indirect_address(report.robot) == (report.host, report.port)
+        ]
+
     def _on_beacon(
         self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
     ) -> None:
+        """Take a beacon: update membership and link, and ask for latches and goals that differ.
+
+        A beacon shows digests (hashes) of its robot's latches and goal. If a digest differs from
+        this robot's own, this robot solicits the content from `source`. Latches come first: goals
+        are solicited only once this robot owns its id and has the latches of its peers.
+        """
         if beacon.instance == self._instance:
             return
         if beacon.robot == self.robot:
@@ -413,17 +446,22 @@ class Peer:
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
             self._new_peer_at = now
-        own = digest_of(summary.latches)
+
+        # `is_owner`: the sender owns its id, so that its digests count.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         effects.beacon = beacon if is_owner else None
         is_stranger = not self.membership.is_established(beacon.robot)
         if is_owner and self._sync.wants(
-            beacon.instance, beacon.digest(RecordKind.LATCH), own, now, is_stranger=is_stranger
+            beacon.instance,
+            beacon.digest(RecordKind.LATCH),
+            digest_of(summary.latches),
+            now,
+            is_stranger=is_stranger,
         ):
             effects.sends.append((self._solicit(now, latches=True), source))
-        if is_owner and self._claim is None and self.is_in_sync(now):  # latches come first
-            digest = beacon.digest(RecordKind.GOAL)
-            echo = self._goal_sync.wants(beacon.instance, digest, source, summary.goal, now)
+        if is_owner and self._claim is None and self.is_in_sync(now):
+            goal_digest = beacon.digest(RecordKind.GOAL)
+            echo = self._goal_sync.wants(beacon.instance, goal_digest, source, summary.goal, now)
             if echo is not None:
                 effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
@@ -456,12 +494,13 @@ class Peer:
         effects.goals.append(FoundGoal(held.goal, held.age(now), may_join=True))
 
     def _is_overtaken(self, summary: Summary, stop: Stop, issued: float) -> bool:
-        """True if the stop, issued at `issued` s, is not relayed any more.
+        """True if the stop, issued at `issued` s, must not be relayed any more.
 
-        1. An emergency stop: once it was reset here.
-        2. A stop: if a goal for all robots, issued later, starts a pattern.
-        3. A stop of all: if this robot's run or reset is later.
-        4. A stop of named robots: if this robot is named and its run is later.
+        1. An emergency stop is relayed until it was reset at this robot.
+        2. A stop is not relayed if a goal for all robots, issued later, starts a pattern.
+        3. A stop of all robots is not relayed if this robot's run or reset was requested later.
+        4. A stop of named robots is not relayed if it names this robot, and this robot's run was
+           requested later.
         """
         if stop.verb == "estop":
             return stop.id in summary.cleared and stop.id not in summary.latches
@@ -476,6 +515,7 @@ class Peer:
     def _on_own_id(
         self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
     ) -> None:
+        """Take a beacon of another instance with this robot's id: a rival, or a duplicate."""
         if self._claim is not None:
             self._claim.on_beacon(beacon, now)
         elif beacon.flags & Flag.JOINING:
@@ -498,21 +538,33 @@ class Peer:
         *,
         is_robot: bool,
     ) -> None:
+        """Answer a solicit with this robot's beacon, and with the lists that the solicit asks for.
+
+        `is_robot`: a robot has signed the solicit, in a secured swarm. `_answers` limits the rate
+        of answers: beyond the limit no answer is sent.
+        """
         is_for_this = solicit.robot in (None, self.robot)
         if not is_for_this or not self._answers.may_answer(source, 1, now):
             return
+
+        # 1. While the id is claimed, answer only another claimer of the id, which asks whether this
+        # instance is alive.
         if self._claim is not None:
-            # Another claimer of the id asks whether this instance is alive.
             if solicit.robot is not None and is_robot:
                 rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
                 effects.sends.append((rival, source))
             return
+
+        # 2. The beacon. In a secured swarm `said` and `clock` show which messages and places of
+        # this instance are older than this answer, and so may be replayed.
         beacon = replace(
             self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,
             clock=max(round(1000.0 * now), 0),
         )
         effects.sends.append((beacon, source))
+
+        # 3. The lists that the solicit asks for.
         if solicit.wants_members:
             parts = in_parts(self.membership.reports(now), roster=self._roster)
             if not self._answers.may_answer(source, len(parts), now):

@@ -53,7 +53,10 @@ def is_loopback(host: str) -> bool:
 def parse_endpoint(
     text: str, prefix: str = "", example: str = f"tcp/10.0.0.5:{FIELD_PORT}"
 ) -> Endpoint:
-    """The parts of an endpoint. Raises ConfigError: the prefix, the text, and a valid example."""
+    """The parts of an endpoint such as `tcp/10.0.0.5:7440`.
+
+    Raises ConfigError for any other text; the message is `prefix`, the text, and `example`.
+    """
     match = _ENDPOINT.fullmatch(text)
     if match is None or int(match[3]) > 65535:
         raise ConfigError(f"{prefix}{text!r}; expected an endpoint such as {example}")
@@ -102,16 +105,21 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
 
     @property
     def settle(self) -> float:
-        """Seconds for which a claim of a robot id waits for rivals: discovery, with margin."""
+        """Seconds for which a robot that claims its id waits for beacons of other claimers."""
         return 0.25 if self.profile == "dev" else 1.0
 
     @property
     def interface_name(self) -> str:
-        """The one interface that is used."""
+        """The network interface that carries all traffic."""
         return self.interface or "lo"
 
     def faults(self) -> Iterator[Fault]:
-        """What is wrong with the settings."""
+        """Each fault of the settings: the path of the wrong key, and the text of the fault.
+
+        Empty if the settings are valid. A fault that concerns two keys stands at the key that the
+        user should change.
+        """
+        # 1. Each key alone.
         try:
             check_id(self.swarm, "swarm")
         except ConfigError as error:
@@ -120,14 +128,13 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
             yield ("profile",), f"profile is {self.profile!r}; expected dev, field or routed"
         if not MIN_LEASE <= self.lease_seconds <= MAX_LEASE:
             yield ("lease",), f"lease is {self.lease_seconds:g} s; expected 0.2 to 60 s"
-        for key, endpoints in (
-            ("listen", self.listen),
-            ("seeds", self.seeds),
-            ("routers", self.routers),
-        ):
+        lists = {"listen": self.listen, "seeds": self.seeds, "routers": self.routers}
+        for key, endpoints in lists.items():
             for index, text in enumerate(endpoints):
-                if fault := self._fault_of(key, text):
+                if fault := self._endpoint_fault(key, text):
                     yield (key, index), f"{key}[{index}] is {fault}"
+
+        # 2. Keys that a profile needs or excludes.
         if self.profile == "field" and self.interface is None:
             yield (
                 ("profile",),
@@ -163,13 +170,14 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
         for _, text in self.faults():
             raise ConfigError(text)
 
-    def _fault_of(self, key: str, text: str) -> str:
+    def _endpoint_fault(self, key: str, text: str) -> str:
+        """The fault of an endpoint in the list `key`; empty if the endpoint is valid."""
         try:
             endpoint = parse_endpoint(text)
         except ConfigError as error:
             return str(error)
         if key != "listen" and endpoint.port == 0:
-            return f"{text!r}; what is dialled needs its port"
+            return f"{text!r}; an endpoint to dial needs its port"
         if self.profile == "dev" and not endpoint.is_loopback:
             return f"{text!r}, but profile dev stays on this machine; use profile field"
         return ""

@@ -8,9 +8,9 @@
     5       n + 9   NAMED: the length of the name, the name of the operator or viewer, and its tag
 
 A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and the trailer up to the first tag.
-`datagram_keys.py` describes the keys. All robots share the key of the class "robot": a tag of the
-class does not show which robot signed, so that `Author` names only operators and viewers. The tag
-of a pair, and the proof in an `Ack`, show the robot as well.
+`datagram_keys.py` describes the keys. All robots share the key of the class "robot". So the tag of
+this class does not show which robot signed, and `Author` names only operators and viewers. The tag
+of a pair, and the proof in an `Ack`, show which robot signed.
 """
 
 from __future__ import annotations
@@ -69,10 +69,11 @@ class Author(NamedTuple):
 
 
 class Signer:
-    """Signs as the owner of `keys`.
+    """Signs datagrams as the owner of `keys`.
 
-    `previous` signs answers to authors of the generation before: an operator with an older roster
-    cannot verify newer keys, and must know that its stop arrived.
+    `previous`: a signer with the keys of the roster before. It signs answers to an operator that
+    still has this older roster: the operator cannot verify newer keys, and must know that its stop
+    has arrived.
     """
 
     def __init__(
@@ -86,9 +87,9 @@ class Signer:
         self._pairs: dict[str, bytes] = {}
 
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
-        """The datagram with its trailer. Raises CodecError if it exceeds MAX_DATAGRAM.
+        """The datagram `payload` with a signature. Raises CodecError if it exceeds MAX_DATAGRAM.
 
-        `asker`: the author of the question that the datagram answers; None: it is no answer.
+        `asker`: the author of the question that the datagram answers; None: it answers no question.
         """
         if asker is not None and asker.is_previous and self._previous is not None:
             return self._previous.sign(payload, asker)

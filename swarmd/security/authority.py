@@ -1,8 +1,8 @@
 """The certificate authority of a swarm, in a folder on an operator's machine.
 
 Certificates are X.509 with ECDSA P-256 (RFC 5280, FIPS 186-5). The common name is the name on the
-roster. The extended key usage covers both ends of a TLS link (server and client). Certificates are
-valid from 1970 on, since a robot without a battery-backed clock boots in the past.
+roster. The extended key usage permits both ends of a TLS link (server and client). Certificates are
+valid from 1970 on: the clock of a robot without a battery is in the past after a boot.
 """
 
 from __future__ import annotations
@@ -51,36 +51,28 @@ class Generation(Struct, frozen=True, array_like=True):
 
 
 class IssueRecord(Struct, frozen=True, array_like=True):
-    """What was issued to a name.
+    """The newest certificate and roster of a name, as the authority knows them."""
 
-    `expires`: the end of its newest certificate, in s since 1970. `generation`: the newest roster
-    that the name has for certain.
-    """
-
-    expires: int
-    generation: int
+    expires: int  # the end of the newest certificate, in s since 1970
+    generation: int  # of the newest roster that the name has for certain
 
 
 class AuthorityState(Struct, frozen=True, kw_only=True):
-    """The changing state of an authority, private keys aside; one file, so changes are atomic.
+    """The state of an authority that changes, without private keys: one file, replaced whole."""
 
-    `master`: the secret from which the answer secrets of robots derive. `days`: the life of new
-    certificates. `revoked`: by removed name, the end of its last certificate in s since 1970.
-    """
-
-    master: bytes
-    days: float
+    master: bytes  # the secret from which the answer secrets of robots derive
+    days: float  # the life of new certificates
     now: Generation
-    past: tuple[Generation, ...] = ()
-    issued: dict[str, IssueRecord] = {}
-    revoked: dict[str, int] = {}
+    past: tuple[Generation, ...] = ()  # the newest is the last
+    issued: dict[str, IssueRecord] = {}  # by name
+    revoked: dict[str, int] = {}  # by removed name, the end of its last certificate, s since 1970
 
 
 class Authority:
     """The authority in `folder`; `create` makes a new authority. ConfigError if it is unreadable.
 
-    Several processes may change an authority: each change is locked, and continues from the last
-    change of any process. `roster`: the roster that this process read or made last.
+    Several processes may change an authority: each change takes a lock, and reads the state that
+    the last change has written. `roster`: the roster that this process read or made last.
     """
 
     def __init__(self, folder: Path, passphrase: bytes | None = None) -> None:
@@ -100,13 +92,14 @@ class Authority:
     def create(
         cls, folder: Path, swarm: str, passphrase: bytes | None = None, *, days: float = DAYS
     ) -> Authority:
-        """Make an authority with an empty roster; `change` adds names.
+        """Make an authority in a new folder, with an empty roster; `change` adds names.
 
         The passphrase encrypts the private keys of the authority and of the names in its folder.
         Without a passphrase these keys are not encrypted. The secrets of datagrams in the file
         STATE are never encrypted: only mode 0600 protects them. `days`: the life of new
         certificates. ConfigError if the folder exists.
         """
+        # 1. The folder, and a certificate that the authority signs itself.
         check_id(swarm, "swarm")
         try:
             folder.mkdir(parents=True, mode=0o700)
@@ -120,6 +113,8 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .sign(key, hashes.SHA256())
         )
+
+        # 2. An empty roster, and the secret of its generation.
         secret = os.urandom(datagram_keys.SECRET_BYTES)
         roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
         content = encode_roster(roster)
@@ -127,6 +122,8 @@ class Authority:
         state = AuthorityState(
             master=os.urandom(datagram_keys.SECRET_BYTES), days=days, now=Generation(secret, signed)
         )
+
+        # 3. The files. KEY is written last.
         write_private(folder / STATE, msgspec.msgpack.encode(state))
         write_private(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM))
         write_private(folder / KEY, pem_of(key, passphrase))
@@ -137,70 +134,93 @@ class Authority:
     ) -> Roster:
         """Write the next generation of the roster, with a new secret for datagrams.
 
-        ConfigError for an added name that is on the roster, or a removed name that is not.
-        ConfigError also for an added name with a revoked certificate that has not ended: that
-        certificate would be valid again.
+        ConfigError for an added name that is on the roster, and for a removed name that the roster
+        lacks. ConfigError also for an added name with a revoked certificate that has not ended:
+        this certificate would be valid again.
         """
         with self._locked():
             self._state, self.roster = self._read_state()
             return self._change(dict(add or {}), remove)
 
     def _change(self, add: dict[str, Role], remove: Collection[str]) -> Roster:
+        """As `change`, with the lock held and the present state read."""
+        # 1. The roster of the next generation, with a new secret for datagrams.
+        self._check_change(add, remove)
+        self._remove_keys(add)  # the keys of an earlier holder of the name
+        secret = os.urandom(datagram_keys.SECRET_BYTES)
         old = self.roster
+        roles = {name: old.role_of(name) for name in old.names if name not in remove} | add
+        roster = self._next_roster(roles, secret)
+        content = encode_roster(roster)
+        signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
+
+        # 2. The state: the certificates of removed names count as revoked until they end.
+        issued, state = dict(self._state.issued), self._state
+        newly_revoked = {name: issued.pop(name).expires for name in remove if name in issued}
+        revoked = {name: end for name, end in state.revoked.items() if name not in add}
+        past = (*state.past, state.now)[-MAX_PAST:]
+        now = Generation(secret, signed)
+        self._store(
+            replace(state, now=now, past=past, issued=issued, revoked=revoked | newly_revoked)
+        )
+        self._remove_keys(remove)
+        self.roster = roster
+        return roster
+
+    def _check_change(self, add: Collection[str], remove: Collection[str]) -> None:
+        """Raise ConfigError as `change`."""
+        roster = self.roster
         for name in add:
             check_id(name, "name")
-            if old.role_of(name) is not None:
-                raise ConfigError(f"{name} is on the roster already, as {old.role_of(name)}")
-            if (ends := self._state.revoked.get(name, 0)) > _now().timestamp():
-                day = datetime.datetime.fromtimestamp(ends, datetime.UTC).date()
+            if roster.role_of(name) is not None:
+                raise ConfigError(f"{name} is on the roster already, as {roster.role_of(name)}")
+            expires = self._state.revoked.get(name, 0)
+            if expires > _now().timestamp():
+                day = datetime.datetime.fromtimestamp(expires, datetime.UTC).date()
                 raise ConfigError(
                     f"{name} was revoked, and its last certificate ends on {day}; take another name"
                 )
         for name in remove:
-            if old.role_of(name) is None:
-                raise ConfigError(f"{name} is not on the roster of {old.swarm}")
-        self._remove_keys(add)  # the keys of an earlier holder of the name
-        kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
-        operators = [name for name, role in kept.items() if role is Role.OPERATOR]
-        secret = os.urandom(datagram_keys.SECRET_BYTES)
-        generation = old.generation + 1
-        viewers = tuple(name for name, role in kept.items() if role is Role.VIEWER)
-        readers = {
+            if roster.role_of(name) is None:
+                raise ConfigError(f"{name} is not on the roster of {roster.swarm}")
+
+    def _next_roster(self, roles: Mapping[str, Role | None], secret: bytes) -> Roster:
+        """The roster of the next generation with these names and roles.
+
+        The roster has digests of the secret, and of the datagram keys of each operator and viewer:
+        robots may hand over secret and keys, and the receiver compares the digests.
+        """
+        old, generation = self.roster, self.roster.generation + 1
+        operators = [name for name, role in roles.items() if role is Role.OPERATOR]
+        viewers = tuple(name for name, role in roles.items() if role is Role.VIEWER)
+        reader_keys = {
             name: datagram_keys.reader_keys(
                 generation, secret, name, is_operator=name in operators, answers={}
             )
             for name in (*operators, *viewers)
         }
-        roster = Roster(
+        return Roster(
             swarm=old.swarm,
             generation=generation,
-            robots=tuple(name for name, role in kept.items() if role is Role.ROBOT),
+            robots=tuple(name for name, role in roles.items() if role is Role.ROBOT),
             operators={
                 name: old.operators.get(name) or public_bytes(self._key_of(name).public_key())
                 for name in operators
             },
             viewers=viewers,
             secret_digest=digest_of(secret),
-            readers={name: datagram_keys.reader_digest(keys) for name, keys in readers.items()},
+            readers={name: datagram_keys.reader_digest(keys) for name, keys in reader_keys.items()},
         )
-        content = encode_roster(roster)
-        signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
-        issued, state = dict(self._state.issued), self._state
-        ended = {name: issued.pop(name).expires for name in remove if name in issued}
-        revoked = {name: end for name, end in state.revoked.items() if name not in add} | ended
-        past = (*state.past, state.now)[-MAX_PAST:]
-        now = Generation(secret, signed)
-        self._store(replace(state, now=now, past=past, issued=issued, revoked=revoked))
-        self._remove_keys(remove)
-        self.roster = roster
-        return roster
 
     def issue(self, name: str, *, days: float | None = None, is_recorded: bool = True) -> Issued:
-        """A new identity (certificate, key, roster) for a name of the roster.
+        """Make a new identity (certificate, private key, roster) for a name of the roster.
 
-        `is_recorded` False: the certificate may not reach the name; the caller calls `note_issued`
-        once it does.
+        `days`: the life of the certificate; None: the life that the authority's state names. With
+        `is_recorded` the authority records the end of the certificate. False: the certificate may
+        not reach the name, and the caller calls `note_issued` once it does. ConfigError if the
+        roster lacks the name.
         """
+        # 1. The certificate, for both ends of a TLS link.
         days = self._state.days if days is None else days
         role = self.roster.role_of(name)
         if role is None:
@@ -217,6 +237,8 @@ class Authority:
             .add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
             .sign(self._key, hashes.SHA256())
         )
+
+        # 2. The identity. Its private key is not encrypted: a daemon cannot ask for a passphrase.
         issued = Issued(
             info=IdentityInfo(
                 swarm=self.roster.swarm,
@@ -258,15 +280,15 @@ class Authority:
         own = self.roster.generation
         with self._locked():
             state, _ = self._read_state()
-            known = ((name, state.issued[name]) for name in names if name in state.issued)
+            present = {name: state.issued[name] for name in names if name in state.issued}
             records = {
                 name: IssueRecord(record.expires, max(record.generation, own))
-                for name, record in known
+                for name, record in present.items()
             }
             self._note(state, records)
 
     def roster_of(self, name: str, generation: int) -> RosterFile | None:
-        """Roster and keys of a name at an earlier generation; None if no longer kept."""
+        """Roster and keys of a name at an earlier generation; None if these are dropped by now."""
         for state in (self._state.now, *reversed(self._state.past)):
             roster = read_roster(state.roster, self.public_key)
             if roster.generation == generation:

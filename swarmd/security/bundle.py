@@ -1,8 +1,8 @@
 """A bundle: one file with an identity and the settings of its swarm, for transfer to a machine.
 
-Layout: a line of text with the format, the SHA-256 digest of the rest, and the rest as msgpack. The
-digest detects damage. A bundle contains a private key, and is as secret as that key. A bundle
-contains no file names: an installation writes only files of fixed names.
+Layout: a line of text with the format, the SHA-256 digest of the body, and the body as msgpack. The
+digest detects damage. A bundle contains a private key, and must be kept as secret as that key. A
+bundle contains no file names: an installation writes only files of fixed names.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from swarmd.security.identity import Issued, write_private
 from swarmd.security.roster import Roster, read_roster
 
 FORMAT = b"swarmd bundle 1\n"
+_FORMAT_PREFIX = b"swarmd bundle "  # of the bundles of all versions
 MAX_BUNDLE = 1024 * 1024
 SUFFIX = ".bundle"
 _DIGEST_BYTES = 32
@@ -53,22 +54,25 @@ def pack_bundle(bundle: Bundle) -> bytes:
 
 
 def unpack_bundle(data: bytes) -> OpenedBundle:
-    """Decode a bundle, and check digest, roster, name, role and generation of the keys.
+    """Decode the content of a bundle's file, and check that its parts belong together.
 
-    The authority that the bundle names must have signed the roster. CodecError in one line if a
-    check fails, or if `data` is no bundle of this format.
+    A bundle is a line with the format, the SHA-256 of the rest, and an identity with its roster.
+    The authority that the bundle names must have signed the roster; the roster must have the name
+    in the same role. CodecError in one line if a check fails, or if `data` is no such bundle.
     """
+    # 1. Format and digest.
     if len(data) > MAX_BUNDLE:
         raise CodecError(f"more than {MAX_BUNDLE} bytes: not a bundle")
-    line, _, _ = data[:64].partition(b"\n")
     if not data.startswith(FORMAT):
-        if line.startswith(FORMAT[:14]):
+        if data.startswith(_FORMAT_PREFIX):
             raise CodecError("a bundle of another format; install with the swarmd that made it")
         raise CodecError("not a bundle; make one with `swarmctl keys bundle`")
     digest = data[len(FORMAT) : len(FORMAT) + _DIGEST_BYTES]
     body = data[len(FORMAT) + _DIGEST_BYTES :]
     if hashlib.sha256(body).digest() != digest:
         raise CodecError("damaged or cut short; copy it again")
+
+    # 2. Roster, name, role, and generation of the keys.
     bundle = decode(_bundle, body, "a bundle")
     info = bundle.info
     roster = read_roster(bundle.roster.roster, info.authority)

@@ -28,8 +28,9 @@ class CertificateFacts:
 def check_certificate(certificate: Path, key: Path, authority: Path) -> CertificateFacts:
     """Read a certificate, and verify its key and the signature of the authority.
 
-    The check is a TLS handshake in memory, as between the ends of a link. ConfigError in one line
-    if key, certificate and authority do not match. The wall clock must lie within the life of the
+    `certificate`, `key`, `authority`: PEM files. The check is a TLS handshake in memory, as between
+    the ends of a link: the server has certificate and key, the client trusts the authority.
+    ConfigError in one line if they do not match. The wall clock must lie within the life of the
     authority: not before 1970, not after its end.
     """
     import ssl
@@ -48,10 +49,10 @@ def check_certificate(certificate: Path, key: Path, authority: Path) -> Certific
         )
     except OSError as error:
         raise ConfigError(f"{certificate}: {error.strerror}") from error
+    # `ssl` gives the subject as a tuple of groups, each a tuple of (key, value).
     subject = dict(pair for group in peer["subject"] for pair in group)
-    return CertificateFacts(
-        str(subject.get("commonName", "")), int(ssl.cert_time_to_seconds(str(peer["notAfter"])))
-    )
+    expires = ssl.cert_time_to_seconds(str(peer["notAfter"]))
+    return CertificateFacts(name=str(subject.get("commonName", "")), expires=int(expires))
 
 
 def _no_passphrase() -> str:

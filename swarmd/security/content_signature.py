@@ -1,10 +1,10 @@
 """Signatures of goals, manifests of pushed patterns and rosters: ECDSA with P-256 and SHA-256.
 
 FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The same private key also signs TLS
-handshakes (operator) or certificates (authority). So the signed bytes begin with the purpose, and
-no signature of one kind is valid as a signature of another kind. For each signature (r, s) the pair
-(r, n - s) satisfies the equation, too. Only the smaller s is accepted: nobody can make a second
-signature of the same content without the key.
+handshakes (operator) or certificates (authority). So the signed bytes begin with the purpose, and a
+signature of one kind is not valid as a signature of another kind. For each signature (r, s) the
+pair (r, n - s) satisfies the equation, too. Only the pair with the smaller s is accepted: without
+the private key no second signature of the same content can be made.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """The symmetric keys that sign datagrams, and their derivation from the swarm's secrets. Pure.
 
-Beacons and messages are too frequent for asymmetric signatures. A symmetric key therefore signs for
-a class of readers. A reader can verify with this key, and could also forge a signature, but only
-towards readers of the same class.
+Beacons and messages are too frequent for asymmetric signatures. So datagrams are signed with
+symmetric keys, one key for each class of receivers: robots, operators, viewers. A receiver verifies
+with the key of its class. It could also forge a signature with this key, but only towards
+receivers of the same class.
 
 1. A robot signs each datagram to all three times: for robots, for operators and for viewers.
 2. An operator or viewer signs with the key of its own name.
-3. A robot signs its answer to an operator or viewer with the key of this pair.
+3. A robot signs its answer to an operator or viewer with the key that the two share.
 
 Keys are derived by keyed BLAKE2b (RFC 7693) from the swarm's secret and from a secret of each
 robot. The swarm's secret changes with each generation of the roster, and only robots have it.
@@ -30,9 +31,11 @@ Secret = Annotated[bytes, Meta(max_length=SECRET_BYTES)]
 class DatagramKeys(Struct, frozen=True, kw_only=True):
     """The keys of a name at one generation of the roster; a key that its role lacks is empty.
 
-    `secret`: the swarm's secret, for robots. `robots`, `operators`, `viewers`: the keys of the
-    three classes. `own`: the key with which an operator or viewer signs. `answer_secret`: the
-    secret of this robot. `answers`: by robot, the key of the pair with this operator or viewer.
+    `secret`: the swarm's secret, which only robots have. `robots`, `operators`, `viewers`: the keys
+    of the three classes of receivers. `own`: the key with which an operator or viewer signs.
+    `answer_secret`: a robot's secret, from which it derives the keys that it shares with operators
+    and viewers. `answers`: of an operator or viewer, by robot, the key that it shares with the
+    robot.
     """
 
     generation: int

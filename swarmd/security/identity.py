@@ -27,6 +27,7 @@ CERTIFICATE = "certificate.pem"
 KEY = "key.pem"
 AUTHORITY, ROSTER = "authority.pem", "roster"
 SYSTEM_FOLDER = Path("/etc/swarmd/identities")
+_MODE_OF_OTHERS = 0o077  # permissions of group and others
 Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
 
 
@@ -133,10 +134,10 @@ def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identi
 def choose_identity(
     swarm: str, folder: Path | None, *, insecure: bool, environ: Mapping[str, str] = os.environ
 ) -> Identity | None:
-    """The identity in `folder`, else the installed identity for the swarm.
+    """The identity in `folder`; `folder` None: the installed identity for the swarm.
 
-    None without an identity, or if `insecure`. ConfigError in one line if the identity cannot be
-    read, or belongs to another swarm.
+    None if no identity is installed, or with `insecure`. ConfigError in one line if the identity
+    cannot be read, or belongs to another swarm.
     """
     if insecure and folder is not None:
         raise ConfigError("identity and insecure exclude each other; give one of them")
@@ -161,7 +162,11 @@ def check_asker(identity: Identity | None) -> None:
 
 
 def load_identity(folder: Path) -> Identity:
-    """The identity in a folder. ConfigError in one line if it is incomplete, damaged or public."""
+    """Read the identity (certificate, private key, roster, datagram keys) in a folder.
+
+    ConfigError in one line if a file is missing or damaged, if files do not belong together, or if
+    other users can read the private key or the roster's file, which has datagram keys.
+    """
     try:
         info = msgspec.json.decode(_read(folder / INFO), type=IdentityInfo)
         stored = msgspec.msgpack.decode(_read(folder / ROSTER), type=RosterFile)
@@ -173,7 +178,7 @@ def load_identity(folder: Path) -> Identity:
         open_to_others = [
             folder / name
             for name in (KEY, ROSTER)
-            if stat.S_IMODE((folder / name).stat().st_mode) & 0o077
+            if stat.S_IMODE((folder / name).stat().st_mode) & _MODE_OF_OTHERS
         ]
     except OSError as error:
         raise ConfigError(f"identity {folder}: {error.strerror}: {error.filename}") from error
@@ -191,8 +196,8 @@ def load_identity(folder: Path) -> Identity:
 def _read(path: Path) -> bytes:
     """The content of a file. OSError for a device or a pipe, whose content may never end.
 
-    As root, a link is followed only in a folder that root owns: another account could make a link
-    to any file.
+    If this process runs as root, a symbolic link is followed only in a folder that root owns:
+    another account could make a link to any file.
     """
     is_foreign = os.geteuid() == 0 and path.parent.stat().st_uid != 0
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (os.O_NOFOLLOW if is_foreign else 0)

@@ -52,35 +52,42 @@ def installed(folder: Path) -> Identity | None:
 
 @contextmanager
 def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
-    """Replace the identity in `folder`; an error in the block restores the old identity.
+    """A context manager that replaces the identity in `folder` by the identity of a bundle.
 
-    Key and certificate are checked before anything is replaced. If `folder` is a link, the link is
-    replaced and not followed. ConfigError, OSError.
+    The block gets the new identity; an error in the block restores the old identity. The new
+    identity is written beside `folder` and checked before the old identity is moved. If `folder` is
+    a symbolic link, the link itself is replaced. ConfigError if certificate and key do not match,
+    OSError if a file cannot be written.
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
-    is_in_place = False
+    is_old_moved = False
     try:
+        # 1. Restore the identity of an installation that was interrupted; remove other remains.
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        if backup.exists() and not folder.exists():  # an earlier installation was interrupted
+        if backup.exists() and not folder.exists():
             backup.rename(folder)
         for leftover in (draft, backup):
             remove_whole(leftover)
+
+        # 2. Write and check the new identity.
         draft.mkdir(mode=0o700)
         opened.bundle.write(draft)
         checked = load_identity(draft)
         facts = check_certificate(checked.certificate, checked.key, checked.authority)
         if (facts.name, facts.expires) != (checked.name, checked.info.expires):
             raise ConfigError(f"the certificate of the bundle is of {facts.name}; make a new one")
+
+        # 3. Put the new identity in place of the old identity.
         if os.path.lexists(folder):
             folder.rename(backup)
-        is_in_place = True
+        is_old_moved = True
         draft.rename(folder)
         sync_folder(folder.parent)
         yield load_identity(folder)
     except BaseException:
         remove_whole(draft)
-        if is_in_place:
+        if is_old_moved:
             remove_whole(folder)
             with suppress(FileNotFoundError):
                 backup.rename(folder)

@@ -1,7 +1,7 @@
 """The roster: the names of a swarm with their roles, signed by its certificate authority. Pure.
 
-A roster has a generation. A roster of a greater generation replaces one of a smaller generation,
-never the reverse. `content_signature.py` has the signature.
+A roster has a generation. A roster of a greater generation replaces a roster of a smaller
+generation, never the reverse. `content_signature.py` makes and verifies the signature.
 """
 
 from __future__ import annotations
@@ -40,11 +40,12 @@ class Role(StrEnum):
 
 
 class Roster(Struct, frozen=True, kw_only=True):
-    """The names of a swarm. `operators`: with their public keys, for goals and pushed patterns.
+    """The names of a swarm with their roles.
 
+    `operators`: by name, the public key that verifies the operator's goals and pushed patterns.
     `secret_digest`: SHA-256 of the secret from which the datagram keys derive. `readers`: by
-    operator and viewer, the `reader_digest` of its keys. By this digest a name detects keys that
-    were changed by the robot that hands them over.
+    operator and viewer, the `reader_digest` of its datagram keys. A robot may hand these keys over;
+    the digest shows whether the robot has changed them.
     """
 
     swarm: Id

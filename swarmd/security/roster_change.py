@@ -1,8 +1,9 @@
 """Takes a roster, or a renewed certificate, into an installed identity.
 
-Rosters and certificates are checked only against the authority; any sender may hand them over. A
-smaller generation never replaces a greater generation. The pair key of an operator or viewer with a
-robot is not on the roster: it comes from the authority, in a bundle, or from that robot.
+Rosters and certificates are checked only against the authority's key, so that any robot or operator
+may hand them over. A roster of a smaller generation never replaces a roster of a greater
+generation. A *pair key* is the key that an operator or viewer shares with a robot. It is not on the
+roster: it comes from the authority, in a bundle, or from that robot.
 """
 
 from __future__ import annotations
@@ -73,50 +74,56 @@ def is_revoked(identity: Identity) -> bool:
 def take_roster(
     identity: Identity, shared: SharedRoster, certificate: bytes = b"", *, giver: str = ""
 ) -> TakenRoster:
-    """Check a roster and a certificate, and write them into the identity's folder.
+    """Check a roster and a renewed certificate, and write them into the identity's folder.
 
-    `giver`: the robot that handed the roster over, as its link has proved. An operator or viewer
-    takes from this robot only the pair key with this robot. If the disk cannot be written, the
-    roster counts in memory all the same (`TakenRoster.fault`). CodecError if the roster is not
-    signed by the authority, is of another swarm, or is older. ConfigError if the certificate does
-    not match. Takes about 20 ms and writes to disk.
+    `certificate`: PEM; empty: the present certificate stays. `giver`: the robot that handed the
+    roster over, as its link has proved. An operator or viewer takes from this robot only the pair
+    key that it shares with this robot. If the disk cannot be written, the returned identity has the
+    roster all the same, and `TakenRoster.fault` says why. CodecError if the authority has not
+    signed the roster, or the roster is of another swarm, or older. ConfigError if the certificate
+    does not match. Takes about 20 ms and writes to disk.
     """
+    # 1. Check the roster.
     roster = read_roster(shared.roster, identity.info.authority)
     signed = same_bytes(shared.roster, identity.signed_roster)
     if roster.swarm != identity.info.swarm:
         raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
-    own = identity.roster.generation
-    if roster.generation < own:
-        raise CodecError(f"a roster of generation {roster.generation}; it has generation {own}")
-    if roster.generation == own and signed != identity.signed_roster:
-        raise CodecError(f"another roster of generation {own}: its authority was an older copy")
-    is_newer = roster.generation > own
+    present = identity.roster.generation
+    if roster.generation < present:
+        raise CodecError(f"a roster of generation {roster.generation}; it has generation {present}")
+    if roster.generation == present and signed != identity.signed_roster:
+        raise CodecError(f"another roster of generation {present}: its authority was an older copy")
+    is_newer = roster.generation > present
     keys = _keys_of(identity, roster, shared, giver) if is_newer else identity.datagram_keys
-    words = [f"generation {roster.generation} of the roster"]
+    changes = [f"generation {roster.generation} of the roster"]  # for the user
     fault = ""
     is_renewed = False
     taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
+
+    # 2. Take the certificate, unless it ends before the present certificate.
     if certificate and certificate != identity.certificate.read_bytes():
         try:
             renewed = take_certificate(identity, certificate)
             if renewed is None:
-                words.append("its certificate ends later than the certificate that was sent")
+                changes.append("its certificate ends later than the certificate that was sent")
             else:
                 taken, is_renewed = replace(taken, info=renewed.info), True
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
+
+    # 3. Write the roster.
     try:
         if load_identity(identity.folder).signed_roster != signed:
             write_roster(identity.folder, RosterFile(signed, keys))
     except OSError as error:
         fault = f"in memory only: {error.strerror}"
     if is_revoked(taken):
-        words.append(f"{identity.name} is no longer on it")
+        changes.append(f"{identity.name} is no longer on it")
     if is_renewed:
-        words.append("a new certificate")
+        changes.append("a new certificate")
     if fault:
-        words.append(fault)
-    return TakenRoster(taken, is_renewed or is_newer, ", ".join(words), fault)
+        changes.append(fault)
+    return TakenRoster(taken, is_renewed or is_newer, ", ".join(changes), fault)
 
 
 def read_shared(data: bytes) -> SharedRoster:
@@ -127,10 +134,11 @@ def read_shared(data: bytes) -> SharedRoster:
 
 
 def share_roster(identity: Identity, asker: str) -> bytes | None:
-    """The bytes that the robot `identity` hands to `asker`, whose name the link has proved.
+    """The encoded `SharedRoster` that the robot `identity` hands to `asker`.
 
-    A robot gets the swarm's secret. An operator or viewer gets its own keys, and of its pair keys
-    only the key with this robot. None for a name that is not on the roster.
+    `asker`: the name that the asker's link has proved. A robot gets roster and secret of the swarm.
+    An operator or viewer gets the roster, its own datagram keys, and the key that it shares with
+    this robot. None if the roster lacks the asker, or lacks this robot.
     """
     keys, role = identity.datagram_keys, identity.roster.role_of(asker)
     if role is None or is_revoked(identity):
@@ -150,9 +158,10 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
 
 
 def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
-    """Add pair keys with robots to the identity, and write them; each robot sent its own key.
+    """Add keys that robots share with this identity, and write them; each robot sent its own key.
 
-    Keys that cannot be written to disk are asked for again after a restart.
+    `answers`: the keys by robot. Keys that cannot be written to disk are pulled again after a
+    restart.
     """
     keys = _with_answers(identity.datagram_keys, identity.roster, answers)
     try:
@@ -195,11 +204,11 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
 
 
 def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:
-    """Check a certificate against key and authority, and replace the identity's certificate.
+    """Check a certificate (PEM) against key and authority, and replace the identity's certificate.
 
-    None, and no change, if the certificate ends before the present certificate: an old certificate
-    that is sent again would end the links of a robot early. ConfigError if the certificate does not
-    match.
+    Returns the identity with the new certificate. Changes nothing and returns None if the
+    certificate ends before the present certificate: an old certificate that is sent again would end
+    the links of a robot early. ConfigError if the certificate does not match.
     """
     draft = identity.folder / f".{CERTIFICATE}.new"
     try:

@@ -1,6 +1,6 @@
 """Contexts of an operator: named sets of network options; `swarmctl` uses the chosen context.
 
-They are in `contexts.yaml` in the folder of the user's configuration::
+The file `contexts.yaml`, in the folder of the user's configuration, holds the contexts::
 
     use: meadow
     contexts:

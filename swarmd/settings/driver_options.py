@@ -35,10 +35,10 @@ Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
 class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The options common to all drivers.
 
-    - `command_timeout`: how the base stops when commands end. `base`: the base stops by itself. A
-      number: the base stops by itself after this many s. `none`: the base never stops, so the
+    - `command_timeout`: how the base stops when commands cease. `base`: the base stops by itself.
+      A number: the base stops by itself after this many s. `none`: the base never stops, so the
       watchdog sends zero. The default is `none`, and `base` for a simulated driver. A number below
-      the true timeout of the base is wrong: after the end of its daemon the robot drives on for
+      the true timeout of the base is dangerous: after the end of its daemon the robot drives on for
       longer than assumed.
     - `idle_output`: `zeros` sends zero to an idle robot at every tick. `silent` sends no command to
       an idle robot, so that a joystick can drive; then nothing stops the robot.

@@ -48,10 +48,12 @@ class DraftedFile:
 def swarm_settings(
     swarm: str, config: Path | None, overrides: Mapping[str, object]
 ) -> dict[str, Any]:
-    """The checked keys of swarm.yaml for a swarm. ConfigError names the source of a wrong key.
+    """The keys of a swarm.yaml, checked, for the bundles of a swarm.
 
+    `config`: the file; None: no file. `overrides`: values that replace values of the file. The key
     `roster` is left out, since the signed roster of an identity has the names. `identity` and
-    `insecure` are left out, since they belong to a single machine.
+    `insecure` are left out, since they hold for a single machine. ConfigError names the source of a
+    wrong key.
     """
     given = {key: value for key, value in overrides.items() if value}
     sources: list[tuple[str, Mapping[str, Any]]] = [("command line", {"swarm": swarm, **given})]

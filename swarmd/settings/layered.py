@@ -55,11 +55,11 @@ class Layered:
 
 
 def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fault]]:
-    """Read `data` as the type `kind`; returns the value, and all faults in the order of the data.
+    """Convert `data` (from YAML) to the type `kind`; returns the value, and all faults in order.
 
-    In a union of structs, the struct is read whose tag is a key of the data. Faulty items of lists
-    and mappings are left out, and faulty fields of the outermost struct. An inner struct with a
-    faulty field is left out as a whole. The value is None if nothing is left.
+    For a union of structs, the struct whose tag is a key of the data is taken. Left out are faulty
+    items of lists and mappings, faulty fields of the outermost struct, and inner structs with a
+    faulty field. The value is None if nothing is left. `check` yields further faults of a struct.
     """
     reader = _Reader(check)
     is_struct = isinstance(data, dict) and _is_struct(kind)
@@ -240,6 +240,11 @@ def _wanted(kind: Any, value: object) -> str:
 
 
 def _described(node: inspect.Type) -> str:
+    """The type of a key in words, for messages such as "expected a number of at least 0".
+
+    `node`: the type by msgspec's inspection. A description in the type's `extra_json_schema`
+    replaces these words.
+    """
     match node:
         case inspect.Metadata():
             return str((node.extra_json_schema or {}).get("description") or _described(node.type))
@@ -256,13 +261,13 @@ def _described(node: inspect.Type) -> str:
         case inspect.LiteralType():
             return " or ".join(map(str, node.values))
         case inspect.UnionType():
-            types = list(node.types)
-            words = ["a number, text, true or false"] if set(map(type, types)) >= _SCALARS else []
-            others = [kind for kind in types if not words or type(kind) not in _SCALARS]
-            others.sort(
-                key=lambda kind: isinstance(kind, inspect.ListType)
-            )  # its items end the text
-            return " or ".join(dict.fromkeys([*words, *map(_described, others)]))
+            # All scalar types together get one text. A list comes last: its items end the text.
+            arms = sorted(node.types, key=lambda arm: isinstance(arm, inspect.ListType))
+            texts = []
+            if {type(arm) for arm in arms} >= _SCALARS:
+                texts.append("a number, text, true or false")
+                arms = [arm for arm in arms if type(arm) not in _SCALARS]
+            return " or ".join(dict.fromkeys([*texts, *map(_described, arms)]))
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"
         case inspect.ListType() | inspect.VarTupleType():

@@ -40,10 +40,10 @@ Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
 
 
 class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The limits of the base, m/s and rad/s; commands are clipped to them.
+    """The limits of the base, m/s and rad/s, to which commands are clipped.
 
-    Above what the base can do, protection assumes turns and brakes that do not come. `lateral`:
-    0 for a base that cannot move sideways.
+    A limit above the true limit of the base is dangerous: protection then assumes turns and brakes
+    that the base cannot do. `lateral`: 0 for a base that cannot move sideways.
     """
 
     linear: Annotated[float, Meta(gt=0.0, le=20.0)]
@@ -55,8 +55,9 @@ class SweepSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """How a rotating sensor measures its rays one after the other.
 
     - `start_deg`: bearing at which a scan begins.
-    - `direction`: in which the sensor turns, seen from above: ccw (counter-clockwise) or cw.
-    - `duration`: s of one scan; None: the scan period. Wrong: obstacles are shifted in a turn.
+    - `direction`: the sense of rotation seen from above: ccw (counter-clockwise) or cw.
+    - `duration`: s of one scan; None: the scan period. A wrong value shifts obstacles while the
+      robot turns.
     """
 
     start_deg: Bearing = 0.0
@@ -67,22 +68,22 @@ class SweepSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The range sensor.
 
-    - `rays`: their number, spread evenly over 360 degrees.
-    - `bearings_deg`: instead of `rays` the bearing of each ray.
-    - `rate`: scans a second (Hz). Too high: the robot is held, as its scans count as too old.
+    - `rays`: the number of rays, spread evenly over 360 degrees.
+    - `bearings_deg`: instead of `rays`, the bearing of each ray.
+    - `rate`: scans a second (Hz). If it is too high, scans count as too old and the robot is held.
     - `range_min`, `range_max`: the ranges in m that the sensor measures.
-    - `first_bearing_deg`: bearing of the first ray. Wrong: every obstacle is turned.
-    - `offset`: its position from the axle, m. Wrong: obstacles are nearer than assumed.
+    - `first_bearing_deg`: bearing of the first ray. A wrong value turns every obstacle.
+    - `offset`: position (x, y) of the sensor from the axle, m. A wrong value shifts obstacles.
     - `zero`: the meaning of a range of 0.
-    - `noisy`: two equal scans mean a frozen sensor. False if equal scans are normal.
-    - `max_gap_deg`: the widest unknown sector that is bridged. Wider: a larger object can stand in
-      it unseen. Narrower: more scans are invalid, which holds the robot.
+    - `noisy`: True: two equal scans mean a frozen sensor. False: equal scans are normal.
+    - `max_gap_deg`: the widest sector without valid rays that is bridged. With a greater value a
+      larger object can stand there unseen. With a smaller value more scans are invalid, and an
+      invalid scan holds the robot.
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
-      rotating lidar. Too low: protection acts on where obstacles were.
-    - `sweep`: how a rotating sensor turns. None: the sensor measures all rays at once. measured:
-      the robot measures the sweep while turning, and until then takes each ray for as old as the
-      oldest.
+      rotating lidar. With too low a value protection acts on earlier places of obstacles.
+    - `sweep`: how a rotating sensor turns. None: the sensor measures all rays at once. `measured`:
+      the robot measures the sweep while turning; until then each ray counts as old as the oldest.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -101,11 +102,13 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Heights above the floor in m, from which robots know whether they see each other.
+    """Heights above the floor in m, which show whether the scans of robots see each other.
 
-    - `scan_plane`: of the rays. Wrong: a robot that is not seen counts as seen, and is hit.
-    - `lowest`, `highest`: a level plane between them meets an opaque part of the robot from every
-      side (wheels do not count). Too far apart: other robots expect to see this robot, and hit it.
+    - `scan_plane`: height of the rays. With a wrong value a robot that is not seen counts as seen,
+      and may be hit.
+    - `lowest`, `highest`: rays at any height between these meet an opaque part of this robot from
+      every side (wheels do not count). If they are too far apart, other robots expect to see this
+      robot, and may hit it.
     """
 
     scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
@@ -114,10 +117,11 @@ class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The protection mode and the settings of each; `preset` names one of the potential field.
+    """The protection mode, and the settings of each mode.
 
-    - `avoidance`: `orca` leads a robot past moving ones, in the modes `barrier` and `stop_zone`.
-      `none`: the robot drives at them until protection or recovery turns it away.
+    - `preset`: which of the `presets` of the potential field holds.
+    - `avoidance`: `orca` leads a robot past moving robots, in the modes `barrier` and `stop_zone`.
+      `none`: the robot drives towards them until protection or recovery turns it away.
     """
 
     mode: Mode = "barrier"
@@ -129,12 +133,13 @@ class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class SensorSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A sensor of the ground, of light or of objects, for the simulated world.
+    """A simulated sensor of the ground, of light or of objects.
 
-    - `at`: its position from the axle, m.
-    - `bearing_deg`: the direction in which it looks; None: all directions, or down, or ahead
-      if the sensor recognises objects.
-    - `field_of_view_deg`, `range`: of a sensor of objects, how wide and how far (m) it sees.
+    - `at`: position of the sensor from the axle, m.
+    - `bearing_deg`: the direction of view. None: all directions or down, and ahead for a sensor
+      that recognises objects.
+    - `field_of_view_deg`, `range`: only for a sensor that recognises objects: the angle and the
+      distance in m that it sees.
     """
 
     at: Point
@@ -149,19 +154,19 @@ Sensors = Annotated[list[SensorSection], Meta(min_length=1, max_length=64)]
 class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of a platform's file.
 
-    - `extends`: a platform or file. This file then holds only the differences.
-    - `ranges`: a ring of further range sensors, for what the lidar does not see, with the keys of
-      `scan`. Without fresh values of the ring the robot is held. None: the ranges of a driver are
-      the scan.
-    - `footprint`: convex outline in m, counter-clockwise. Too small: collisions. Too large: the
-      robot stops earlier and does not fit through gaps that it could pass.
-    - `provides`: what patterns may need. Patterns that need more are refused.
-    - `patterns`: parameters by pattern that override the derived ones.
+    - `extends`: another platform or file. This file then holds only the differences.
+    - `ranges`: a ring of further range sensors, for objects that the lidar does not see, with the
+      keys of `scan`. Without fresh values of the ring the robot is held. None: `ranges` of a driver
+      count as the scan.
+    - `footprint`: convex outline in m, counter-clockwise. If it is too small, the robot collides.
+      If it is too large, the robot stops earlier, and avoids gaps that it could pass.
+    - `provides`: inputs that patterns may need. Patterns that need other inputs are refused.
+    - `patterns`: parameters by pattern, which replace derived values.
     - `drivers`: default options by driver.
-    - `heights`: None: whether this robot and other robots see each other is not known.
+    - `heights`: None: it is not known whether this robot and other robots see each other.
     - `body`: properties of the simulated robot, without effect on a real robot.
-    - `sensors`: in the simulated world, the places of the sensors of a field, by its name, such as
-      `ground`. Without sensors the robot reads a field at its axle. Sensors named `detections`
+    - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
+      the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
     """
 
@@ -257,16 +262,24 @@ def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fau
 
 
 def _check_file(file: PlatformFile) -> Iterator[Fault]:
+    """Yield the faults of a whole platform file: keys that contradict each other.
+
+    Each fault is the path of the wrong key, and a text that begins with the key. A check that needs
+    valid keys ends this function if a key is not valid.
+    """
+    # 1. Drivers and inputs.
     for name, options in file.drivers.items():
         try:
             base_options(cast(Mapping[str, Value], options), f"drivers.{name}")
         except ConfigError as error:
             yield ("drivers", name), str(error)
-    for index, word in enumerate(file.provides):
-        fault = input_fault(word)
+    for index, input_name in enumerate(file.provides):
+        fault = input_fault(input_name)
         if fault:
             yield fault_at(("provides", index), f"names {fault}")
     yield from _check_sensors(file)
+
+    # 2. The outline: all further checks need a convex polygon.
     fault = _shape_fault(file.footprint)
     if fault:
         text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
@@ -274,14 +287,16 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         return
     yield from _check_ranges(file)
     yield from _check_ring(file)
+
+    # 3. Protection of mode barrier: what the mode needs, then the range of the sensor.
     if file.protection.mode == "barrier":
-        lacks = ""
+        missing = ""
         if file.protection.barrier is None:
-            lacks = "protection.barrier; give it others_speed and unseen_extent"
+            missing = "protection.barrier; give it others_speed and unseen_extent"
         elif "odometry" not in file.provides:
-            lacks = "odometry; add it to provides"
-        if lacks:
-            text = f"is barrier, which needs {lacks}, or take another mode"
+            missing = "odometry; add it to provides"
+        if missing:
+            text = f"is barrier, which needs {missing}, or take another mode"
             yield fault_at(("protection", "mode"), text)
             return
     yield from _check_sight(_platform("", file))
@@ -346,31 +361,39 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 
 
 def _check_sight(platform: Platform) -> Iterator[Fault]:
-    """Check that the sensor's rate and range suffice to stop; mode `barrier` gives the range."""
+    """Check that rate and range of the scan sensor suffice to stop before obstacles.
+
+    In mode `barrier` the needed range follows from speed, deceleration and age of scans. The fault
+    of a short range also names the greatest `limits.linear` with which the range suffices.
+    """
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)
     yield from _check_rate(scan, "scan")
     if barrier is None:
         return
 
-    def needed(linear: float) -> float:
-        slower = replace(platform, limits=replace(limits, linear=linear))
-        return BindingRange(slower, barrier, TICK).for_sensor()
+    def needed_range(top_speed: float) -> float:
+        """The range in m that the sensor needs with this `limits.linear` in m/s."""
+        changed = replace(platform, limits=replace(limits, linear=top_speed))
+        return BindingRange(changed, barrier, TICK).for_sensor()
 
-    far = needed(limits.linear)
-    if far <= scan.range_max:
+    needed = needed_range(limits.linear)
+    if needed <= scan.range_max:
         return
+    rounded_up = math.ceil(100.0 * needed) / 100.0
     text = (
-        f"is {scan.range_max:g}; expected at least {math.ceil(100.0 * far) / 100.0:g}, within which"
+        f"is {scan.range_max:g}; expected at least {rounded_up:g}, within which"
         f" the robot stops from limits.linear {limits.linear:g} with braking_linear"
         f" {barrier.braking_linear:g} and others_speed {barrier.others_speed:g} of"
         f" protection.barrier, by scans that are {scan.stale_after:g} s old beyond scan.latency"
         f" {scan.latency:g} (scan.rate {scan.rate:g})"
     )
-    slower = (0.01 * count for count in range(math.ceil(100.0 * limits.linear) - 1, 0, -1))
-    fits = next((linear for linear in slower if needed(linear) <= scan.range_max), None)
-    if fits is not None:
-        text += f"; or limits.linear of at most {fits:.2f}"
+    # Lower speeds in steps of 0.01 m/s, the fastest first.
+    lower_speeds = (0.01 * count for count in range(math.ceil(100.0 * limits.linear) - 1, 0, -1))
+    fitting = (speed for speed in lower_speeds if needed_range(speed) <= scan.range_max)
+    fastest = next(fitting, None)
+    if fastest is not None:
+        text += f"; or limits.linear of at most {fastest:.2f}"
     yield fault_at(("scan", "range_max"), text)
 
 
@@ -395,14 +418,14 @@ def _shape_fault(points: list[Point]) -> str:
 
 def _bearings(scan: ScanSection) -> Array:
     """The bearings of the rays, (n,) rad; read-only, so that readers need no copy."""
-    given = scan.bearings_deg
+    listed = scan.bearings_deg
     first = math.radians(scan.first_bearing_deg)
-    if given is None:
-        rays = scan.rays or 0  # _check_scan: one of the two is set
+    if listed is None:
+        rays = scan.rays or 0  # `_check_scan`: either `rays` or `bearings_deg` is set
         step = 2.0 * math.pi / rays
         bearings = np.array([wrap(first + i * step) for i in range(rays)])
     else:
-        bearings = np.array([wrap(first + math.radians(bearing)) for bearing in given])
+        bearings = np.array([wrap(first + math.radians(bearing)) for bearing in listed])
     bearings.flags.writeable = False
     return bearings
 

@@ -1,7 +1,7 @@
 """The settings of one daemon, read once from files, command line and environment.
 
-Weakest to strongest: defaults, `$SWARM`, the file named by `swarm_file`, the daemon's own file,
-the command line. `provenance` names the source of every key.
+The sources, from weakest to strongest: defaults, `$SWARM`, the file named by `swarm_file`, the
+daemon's own file, the command line. `provenance` names the source of every key.
 """
 
 from __future__ import annotations
@@ -79,10 +79,10 @@ class DaemonSettings:
         return granted_zones(self.touch)
 
     def pattern_layers(self, pattern: str, labels: tuple[str, ...] | None = None) -> Layers:
-        """The configured parameters of a pattern by source, weakest first, without empty sources.
+        """The configured parameters of a pattern, by source, the weakest source first.
 
-        Sources: `platform`, `label <name>` in the order of `labels` (None: the labels of the file),
-        `robot`.
+        Sources: `platform`, then `label <name>` in the order of `labels` (None: the labels in the
+        file), then `robot`. Sources without parameters are left out.
         """
         labelled = self.parameters.labels
         layers = [("platform", self.platform.patterns.get(pattern, {}))]
@@ -97,33 +97,40 @@ class DaemonSettings:
 def load_daemon_settings(
     config: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str] = os.environ
 ) -> DaemonSettings:
-    """The settings from a file (None: no file), `overrides` and the environment.
+    """The settings of a daemon, from overrides, a file and the environment, strongest first.
 
-    `overrides` has the keys of `DaemonFile` and `die_with_parent`; None means not given.
-    ConfigError names source, key, value, what was expected and the nearest valid key.
+    `config`: the file; None: no file. `overrides`: options of the command line, with the keys of
+    `DaemonFile` and `die_with_parent`; None means not given. Raises ConfigError, which names
+    source, key, value, what was expected and the nearest valid key.
     """
+    # 1. Merge the sources.
     given = {key: value for key, value in overrides.items() if value is not None}
     parent = given.pop("die_with_parent", None)
     layers = swarmfile.layered(config, given, environ)
     file = layers.build(swarmfile.DaemonFile, swarmfile.check)
-    near = config.parent if config is not None and "platform" not in given else Path()
-    platform = load_platform(file.platform, near)
+
+    # 2. Platform and identity. A path in the file is relative to the file's folder; an option is
+    # relative to the working folder.
+    folder = Path()
+    if config is not None and "platform" not in given:
+        folder = config.parent
+    platform = load_platform(file.platform, folder)
     identity = swarmfile.identity_of(layers, file, config, environ)
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
-    state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config) or state_folder(
-        environ
-    )
-    recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config) or (
-        state_dir / file.swarm / robot / "recordings"
-    )
+
+    # 3. Folders, and the inputs that the driver's options add.
+    state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
+    state_dir = state_dir or state_folder(environ)
+    recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
+    recordings = recordings or state_dir / file.swarm / robot / "recordings"
     options = _driver_options(platform, file)
-    platform = replace(platform, provides=platform.provides | _read(options))
+    platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
         platform=platform,
-        platform_name=_absolute(file.platform, near),
+        platform_name=_absolute(file.platform, folder),
         driver=file.driver,
         driver_options=options,
         labels=tuple(label for label, robots in file.members.items() if robot in robots),
@@ -184,19 +191,22 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
     return options.data
 
 
-def _read(options: Mapping[str, Value]) -> set[str]:
-    """The additional inputs that a driver with these options provides to patterns."""
+def _inputs_of(options: Mapping[str, Value]) -> set[str]:
+    """The inputs for patterns that a driver with these options provides beside the platform's.
+
+    An entry of `readings` with a list of topics, or with a `count`, gives several sensors.
+    """
     readings = options.get("readings")
-    inputs = {word for word in OPTION_INPUTS if options.get(word)}
+    inputs = {name for name in OPTION_INPUTS if options.get(name)}
     if options.get("shared_pose"):
         inputs.add("pose")
     for name, entry in readings.items() if isinstance(readings, dict) else ():
-        given = entry if isinstance(entry, dict) else {}
-        topic, count = given.get("topic"), given.get("count")
-        several = len(topic) if isinstance(topic, list) else 0
+        reading = entry if isinstance(entry, dict) else {}
+        topic, count = reading.get("topic"), reading.get("count")
+        sensors = len(topic) if isinstance(topic, list) else 0
         if isinstance(count, int):
-            several = count * max(several, 1)
-        inputs |= {f"reading:{sensor}" for sensor in sensor_names(name, several)}
+            sensors = count * max(sensors, 1)
+        inputs |= {f"reading:{sensor}" for sensor in sensor_names(name, sensors)}
     return inputs
 
 

@@ -49,14 +49,14 @@ class ParametersSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What robots are to run.
+    """The goal of a swarm: the pattern that robots run.
 
-    - `pattern`: null: they stand.
-    - `params`: its parameters.
-    - `targets`: names, ranges, globs and labels (`label:red`) of robots; empty: all.
-    - `seconds`, `until`: the run ends after that time, or with the first condition that is met.
-    - `on_join`: what robots do that join later: `offer` waits for `swarmctl resume`, `run` runs it
-      while the goal is younger than `valid` seconds.
+    - `pattern`: the name of the pattern; null: robots stand.
+    - `params`: parameters of the pattern.
+    - `targets`: names, ranges, globs and labels (`label:red`) of robots; empty: all robots.
+    - `seconds`, `until`: the run ends after this time, or with the first condition that is met.
+    - `on_join`: for robots that join later. `offer`: such a robot waits for `swarmctl resume`.
+      `run`: such a robot runs the pattern while the goal is younger than `valid` seconds.
     """
 
     pattern: Name | None = None
@@ -84,18 +84,18 @@ class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of swarm.yaml, which the robots of one swarm share, beside those of the network.
 
-    - `identity`: the folder of the identity, by default that of the user, or of the machine, for
-      this swarm.
-    - `insecure`: without keys, so that anyone on the network can drive the robots.
+    - `identity`: the folder of the identity; by default the folder of the user, or of the machine,
+      for this swarm.
+    - `insecure`: no keys, so that anyone on the network can drive the robots.
     - `roster`: ids of all robots, also ranges such as `tb3-[01-07]`. With a roster an unknown id in
       this file is an error, and missing robots are reported.
     - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`, `accepts_faster`: platforms of which robots may drive beside a robot that
-      does not see them, or that assumes less than their speed, as a list, or as reasons by
-      platform. Such a robot may be driven into.
+    - `accepts_unseen`: platforms whose robots may drive beside a robot that does not see them.
+    - `accepts_faster`: platforms whose robots may drive beside a robot that assumes a lower speed.
+      Each is a list of platforms, or a reason by platform. Robots may collide with such robots.
     """
 
     identity: str | None = None
@@ -126,10 +126,10 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
 class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How a robot records.
 
-    - `from_start`: record as soon as the daemon starts, without `swarmctl record start`.
-    - `folder`: where to, by default `recordings` beside the robot's state.
-    - `keep_bytes`: of all recordings of this robot; the oldest are removed beyond it.
-    - `file_bytes`, `file_seconds`: a new file begins after that size or time.
+    - `from_start`: recording begins when the daemon starts, without `swarmctl record start`.
+    - `folder`: of the recordings; by default `recordings` beside the robot's state.
+    - `keep_bytes`: limit for all recordings of this robot; beyond it the oldest are removed.
+    - `file_bytes`, `file_seconds`: a new file begins after this size or time.
     """
 
     from_start: bool = False
@@ -145,15 +145,16 @@ class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of the file of one daemon: those of swarm.yaml and its own.
+    """The keys of the file of one daemon: the keys of swarm.yaml, and further keys.
 
-    - `swarm_file`: the swarm.yaml to include; keys of this file override it.
-    - `id`: this robot's id, default the host name. Two daemons of one id refuse each other.
+    - `swarm_file`: the swarm.yaml to include; keys of this file replace keys of swarm.yaml.
+    - `id`: this robot's id; by default the host name. A daemon does not start while another daemon
+      has the same id.
     - `platform`, `driver`, `driver_options`: the robot and the connection to its base.
-    - `state_dir`: folder for what survives a restart, such as the estop latch; on a memory disk a
-      reboot clears a latched estop.
+    - `state_dir`: folder for files that must survive a restart, such as the latch of an emergency
+      stop. If it is a memory disk, a reboot clears the emergency stop.
     - `plugin_dir`: folder of patterns and missions of your own.
-    - `recording`: whether the robot records from the start, where to and how much.
+    - `recording`: whether the robot records from the start, to which folder, and how much.
     """
 
     swarm_file: str | None = None
@@ -231,6 +232,11 @@ def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
 
 
 def _check_names(file: DaemonFile) -> Iterator[Fault]:
+    """Yield the faults of robot names and labels: invalid, twice, or not on the roster.
+
+    The words of roster and labels may stand for several robots, such as `tb3-[01-07]`.
+    """
+    # 1. The robot's id and the roster.
     if file.id is not None:
         yield from _check_id(("id",), file.id)
     roster: list[str] = []
@@ -241,6 +247,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             if name in roster:
                 yield ("roster", index), f"roster names {name!r} twice; keep one"
         roster += names
+
+    # 2. Labels.
     for label, robots in file.labels.items():
         yield from _check_id(("labels", label), label)
         if label in roster or label == file.id:
@@ -253,6 +261,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             yield from faults
             for name in names:
                 yield from _check_robot(("labels", label), name, roster)
+
+    # 3. The goal, and the keys of parameters.
     if file.goal is not None:
         yield from _check_goal(file.goal)
     for label in file.parameters.labels:

@@ -1,7 +1,8 @@
 """Reads YAML files strictly; each error is one line with file and line number.
 
-Plain values follow YAML 1.2's core schema. Duplicate keys, keys that are not text, tags, and
-anchors (a file could refer to itself) are refused. `swarmd.settings.layered` checks the values.
+Plain values follow YAML 1.2's core schema. Duplicate keys, keys that are not text, and tags are
+refused, and anchors, with which a file could refer to itself. `swarmd.settings.layered` checks the
+values.
 """
 
 from __future__ import annotations
@@ -46,10 +47,11 @@ def read(path: Path) -> Data:
 
 
 def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
-    """(path, content) of a file, then of the file that it `extends`, and so on.
+    """Read a file, the file that it names by `extends`, and so on.
 
-    A value of an earlier file wins. `find(name, folder)` gives the path of an extended file.
-    ConfigError if a file extends itself or a missing one.
+    Returns (path, content) of each file; a value of an earlier file replaces a value of a later
+    file. `find(name, folder)` returns the path of a file that a file in `folder` extends.
+    ConfigError if a file extends itself, directly or not, or a missing file.
     """
     seen: list[Path] = []
     while True:
@@ -100,10 +102,10 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 
 
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
-    """The data as YAML that `read` reads back unchanged: text such as 08 is quoted.
+    """The data as YAML text that `read` reads back unchanged: text such as 08 is quoted.
 
-    `flow`: True writes all in brackets, None only the innermost lists and mappings. ConfigError for
-    a path that is not UTF-8.
+    `flow`: True: all lists and mappings in brackets; None: only the innermost; False: none.
+    ConfigError for a path that is not UTF-8.
     """
     text: str = yaml.dump(
         data,

@@ -162,7 +162,7 @@ def test_a_seed_may_be_a_name(peers: Peers) -> None:
     found: list[tuple[bytes, Address]] = []
     deadline = time.monotonic() + 20.0
     while not found and time.monotonic() < deadline:
-        b._refresh_at = -1e9  # a look at the name's address is due
+        b._refreshed_at = -1e9  # a look at the name's address is due
         b.send(beacon())
         found += [one[:2] for one in a.receive()]
         time.sleep(0.01)

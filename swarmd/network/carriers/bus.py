@@ -83,10 +83,10 @@ class ZenohQuery:
         return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
-        """Answer; a second call has no effect.
+        """Send `payload` (MessagePack) as the answer; a second call has no effect.
 
-        The answer is JSON if the selector has `_format=json`, since the REST server of `zenohd`
-        would show MessagePack as base64.
+        If the selector of the query has `_format=json`, the answer is JSON: the REST server of
+        `zenohd` would show MessagePack as base64.
         """
         query, self._query = self._query, None
         if query is None:
@@ -129,12 +129,17 @@ class ZenohBus:
     def __init__(
         self, session: zenoh.Session, *, swarm: str, robot: str, drops: DropCounter
     ) -> None:
+        """Declare a publisher for each `state/<name>` of `robot`, on the open Zenoh session.
+
+        Call it on the running loop, on which all handlers will run. `drops` counts the queries and
+        messages that are dropped, by kind and reason.
+        """
         self.swarm = swarm
         self.robot = robot
         self.drops = drops
         self._session = session
         self._loop = asyncio.get_running_loop()
-        self._entities: list[zenoh.Queryable[None]] = []
+        self._queryables: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
         self._publishers = {
             name: session.declare_publisher(
@@ -144,9 +149,10 @@ class ZenohBus:
             )
             for name in PUBLISHED
         }
-        # Asking Zenoh for subscribers takes 50 us: the daemon asks only after a change.
-        self._watched = dict.fromkeys(self._publishers, False)
-        self._unsure = set(self._publishers)
+        # Asking Zenoh whether a publisher has subscribers takes 50 us. So `_has_subscriber` keeps
+        # the answer, and Zenoh reports the names whose answer may have changed.
+        self._has_subscriber = dict.fromkeys(self._publishers, False)
+        self._unsure_names = set(self._publishers)
         for name, publisher in self._publishers.items():
             on_change = Callback(partial(self._on_viewers, name), indirect=False)
             publisher.declare_matching_listener(on_change)
@@ -171,10 +177,10 @@ class ZenohBus:
         publisher = self._publishers[name]
         if self._is_closed:
             return
-        if name in self._unsure:
-            self._unsure.discard(name)  # before the question: a later change adds it again
-            self._watched[name] = has_subscriber(publisher)
-        if not self._watched[name]:
+        if name in self._unsure_names:
+            self._unsure_names.discard(name)  # before the question: a later change adds it again
+            self._has_subscriber[name] = has_subscriber(publisher)
+        if not self._has_subscriber[name]:
             return
         try:
             content = payload()
@@ -184,23 +190,25 @@ class ZenohBus:
             self.drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
-        """Answer queries to this robot or to all robots, of any asker that the links permit.
+        """Answer Zenoh queries on `<plane>/<name>` of this robot, or of all robots, by `handler`.
 
-        A query whose handler raises is counted and dropped. Raises ValueError for a name that the
-        tables of `core/key_table.py` lack.
+        `plane`, `name`: a row of the tables in `core/key_table.py`, such as "control" and "run";
+        ValueError for any other. Any asker that the links permit may query. A query is dropped and
+        counted if its key or size is wrong, or if `handler` raises. `handler` runs on the loop.
         """
         if not is_queried(plane, name):
             raise ValueError(f"{plane}/{name} is not in the tables of core/key_table.py")
-        asker = ANY if plane in (CONTROL, SHARED) else ""
         kind = f"{plane}/{name}"
         queue = InboundQueue(self._loop, self.drops, kind)
         self._queues.append(queue)
 
         def handle(query: Query) -> None:
+            """Call `handler` on the loop; an error drops the query."""
             with self.drops.refusing(kind, lambda code, text: query.drop()):
                 handler(query)
 
         def on_query(query: zenoh.Query) -> None:
+            """Check a query on a thread of Zenoh, and hand it to the loop."""
             if not queue.is_full():
                 payload = b"" if query.payload is None else query.payload
                 key = parse(str(query.key_expr), is_query=True)
@@ -209,14 +217,18 @@ class ZenohBus:
                 elif len(payload) > MAX_CONTROL:
                     self.drops.add(f"{kind}:oversized")
                 else:
-                    own = build(self.swarm, self.robot, plane, name, key.last)
-                    asked = ZenohQuery(self._session, query, own, key.last, bytes(payload))
-                    if queue.offer(handle, asked):
+                    # The last chunk of a query's key is the name of the asker. The reply goes out
+                    # on this robot's own key, also if the query went to all robots.
+                    asker = key.last
+                    reply_key = build(self.swarm, self.robot, plane, name, asker)
+                    question = ZenohQuery(self._session, query, reply_key, asker, bytes(payload))
+                    if queue.offer(handle, question):
                         return
             query.drop()
 
-        everyone = build(self.swarm, self.robot, plane, name, asker)
-        self._entities.append(self._session.declare_queryable(everyone, on_query))
+        any_asker = ANY if plane in (CONTROL, SHARED) else ""
+        served_key = build(self.swarm, self.robot, plane, name, any_asker)
+        self._queryables.append(self._session.declare_queryable(served_key, on_query))
 
     def serve_view(
         self,
@@ -227,7 +239,7 @@ class ZenohBus:
         """Answer `state/status` with the status, and `control/members` with a view."""
 
         def on_members(query: Query) -> None:
-            if self._is_excused(query.payload):
+            if self._has_answered(query.payload):
                 query.drop()
                 return
             view = PeerView(robot=self.robot, status=status(), members=members(), roster=roster)
@@ -243,20 +255,21 @@ class ZenohBus:
         self._is_closed = True
         for queue in self._queues:
             queue.close()
-        undeclare(*self._entities, *self._publishers.values())
+        undeclare(*self._queryables, *self._publishers.values())
         if self.programs is not None:
             self.programs.close()
 
     def _on_viewers(self, name: str, _: zenoh.MatchingStatus) -> None:
         """Note a first or last subscriber; a thread of Zenoh calls it."""
-        self._unsure.add(name)
+        self._unsure_names.add(name)
 
     def _is_own(self, key: Key, plane: str, name: str) -> bool:
+        """True if a query on `key` asks this robot, or all robots, for `<plane>/<name>`."""
         asked = (key.swarm, key.plane, key.name)
         return asked == (self.swarm, plane, name) and key.robot in (self.robot, ANY)
 
-    def _is_excused(self, payload: bytes) -> bool:
-        """True if the query says that the asker has this robot's answer already.
+    def _has_answered(self, payload: bytes) -> bool:
+        """True if the query lists this robot among the robots that have answered the asker.
 
         Raises CodecError for a malformed query.
         """

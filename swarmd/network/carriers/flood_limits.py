@@ -4,14 +4,16 @@ Urgent datagrams are stops, acks and latches (`URGENT`).
 
 1. Each source has two budgets: one of urgent datagrams, one of all others. So a flood of beacons,
    even with the forged address of a robot, leaves the robot's budget of stops.
-2. A source that is EXCESS beyond a budget is left to the kernel's filter for some seconds: the
-   filter drops the source's other datagrams, and passes a random share of its urgent datagrams.
-3. New sources (strangers) share one more budget beside their own. If that budget is far exceeded,
-   as by a flood from forged addresses, the filter passes for some seconds only datagrams of sources
-   that were known before, and a share of the urgent datagrams of all other sources.
+2. A source that is EXCESS datagrams beyond a budget is blocked for some seconds: the kernel's
+   packet filter drops all its datagrams that are not urgent, and passes a random share of its
+   urgent datagrams.
+3. New sources (strangers) share one more budget beside their own budgets. A flood from forged
+   addresses exceeds this shared budget. Then for some seconds the filter passes the datagrams of
+   sources that were known before, and of all other sources only a share of the urgent datagrams.
 
-A process that gets little CPU time reads a part of a flood: each datagram counts with a weight, the
-ratio of arrived to read datagrams. Times are in s on one monotonic clock, handed in.
+A process that gets little CPU time reads only a part of a flood. So each datagram that is read
+counts with a weight: the ratio of arrived to read datagrams. Callers hand in the time, in s on one
+monotonic clock.
 """
 
 from __future__ import annotations
@@ -124,8 +126,8 @@ class FloodLimits:
     def admits(self, source: Address, kind: int, now: float, weight: float = 1.0) -> bool:
         """True if a datagram of this kind is within the budgets of its source.
 
-        A new source also needs the shared budget of new sources. `weight`, at most MAX_WEIGHT: the
-        ratio of arrived to read datagrams.
+        A datagram of a new source must also be within the shared budget of new sources. `weight`:
+        the ratio of arrived to read datagrams, at most MAX_WEIGHT.
         """
         sender = self._place(source, now)
         if sender is not self._strangers:

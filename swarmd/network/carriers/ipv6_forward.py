@@ -1,7 +1,8 @@
 """Forwards TCP from loopback to an IPv6 address, since Zenoh 1.10 dials no IPv6 address by TLS.
 
-Zenoh takes the text before the first colon of a TLS endpoint as the server's name; of an IPv6
-address that text is no name. TLS runs from end to end: the forwarder only moves bytes.
+Zenoh takes the text before the first colon of a TLS endpoint as the server's name. An IPv6 address
+has colons, so that this text is no name. The forwarder only moves bytes: TLS runs between Zenoh and
+the server.
 """
 
 from __future__ import annotations

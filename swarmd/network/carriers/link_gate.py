@@ -1,9 +1,9 @@
 """Protects the TCP port of a secured robot from a flood of connections.
 
 Zenoh accepts every TCP connection, gives its TLS handshake 10 s, and waits 100 ms after each
-handshake that failed. So 20 failed handshakes a second keep operators out. Silent connections use
-up the files that the process may open (measured: 4096 within a second, and none of them free for
-minutes after the flood).
+handshake that failed. So 20 failed handshakes a second keep operators out. Connections that send
+nothing use up the files that the process may open. Measured: a flood took all 4096 files within a
+second, and none was free for minutes after the flood.
 
 `LinkFlood` detects waiting connections by the number of open files. For some time the kernel's
 packet filter (`LinkGate`) then accepts only connections from known hosts: hosts that sent a
@@ -79,10 +79,12 @@ class LinkFlood:
         return now >= self._look_at
 
     def look(self, files: int, links: Callable[[], int], now: float) -> bool:
-        """Compare the number of open files with the limit; True if a flood was detected.
+        """Compare the number of open files with the limit; True if a flood has just been detected.
 
-        Then the port is closed to unknown hosts, and a new session must end the connections that
-        wait. `links` counts the links of the session; it is called only if many files are open.
+        Then `is_closed` is True for some time: the caller must let only known hosts connect, and
+        open a new session, which ends the connections that wait. `files`: the number of open files.
+        `links` returns the number of links of the session; it is called only if many files are
+        open.
         """
         self._look_at = now + LOOK_PERIOD
         self.waiting = files - self._files

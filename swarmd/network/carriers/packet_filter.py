@@ -1,10 +1,10 @@
 """Programs of the kernel's packet filter for the sockets of a swarm. Pure but for `attach_filter`.
 
 The programs are classic BPF (linux/filter.h; Documentation/networking/filter.rst). A program has
-stages, and a stage is a sequence of blocks. The first block whose tests all hold decides: accept,
-drop, or go to the next stage. A datagram for which no block decides is dropped. Offset 0 is the UDP
-head of the datagram. Programs are short, since old kernels give a socket no more than 20 kB for its
-filters (net.core.optmem_max).
+stages. A stage is a sequence of blocks, and a block is a sequence of tests with a verdict: accept,
+drop, or go to the next stage. The first block whose tests all hold decides. A datagram for which no
+block decides is dropped. Offset 0 is the UDP head of the datagram. Programs are short, since old
+kernels give a socket no more than 20 kB for its filters (net.core.optmem_max).
 """
 
 from __future__ import annotations
@@ -51,21 +51,23 @@ Block = tuple[int, Sequence[Test]]  # verdict, tests
 
 
 def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
-    """The program that accepts the datagrams of a swarm within `rules`.
+    """The BPF program that accepts the datagrams of a swarm within the flood limits `rules`.
 
-    It also accepts `Solicit` and `Swarm` with the tag of any swarm. `is_ipv6`: the family of the
-    socket; rules on sources of the other family are left out. Returns an array of struct
-    sock_filter as bytes.
+    `tag`: the 8 bytes in the head that mark the swarm. The program also accepts `Solicit` and
+    `Swarm` with the tag of any swarm. `is_ipv6`: the family of the socket; rules on sources of the
+    other family are left out. Returns an array of struct sock_filter as bytes.
 
-    The first stage tests the head of the datagram. The second stage, in this order:
+    The program is a sequence of blocks, each a verdict with tests. The first block whose tests all
+    hold decides. The first stage tests the head of the datagram. The blocks of the second stage
+    stand in this order:
 
-    1. Drop a share of the urgent datagrams of thinned sources.
+    1. Drop a share of the urgent datagrams (`URGENT`) of thinned sources.
     2. Accept datagrams of known sources.
-    3. Drop a share of all other urgent datagrams, and accept the rest of them.
+    3. Drop a share of the urgent datagrams of other sources, and accept the rest of the urgent.
     4. Drop datagrams of blocked sources.
-    5. Drop all others if `only_known`, else accept them.
+    5. Drop every other datagram if `only_known`, else accept it.
     """
-    heads = [
+    heads: list[Block] = [
         (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),
         (_NEXT_STAGE, _head(tag)),
         *(
@@ -74,15 +76,16 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
         ),
     ]
     limits: list[Block] = []
-    for key, share in _keys(dict(rules.thinned), is_ipv6):
-        limits += [(_DROP, [_is_kind(k), _is_from(key), _random_above(share)]) for k in URGENT]
-    known = dict.fromkeys(rules.known, 1.0)
-    limits += [(_ACCEPT, [_is_from(key)]) for key, _ in _keys(known, is_ipv6)]
+    for thinned, share in rules.thinned:
+        for key in _source_keys([thinned], is_ipv6):
+            limits += [
+                (_DROP, [_is_kind(kind), _is_from(key), _random_above(share)]) for kind in URGENT
+            ]
+    limits += [(_ACCEPT, [_is_from(key)]) for key in _source_keys(rules.known, is_ipv6)]
     if rules.share < 1.0:
         limits += [(_DROP, [_is_kind(kind), _random_above(rules.share)]) for kind in URGENT]
     limits += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
-    blocked = dict.fromkeys(rules.blocked, 0.0)
-    limits += [(_DROP, [_is_from(key)]) for key, _ in _keys(blocked, is_ipv6)]
+    limits += [(_DROP, [_is_from(key)]) for key in _source_keys(rules.blocked, is_ipv6)]
     limits.append((_DROP if rules.only_known else _ACCEPT, []))
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
     return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
@@ -116,19 +119,20 @@ def _head(tag: bytes) -> list[Test]:
     ]
 
 
-def _keys(sources: dict[Address, float], is_ipv6: bool) -> Iterable[tuple[int, float]]:
-    """The 32-bit key of each source of a family, with the source's value.
+def _source_keys(sources: Iterable[Address], is_ipv6: bool) -> Iterable[int]:
+    """The 32-bit key of each source whose address is of this family.
 
-    The key is the exclusive or of all words of the address and of the port. Two sources may have
-    the same key; an attacker can forge an address more easily than find such a pair.
+    The key is the exclusive or of the address's 32-bit words and of the port, shifted left by 16.
+    Two sources may have the same key; an attacker can forge an address more easily than find such
+    a pair.
     """
-    for (text, port), value in sources.items():
+    for text, port in sources:
         host = ipaddress.ip_address(text.partition("%")[0])
         if (host.version == 6) is is_ipv6:
             key = port << 16
             for word in struct.unpack(f">{len(host.packed) // 4}I", host.packed):
                 key ^= word
-            yield key, value
+            yield key
 
 
 def _keep_key_and_kind(is_ipv6: bool) -> list[Instruction]:

@@ -4,7 +4,7 @@ A program is a Zenoh session that is no robot, without body and place. It may de
 `swarm/<swarm>/<program>`, and put messages on
 `swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh's ring channel keeps the last MAX_TAKEN
 messages of all programs without running Python, and `take` reads them at each tick. So a flood
-costs the daemon a bounded time; the oldest messages are lost.
+costs the daemon a bounded time. In a flood the oldest messages are lost.
 """
 
 from __future__ import annotations
@@ -40,11 +40,12 @@ class ProgramMessage(NamedTuple):
 
 
 class Programs:
-    """The programs that one robot hears, on one session; built on the loop's thread.
+    """The Zenoh programs that one robot hears on its session; build it on the loop's thread.
 
-    `is_robot(name)`: True for a robot, whose messages come as datagrams; a put in its name is
-    refused. `drops` counts refused messages, for example as `message:robot` and `message:limit`.
-    `takes_messages` False: messages are neither taken from programs nor published.
+    `is_robot(name)`: True if the name belongs to a robot. Robots send messages as datagrams, so
+    that a Zenoh message in a robot's name is refused. `drops` counts refused messages, for example
+    as `message:robot` and `message:limit`. `takes_messages` False: messages are neither taken from
+    programs nor published.
     """
 
     def __init__(
@@ -57,24 +58,30 @@ class Programs:
         *,
         takes_messages: bool,
     ) -> None:
+        """Declare the liveliness token of `robot`, and subscribe to the tokens of programs.
+
+        With `takes_messages`, also subscribe to the messages of programs, and declare the publisher
+        by which `put` learns whether any program subscribes.
+        """
         self._session = session
         self._swarm = swarm
         self._robot = robot
         self._is_robot, self._drops = is_robot, drops
-        self._limits: dict[str, SenderLimits] = {}
-        self._lock = threading.Lock()
-        self._tokens: dict[str, None] = {}
+        self._limits: dict[str, SenderLimits] = {}  # by sender
+        self._lock = threading.Lock()  # guards `_tokens`: Zenoh's threads call `_on_token`
+        self._tokens: dict[str, None] = {}  # the names of programs that are alive
         liveliness = session.liveliness()
         on_token = Callback(self._on_token, indirect=False)
-        self._entities: list[Any] = [
+        self._declared: list[Any] = [  # to undeclare at the end
             liveliness.declare_token(token(swarm, robot)),
             liveliness.declare_subscriber(token(swarm, ANY), on_token, history=True),
         ]
-        self._messages: Any = None
-        self._is_unsure, self._is_heard = takes_messages, False
+        self._messages: Any = None  # the subscriber, with a ring of the last MAX_TAKEN messages
+        # `_has_subscriber` may be out of date while `_is_unsure`.
+        self._is_unsure, self._has_subscriber = takes_messages, False
         if takes_messages:
-            # Without Locality.REMOTE subscriber and publisher would match each other: each message
-            # would be put even without a program, and would come back.
+            # Without Locality.REMOTE this session's subscriber and publisher would match each
+            # other: each message would be put even without a program, and would come back.
             self._messages = session.declare_subscriber(
                 build(swarm, ANY, MESSAGE, ANY, ANY),
                 RingChannel(MAX_TAKEN),
@@ -85,7 +92,7 @@ class Programs:
             )
             on_change = Callback(self._on_subscribers, indirect=False)
             self._publisher.declare_matching_listener(on_change)
-            self._entities += [self._messages, self._publisher]
+            self._declared += [self._messages, self._publisher]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -98,9 +105,9 @@ class Programs:
         """Publish a pattern's message on `<pattern>/<channel>`, if a program subscribes."""
         if self._is_unsure:
             self._is_unsure = False  # before the question: a later change sets it again
-            self._is_heard = has_subscriber(self._publisher)
+            self._has_subscriber = has_subscriber(self._publisher)
         pattern, _, name = channel.partition("/")
-        if not (self._is_heard and is_id(pattern) and is_id(name)):
+        if not (self._has_subscriber and is_id(pattern) and is_id(name)):
             return
         key = build(self._swarm, self._robot, MESSAGE, pattern, name)
         try:
@@ -153,7 +160,7 @@ class Programs:
 
     def close(self) -> None:
         """Undeclare the token, the subscribers and the publisher."""
-        undeclare(*self._entities)
+        undeclare(*self._declared)
 
     def _on_token(self, sample: zenoh.Sample) -> None:
         """Note a token that appeared or disappeared; a thread of Zenoh calls it."""

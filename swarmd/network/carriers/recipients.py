@@ -1,9 +1,9 @@
 """The addresses that get a unicast copy of a datagram for all. Pure.
 
-Multicast is seldom broken in one direction only: a peer that is heard by the multicast group is
-assumed to hear the group, and gets no copy. All other known addresses get copies: seeds, peers that
-are heard by unicast only, and addresses that a robot mentioned. Messages of patterns go only to
-addresses that are heard, so that a silent address costs no more than a beacon per second.
+A peer that is heard by the multicast group is assumed to hear the group, and gets no copy:
+multicast is seldom broken in one direction only. All other known addresses get copies: seeds, peers
+that are heard by unicast only, and addresses in the member lists of robots. Messages of patterns go
+only to addresses that are heard, so that a silent address costs no more than a beacon per second.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ class _AddressUse(Struct):
 
 
 class Recipients:
-    """The known addresses, at most MAX_ADDRESSES and the seeds.
+    """The known addresses: the seeds, and at most MAX_ADDRESSES others.
 
-    `lease`: an address counts as heard for twice this time, in s. `with_group` False: multicast is
-    off, and every known address gets copies.
+    `lease`: s; after a datagram an address counts as heard for twice this time. `with_group` False:
+    multicast is off, and every known address gets copies.
     """
 
     def __init__(self, lease: float, *, with_group: bool = True) -> None:

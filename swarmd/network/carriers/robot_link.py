@@ -1,9 +1,9 @@
 """The link of a simulated robot and its daemon: named frames on a TCP connection of their own.
 
-The daemon dials the process that simulates the robot, and its first frame is a `Hello`. Each frame
-has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). No side waits for
-the other: a frame for which the send buffer has no room is dropped. Receivers use the newest frame
-of a name.
+The daemon dials the process that simulates the robot. The daemon's first frame is a `Hello`. Each
+frame has a name, such as `scan` or `cmd_vel`, and a payload (`driver_api/hw_codec.py`). Neither
+process waits for the other: a frame for which the send buffer has no room is dropped. Receivers use
+the newest frame of a name.
 
 A frame on the wire: the length of its name (1 byte), the length of its payload (4 bytes,
 little-endian), the name, the payload.
@@ -169,8 +169,9 @@ class Connection:
 class RobotServer:
     """The simulator's side: accepts the connections of the robots' daemons.
 
-    `dropped`: frames that were dropped, of both directions. `endpoint`: the address in use, with
-    the port that the kernel chose for port 0. One thread must call all methods except `send`.
+    `dropped`: the count of frames that were dropped, in either direction. `endpoint`: the address
+    in use, with the port that the kernel chose for port 0. One thread must call all methods except
+    `send`.
     """
 
     def __init__(
@@ -182,29 +183,31 @@ class RobotServer:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Listen at `endpoint`; `what` names the server in errors.
+        """Listen on TCP at `endpoint` for the daemons of `robots`.
 
-        Raises NetworkError if it cannot listen there, ConfigError if `endpoint` cannot be read.
+        `what` names the server in errors. `clock` gives the arrival times of frames, in s. Raises
+        NetworkError if the server cannot listen there, ConfigError if `endpoint` cannot be read.
         """
-        where = read_endpoint(endpoint, "endpoint is ")
+        address = read_endpoint(endpoint, "endpoint is ")
         self.dropped = 0
         self._swarm, self._clock = swarm, clock
+        # By robot: the connections of its daemons that want sensor frames.
         self._listeners: dict[str, tuple[Connection, ...]] = dict.fromkeys(robots, ())
-        self._robots: dict[Connection, str] = {}
-        self._connections: dict[int, Connection] = {}
-        self._emptied_at = clock()
-        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+        self._robots: dict[Connection, str] = {}  # connections whose `Hello` was accepted
+        self._connections: dict[int, Connection] = {}  # all connections, by descriptor
+        self._emptied_at = clock()  # the time of the last `receive`
+        family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._socket.bind((where.host, where.port))
+            self._socket.bind((address.host, address.port))
             self._socket.listen(_BACKLOG)
         except OSError as error:
             self._socket.close()
-            is_taken = error.errno == errno.EADDRINUSE
-            why = "is in use on this machine" if is_taken else f"{error.strerror}"
-            raise NetworkError(f"{what} cannot listen: {endpoint} {why}") from error
-        port = self._socket.getsockname()[1]
+            is_in_use = error.errno == errno.EADDRINUSE
+            reason = "is in use on this machine" if is_in_use else f"{error.strerror}"
+            raise NetworkError(f"{what} cannot listen: {endpoint} {reason}") from error
+        port = self._socket.getsockname()[1]  # the kernel chooses a port for port 0
         self.endpoint = f"{endpoint.rpartition(':')[0]}:{port}"
         self._poll = select.epoll()
         self._poll.register(self._socket, select.EPOLLIN)
@@ -276,10 +279,10 @@ class RobotServer:
             self._take(accepted.fileno(), connection, received)
 
     def _welcome(self, connection: Connection, name: str, payload: bytes) -> None:
-        """Answer the hello of a connection; end the connection if the hello is refused.
+        """Answer the first frame of a connection, a hello; end the connection if it is refused.
 
-        Refused are: another frame, a hello to another swarm or to an unknown robot, and one more
-        connection than MAX_CONNECTIONS_OF_ROBOT.
+        Refused are a first frame that is no hello, a hello to another swarm or to an unknown robot,
+        and a connection beyond MAX_CONNECTIONS_OF_ROBOT.
         """
         try:
             hello = _hello(payload)
@@ -328,14 +331,14 @@ class RobotClient:
         import asyncio  # a zero sender has no loop, and does not import it
 
         loop = asyncio.get_running_loop()
-        where = self._endpoint
-        family = socket.AF_INET6 if ":" in where.host else socket.AF_INET
+        host, port = self._endpoint.host, self._endpoint.port
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
         while True:
             made = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
             try:
                 # wait_for of Python 3.11 loses a cancellation that comes with a refusal.
                 async with asyncio.timeout(CONNECT_TIMEOUT):
-                    await loop.sock_connect(made, (where.host, where.port))
+                    await loop.sock_connect(made, (host, port))
                 # TCP self-connect: where nothing listens, the kernel may give the socket the very
                 # port to which it connects.
                 if made.getsockname() != made.getpeername():
@@ -347,6 +350,11 @@ class RobotClient:
             await asyncio.sleep(RETRY_PERIOD)
 
     async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
+        """Send the hello, and hand frames to `on_frames` until the connection ends; then close it.
+
+        The first frame of the server is its answer to the hello: it sets `is_known`, and is not
+        handed on.
+        """
         ended: asyncio.Future[None] = loop.create_future()
 
         def on_readable() -> None:
@@ -367,7 +375,7 @@ class RobotClient:
         try:
             await ended
         finally:
-            if not ended.done() or ended.cancelled():
+            if not ended.done() or ended.cancelled():  # this task was cancelled
                 loop.remove_reader(file)
             self._connection, self.is_known = None, False
             connection.close()

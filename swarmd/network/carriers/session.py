@@ -65,9 +65,9 @@ def open_session(
     """Open the session of a daemon, which listens and opens no connection itself.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once per process. So each late address is named: in the
-    scouting options, to join the multicast group of scouts there, and as an endpoint, so that
-    Zenoh programs learn of it. Raises NetworkError in one line.
+    reads the addresses of interfaces once per process. So this function names each late address in
+    the scouting options, which joins the multicast group of scouts there, and as an endpoint, which
+    Zenoh programs learn. Raises NetworkError in one line if the session cannot be opened.
     """
     options = session_options(settings, identity)
     if late:
@@ -83,8 +83,9 @@ def open_operator_session(
 ) -> zenoh.Session:
     """Open a session that dials `endpoints` in the background; takes about 1 ms.
 
-    Zenoh dials all endpoints at once, again and again while the session is open. No endpoint can be
-    added: robots that are found later need a further session. Raises NetworkError in one line.
+    Zenoh dials all endpoints at the same time, and again while the session is open. No endpoint can
+    be added: robots that are found later need a further session. Raises NetworkError in one line if
+    the session cannot be opened.
     """
     return _open(settings, operator_options(settings, endpoints, identity))
 
@@ -174,10 +175,10 @@ def open_listening(
 
 
 async def open_in_thread(open_it: Callable[[], S]) -> S:
-    """The session that `open_it` opens in a thread.
+    """Call `open_it` in a thread; returns the session that it opens.
 
-    If the caller is cancelled, the session is closed once it is open, even if the loop has ended by
-    then: an open session would keep the process alive.
+    If the caller is cancelled meanwhile, the session is closed as soon as it is open, even if the
+    loop has ended by then: an open session would keep the process alive.
     """
     import asyncio
     from concurrent.futures import Future
@@ -266,10 +267,11 @@ def foreign_options(
     *,
     scouts: bool = False,
 ) -> dict[str, Any]:
-    """`operator_options` as the nested configuration of another Zenoh program.
+    """The options of an operator's session, as a nested configuration for another Zenoh program.
 
-    `scouts`: the program finds the robots by multicast. Sizes and timeouts of links are left out,
-    so that Zenoh's defaults hold. Raises ConfigError for wrong settings.
+    `endpoints`: robots or routers that the program dials. `scouts`: the program also finds the
+    robots by multicast. Sizes and timeouts of links are left out, so that Zenoh's defaults hold.
+    Raises ConfigError for wrong settings.
     """
     options = operator_options(settings, endpoints, identity)
     if scouts:
@@ -279,14 +281,17 @@ def foreign_options(
             "scouting/multicast/interface": settings.interface_name,
             "open/return_conditions/connect_scouted": True,
         }
+    # Nest the options: "a/b/c" becomes {"a": {"b": {"c": value}}}.
+    sizes_and_timeouts = ("transport/unicast", "transport/link/tx", "transport/link/rx")
     nested: dict[str, Any] = {}
     for path, value in options.items():
-        if not path.startswith(("transport/unicast", "transport/link/tx", "transport/link/rx")):
-            *above, name = path.split("/")
-            section = nested
-            for key in above:
-                section = section.setdefault(key, {})
-            section[name] = value
+        if path.startswith(sizes_and_timeouts):
+            continue
+        *section_names, name = path.split("/")
+        section = nested
+        for section_name in section_names:
+            section = section.setdefault(section_name, {})
+        section[name] = value
     return nested
 
 
@@ -339,6 +344,11 @@ def _options(
     connect: Sequence[str],
     identity: Identity | None,
 ) -> dict[str, object]:
+    """Zenoh's options of a session, by path; ConfigError for wrong settings.
+
+    `mode`: Zenoh's "peer" or "client". `listen`, `connect`: endpoints, which must be or become TLS
+    endpoints with an `identity`. The session finds nothing itself: scouting and gossip are off.
+    """
     settings.check()
     if identity is not None:
         listen, connect = _secured(listen), _secured(connect)
@@ -350,7 +360,7 @@ def _options(
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
         # A peer with a timeout of 0 would dial its endpoints one after the other. A client with
-        # any other timeout would wait for its first router only.
+        # a timeout other than 0 would wait for its first router only.
         "connect/timeout_ms": 0 if mode == "client" else -1,
         "connect/exit_on_failure": False,
         "connect/retry": {
@@ -406,17 +416,17 @@ def check_interface(interface: str) -> None:
 
 def _explain(text: str, options: Mapping[str, object]) -> str:
     listen = options.get("listen/endpoints")
-    where = ", ".join(listen) if isinstance(listen, list) and listen else "no endpoint"
+    endpoints = ", ".join(listen) if isinstance(listen, list) and listen else "no endpoint"
     if "in use" in text:
-        return f"{where} is in use on this machine; give this robot a `listen` of its own"
+        return f"{endpoints} is in use on this machine; give this robot a `listen` of its own"
     if "assign requested address" in text:
-        return f"{where} is not an address of this machine; correct `listen`"
+        return f"{endpoints} is not an address of this machine; correct `listen`"
     if "No such device" in text:
-        return f"{where} names an interface that is not there; correct `interface`"
+        return f"{endpoints} names an interface that is not there; correct `interface`"
     if "ermission" in text or "not permitted" in text:
-        return f"{where} may not be bound by this user; run with the right to, or change `listen`"
+        return f"{endpoints} may not be bound by this user; get that right, or change `listen`"
     brief = " ".join(re.sub(r" at /\S+", "", text).split())
-    return f"{brief[:300]} (listening on {where})"
+    return f"{brief[:300]} (listening on {endpoints})"
 
 
 def _free_port(host: str, what: str) -> int:
@@ -476,26 +486,26 @@ def connected_sockets() -> Iterator[socket.socket]:
 
 
 def own_sockets() -> Iterator[socket.socket]:
-    """This process's TCP sockets, each as a duplicate that is closed after its turn. Linux only.
+    """Duplicates of this process's TCP sockets, each closed before the next. Linux only.
 
-    The descriptors belong to other threads, which may close and reuse them at any moment. A
-    duplicate keeps referring to the same socket.
+    Zenoh opens these sockets and does not hand them out. Its threads may close and reuse the
+    descriptors at any moment. A duplicate keeps referring to the same socket.
     """
     try:
-        names = os.listdir(_FDS)
+        descriptors = os.listdir(_FDS)
     except OSError:  # not Linux, or no file can be opened
         return
-    for name in names:
+    for descriptor in descriptors:
         try:
-            if not os.readlink(f"{_FDS}/{name}").startswith("socket:"):
+            if not os.readlink(f"{_FDS}/{descriptor}").startswith("socket:"):
                 continue
-            copy = os.dup(int(name))
-        except OSError:  # closed meanwhile
+            duplicate = os.dup(int(descriptor))
+        except OSError:  # the descriptor was closed meanwhile
             continue
         try:
-            sock = socket.socket(fileno=copy)
-        except OSError:  # reused meanwhile, for a file
-            os.close(copy)
+            sock = socket.socket(fileno=duplicate)
+        except OSError:  # the descriptor was reused meanwhile, for a file
+            os.close(duplicate)
             continue
         with sock:
             if sock.type == socket.SOCK_STREAM and sock.family in (socket.AF_INET, socket.AF_INET6):

@@ -12,12 +12,12 @@ A datagram to all goes
 - by unicast to seeds and to peers that are not heard by multicast (`Recipients`).
 
 A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
-(SO_TIMESTAMPNS, on the wall clock) gives the wait. The wall clock may be set meanwhile: the wait is
-at most the time since the sockets were last empty.
+(SO_TIMESTAMPNS, on the wall clock) gives this wait. If the wall clock is set meanwhile, the wait is
+wrong; so it counts as at most the time since the sockets were last empty.
 
-Of two copies of a datagram that arrive by two ways, the later copy is dropped. Sockets are bound to
-the interface and not to an address, so that they work on after a change of addresses. Profile dev
-uses loopback, without broadcast and IPv6.
+If two copies of a datagram arrive by two ways, the later copy is dropped. Sockets are bound to the
+interface and not to an address, so that a change of addresses leaves them working. Profile dev uses
+loopback, without broadcast and IPv6.
 
 swarmctl imports this module and must start fast, so asyncio is not imported.
 """
@@ -58,7 +58,7 @@ from swarmd.network.members.link_quality import WaysHeard
 from swarmd.network.settings import NetworkSettings, parse_endpoint
 
 if TYPE_CHECKING:
-    from asyncio import AbstractEventLoop
+    from asyncio import AbstractEventLoop, TimerHandle
 
 GROUP4 = "224.0.0.226"
 GROUP6 = "ff02::5357:4d44"
@@ -90,7 +90,8 @@ _QUEUE_LIMIT = 1  # index in _MEMINFO: bytes that the queue may hold
 _LOST = 8  # index in _MEMINFO: datagrams that were dropped
 _NEARLY_FULL = 0.75  # the share of the queue's limit above which drops are counted
 _TIMESPEC = struct.Struct("@ll")
-_ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_TIMESPEC.size)  # the kernel's time of arrival
+_NEVER = -1e9  # s
 SHORT_WAIT = 0.2  # s since the sockets were empty, up to which the wait of a datagram counts as 0
 
 
@@ -120,11 +121,11 @@ _PASSING = Kind.MESSAGE, Kind.PLACE  # kinds that go only to addresses that are 
 
 
 class UdpCarrier:
-    """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
+    """Sends and receives the datagrams of a swarm; NetworkError if the sockets cannot be opened.
 
     `port`: the unicast port, from which all datagrams are sent; 0: a free port. One thread may send
-    while another receives. `is_secured`: the source of a beacon gets datagrams only after
-    `confirm`.
+    while another thread receives. `is_secured`: the source of a beacon gets datagrams only after
+    the caller has called `confirm`.
     """
 
     def __init__(
@@ -136,33 +137,42 @@ class UdpCarrier:
         is_secured: bool = False,
         clock: Clock = boottime,
     ) -> None:
+        """Open the sockets. `tag`: the bytes in the head of a datagram that mark the swarm."""
+        self._clock = clock
+        self._tag = tag
+        self._is_secured = is_secured
+        self._lock = threading.Lock()
+
+        # The interface and its sockets.
         self._interface = settings.interface_name
         self._is_dev = settings.profile == "dev"
         self._multicast = settings.multicast
         self._lease = settings.lease_seconds
-        self._clock = clock
-        self._tag = tag
         self._index = index_of(self._interface)
-        self._lock = threading.Lock()
         self._listeners: list[_Listener] = []
-        self._own4: socket.socket | None = None
-        self._own6: socket.socket | None = None
-        self._seeds = _Seeds(settings.seeds)
-        self._addresses: frozenset[str] = frozenset()
+        self._own4: socket.socket | None = None  # sends by IPv4
+        self._own6: socket.socket | None = None  # sends by IPv6
+        self._addresses: frozenset[str] = frozenset()  # of the interface
         self._has_ipv4 = self._is_dev
-        self._refresh_at = -1e9
-        self._beacons = 0
-        self._multicast_at = self._ipv6_only_at = -1e9
-        self._twins: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
-        self._is_secured = is_secured
-        self._unconfirmed: dict[Address, _Way] = {}
+        self._refreshed_at = _NEVER  # when the addresses were last read
+
+        # Sending.
+        self._seeds = _Seeds(settings.seeds)
+        self._beacons = 0  # sent to all
+        self._multicast_at = _NEVER  # when a robot was last heard by multicast
+        self._ipv6_only_at = _NEVER  # when a robot without an IPv4 address was last heard
+        self._unconfirmed: dict[Address, _Way] = {}  # sources that wait for `confirm`
+
+        # Receiving.
+        self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}  # when, which way
         self._detach: Callable[[], None] = lambda: None
-        self._is_full = False
-        self._emptied_at = clock()
+        self._is_full = False  # the last `receive` has left datagrams in a socket
+        self._emptied_at = clock()  # when the sockets were last empty
         self._limits = FloodLimits()
-        self._rules = self._limits.rules(0.0)
-        self._turns = self._reads = 0
-        self._weight = 1.0
+        self._rules = self._limits.rules(0.0)  # of the kernel's filters
+        self._turns = 0  # calls of `receive`
+        self._reads = 0  # datagrams read since `_weigh`
+        self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
         self._lost: dict[socket.socket, int] = {}
         self.recipients = Recipients(self._lease, with_group=self._multicast)
         # Every fifth beacon is a broadcast.
@@ -250,9 +260,9 @@ class UdpCarrier:
 
     def _refresh(self, now: float) -> None:
         """Read the own addresses and those of seeds again, at most once per REFRESH_PERIOD."""
-        if now - self._refresh_at < REFRESH_PERIOD:
+        if now - self._refreshed_at < REFRESH_PERIOD:
             return
-        self._refresh_at = now
+        self._refreshed_at = now
         self._addresses = frozenset(addresses_of(self._index))
         self._has_ipv4 = self._is_dev or any(":" not in address for address in self._addresses)
         if (addresses := self._seeds.addresses(now)) is not None:
@@ -261,10 +271,11 @@ class UdpCarrier:
     # Receiving
 
     def receive(self) -> list[Received]:
-        """The datagrams that have arrived, at most BATCH.
+        """Read the datagrams that have arrived, at most BATCH; never waits.
 
-        Each call begins with another listener, so that a flood at one socket does not shut out the
-        datagrams of another socket.
+        A listener is a socket that receives datagrams of one way, such as multicast. Each call
+        begins with another listener, and a listener gets at most half of the remaining budget: a
+        flood at one socket does not shut out the datagrams of another socket.
         """
         received: list[Received] = []
         with self._lock:
@@ -273,10 +284,12 @@ class UdpCarrier:
             self._is_full = False
             self._turns += 1
             first = self._turns % max(len(self._listeners), 1)
-            room = BATCH * _COST
+            budget = BATCH * _COST
             self._weigh(now)
             for listener in (*self._listeners[first:], *self._listeners[:first]):
-                room -= self._take_from(listener, room // 2, now, received)
+                budget -= self._take_from(listener, budget // 2, now, received)
+
+            # A flood that began or ended changes the rules of the kernel's filters.
             rules = self._limits.rules(now)
             if rules is not self._rules:
                 self._rules = rules
@@ -287,11 +300,11 @@ class UdpCarrier:
         return received
 
     def _weigh(self, now: float) -> None:
-        """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
+        """Update the weight of a datagram in the flood limits: arrived over read datagrams.
 
-        A process with little CPU time reads less of a flood than the budgets of `FloodLimits`
-        permit, and the kernel drops the rest, stops included. Without the weight the flood would
-        count as usual traffic.
+        The weight is 1, and above 1 in an overload. A process with little CPU time reads less of a
+        flood than the budgets of `FloodLimits` permit, and the kernel drops the rest, stops
+        included. Without the weight the flood would count as usual traffic.
         """
         if now - self._emptied_at < OVERLOAD_TIME:
             self._weight = 1.0
@@ -306,21 +319,24 @@ class UdpCarrier:
         self._reads = 0
 
     def _take_from(
-        self, listener: _Listener, room: int, now: float, received: list[Received]
+        self, listener: _Listener, budget: int, now: float, received: list[Received]
     ) -> int:
-        """Append the datagrams of a listener; returns their cost, at most `room` + _COST - 1.
+        """Append the datagrams of a listener to `received`; returns their cost.
 
-        Sets `_is_full` if the cost has reached `room`: more datagrams may wait.
+        A datagram costs _COST, or _DROP_COST if it is dropped. Reading ends once the cost has
+        reached `budget`; then `_is_full` is set, since more datagrams may wait in the socket.
         """
         cost, waited = 0, 0.0
-        longest = now - self._emptied_at
-        while cost < room:
+        longest_wait = now - self._emptied_at
+        while cost < budget:
             try:
-                if longest <= SHORT_WAIT:
+                if longest_wait <= SHORT_WAIT:  # too short to count: `waited` stays 0
                     payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
                 else:
-                    payload, ancillary, _, name = listener.socket.recvmsg(MAX_DATAGRAM + 1, _ROOM)
-                    waited = min(max(_waited(ancillary), 0.0), longest)
+                    payload, ancillary, _, name = listener.socket.recvmsg(
+                        MAX_DATAGRAM + 1, _ANCILLARY_BYTES
+                    )
+                    waited = min(max(_waited(ancillary), 0.0), longest_wait)
             except BlockingIOError:
                 return cost
             except OSError:  # the network's error report on a datagram that was sent
@@ -336,11 +352,17 @@ class UdpCarrier:
     def _admit(
         self, payload: bytes, name: tuple[str, int], way: _Way, now: float
     ) -> Address | None:
-        """The source of a datagram; None if the datagram is dropped."""
+        """The source of a datagram; None if the datagram is dropped.
+
+        `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
+        beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
+        of this swarm shows by which way its robot is heard: `_note_robot` takes that at once, in a
+        secured swarm only after `confirm`.
+        """
         host, port = name[0], name[1]
         self._reads += 1
         if port == self.port and (host in self._addresses or self._is_dev):
-            return None  # this robot's own datagram, from the group
+            return None  # this robot's own datagram, which its multicast brought back
         source = _address(name)
         if len(payload) <= KIND_OFFSET:
             self.dropped["datagram:short"] += 1
@@ -351,7 +373,7 @@ class UdpCarrier:
         if is_of_robot:
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)
-        if self._is_twin(payload, source, way, now):
+        if self._is_second_copy(payload, source, way, now):
             return None
         if is_of_robot and self._is_secured:
             keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)
@@ -377,73 +399,82 @@ class UdpCarrier:
             is_by_group = self._needs_broadcast(now)
         self.recipients.on_heard(source, is_by_group, now)
 
-    def _is_twin(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
+    def _is_second_copy(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
         """True if the same datagram came by another way within COPY_TIME; else notes it."""
         key = (source, payload)
-        first = self._twins.get(key)
-        if first is not None and now - first[0] <= COPY_TIME:
-            return first[1] is not way
-        if len(self._twins) >= BATCH:
-            self._twins = {
-                twin: old for twin, old in self._twins.items() if now - old[0] <= COPY_TIME
-            }
-        if len(self._twins) < BATCH:
-            self._twins[key] = (now, way)
+        first_at, first_way = self._first_copies.get(key, (_NEVER, way))
+        if now - first_at <= COPY_TIME:
+            return first_way is not way
+        if len(self._first_copies) >= BATCH:
+            self._first_copies = {
+                copy: (at, by) for copy, (at, by) in self._first_copies.items()
+                if now - at <= COPY_TIME
+            }  # fmt: skip
+        if len(self._first_copies) < BATCH:
+            self._first_copies[key] = (now, way)
         return False
 
     def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, waited)` on a running loop until `close`."""
-        files = self.filenos
-        timer: list[object] = []
+        """Call `on_datagram(payload, source, waited)` on a running loop until `close`.
 
-        def listen() -> None:
-            for file in files:
-                loop.add_reader(file, on_readable)
+        `waited`: s from the arrival of the datagram until it was read. After a full batch the loop
+        does not read for PAUSE s, so that a flood leaves time for its other work.
+        """
+        descriptors = self.filenos
+        pause: TimerHandle | None = None
 
-        def ignore() -> None:
-            for file in files:
-                loop.remove_reader(file)
+        def add_readers() -> None:
+            for descriptor in descriptors:
+                loop.add_reader(descriptor, on_readable)
+
+        def remove_readers() -> None:
+            for descriptor in descriptors:
+                loop.remove_reader(descriptor)
 
         def on_readable() -> None:
+            nonlocal pause
             received = self.receive()
             if self._is_full:
-                ignore()
-                timer[:] = [loop.call_later(PAUSE, listen)]
+                remove_readers()
+                pause = loop.call_later(PAUSE, add_readers)
             for datagram in received:
                 on_datagram(datagram.payload, datagram.source, datagram.waited)
 
         def detach() -> None:
-            ignore()
-            for handle in timer:
-                handle.cancel()  # type: ignore[attr-defined]
+            remove_readers()
+            if pause is not None:
+                pause.cancel()
 
         self._detach = detach
-        listen()
+        add_readers()
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, waited)` on a thread until `close`."""
-        wake_read, wake_write = os.pipe()
-        ended = threading.Event()
+        """Call `on_datagram(payload, source, waited)` on a new thread until `close`.
+
+        `waited`: s from the arrival of the datagram until it was read.
+        """
+        wake_read, wake_write = os.pipe()  # a byte in this pipe ends the poll of the thread
+        is_closed = threading.Event()
         poll = select.poll()
-        for file in (*self.filenos, wake_read):
-            poll.register(file, select.POLLIN)
+        for descriptor in (*self.filenos, wake_read):
+            poll.register(descriptor, select.POLLIN)
 
         def run() -> None:
-            while not ended.is_set():
+            while not is_closed.is_set():
                 poll.poll()
-                if ended.is_set():
+                if is_closed.is_set():
                     break
                 for datagram in self.receive():
                     on_datagram(datagram.payload, datagram.source, datagram.waited)
                 if self._is_full:
-                    ended.wait(PAUSE)
+                    is_closed.wait(PAUSE)
 
         thread = threading.Thread(target=run, name="swarmd-udp", daemon=True)
 
         def detach() -> None:
-            ended.set()
+            is_closed.set()
             os.write(wake_write, b"x")
-            if threading.current_thread() is not thread:
+            if threading.current_thread() is not thread:  # `close` may come from `on_datagram`
                 thread.join()
             os.close(wake_read)
             os.close(wake_write)
@@ -456,7 +487,7 @@ class UdpCarrier:
     def rejoin(self) -> None:
         """Join the groups again after the interface was down or missing. Never raises."""
         with self._lock, contextlib.suppress(OSError, NetworkError):
-            self._refresh_at = -1e9
+            self._refreshed_at = _NEVER
             self._index = index_of(self._interface)
             for listener in self._listeners:
                 with contextlib.suppress(OSError):
@@ -588,7 +619,7 @@ class _Seeds:
         parsed = [parse_endpoint(endpoint) for endpoint in endpoints]
         self._names = [(endpoint.host, endpoint.port) for endpoint in parsed]
         self._is_numeric = all(_sockaddr(name, 0) for name in self._names)
-        self._next = -1e9
+        self._next = _NEVER
         self._resolved: list[list[Address]] = []  # results of the thread, not taken yet
         self._is_under_way = False
 
@@ -629,10 +660,11 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 
 
 def _count_lost(sock: socket.socket) -> int | None:
-    """Datagrams that the kernel has dropped at a socket; None unless its queue is nearly full.
+    """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
-    The count includes datagrams that the packet filter refused, also while the queue has room: only
-    a queue that is nearly full shows an overload.
+    None unless the socket's queue is nearly full: the count includes datagrams that the packet
+    filter has refused, so that a count without a full queue shows no overload. None also for a
+    kernel without this count.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))

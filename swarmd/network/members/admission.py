@@ -1,14 +1,14 @@
 """Which datagrams a robot of a secured swarm accepts, and which are forged or replayed. Pure.
 
-Verified datagrams and times go in. A signature shows the role of the signer. A datagram is accepted
-if its signer's role may send this kind, the robot in the datagram is on the roster, and the
-datagram is fresh. The kinds are fresh as follows:
+Datagrams come in with verified signatures. A signature shows the role of the signer. A datagram is
+accepted if its signer's role may send this kind, the robot in the datagram is on the roster, and
+the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. Fresh are:
 
-- a beacon: by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
-- a message, place or goal: from the instance that is the member now,
-- latches: from that instance, with the digest of its newest beacon,
-- a member list: as the answer to a question of this robot,
-- a stop: by the rules of `stop_freshness.py`. It names the operator that signed it. A robot that
+- a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
+- a message, place or goal from the instance that is the member now,
+- latches from the instance that is the member now, with the digest of its newest beacon,
+- a member list that answers a question of this robot,
+- a stop by the rules of `stop_freshness.py`. A stop names the operator that signed it. A robot that
   relays a stop keeps the operator's name and signs with its own key.
 """
 
@@ -64,8 +64,9 @@ SIGNERS: Mapping[type[Datagram], frozenset[Role]] = {
 class Admission:
     """The checks of the robot `own`.
 
-    `names`: the robots on the roster. `echoes` returns a number that was never used before.
-    `counters`: the counters of stops that `StopFreshness` kept from the robot's earlier life.
+    `names`: the robots on the roster. `lease`: s of silence after which a robot has failed.
+    `echoes` returns a number that was never used before. `counters`: the greatest counter of stops
+    by origin, which a file kept from the robot's earlier life (`StopFreshness`).
     """
 
     def __init__(
@@ -90,9 +91,11 @@ class Admission:
         *,
         is_claiming: bool,
     ) -> Datagram | Flaw:
-        """The datagram as far as it is accepted, or the flaw for which it is refused.
+        """Check a datagram whose signature by `author` is verified; returns it, or its flaw.
 
-        `is_claiming`: this robot does not own its id yet, so that beacons of rivals are judged.
+        A member list comes back without the robots that the roster lacks; every other datagram
+        comes back unchanged. `is_claiming`: this robot does not own its id yet, so that beacons of
+        other claimers of the id are checked.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
@@ -101,12 +104,12 @@ class Admission:
             case Beacon():
                 return self._beacon(body, now, is_claiming=is_claiming)
             case Stop():
-                return body if _is_in_its_name(body, author) else Flaw.FORGED
+                return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
             case Solicit() | ClockQuery() | Swarm():
-                return body
-            case MemberList():
+                return body  # a repeated question costs an answer, which is limited
+            case MemberList():  # must answer a question of this robot, by its echo
                 is_fresh = self.freshness.is_own_echo(body.echo, now)
                 is_fresh &= membership.is_present(body.robot, body.instance)
                 body = only_names(body, self.names)
@@ -118,7 +121,7 @@ class Admission:
                 is_fresh = is_fresh and self.freshness.is_new_place(
                     body.robot, body.instance, body.sent
                 )
-            case Latches():
+            case Latches():  # must be those of the sender's newest beacon, by their digest
                 is_fresh = membership.latches_of(body.robot, body.instance) == body.digest
             case GoalReport():
                 is_fresh = membership.is_present(body.robot, body.instance)
@@ -127,6 +130,7 @@ class Admission:
         return body if is_fresh else Flaw.REPEATED
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
+        """The beacon, or its flaw: no robot of the roster, or perhaps replayed."""
         if beacon.robot not in self.names:
             return Flaw.FORGED
         if beacon.flags & Flag.JOINING and not (is_claiming and beacon.robot == self._own):
@@ -134,8 +138,8 @@ class Admission:
         return self.freshness.on_beacon(beacon, now) or beacon
 
 
-def _is_in_its_name(stop: Stop, author: Author) -> bool:
-    """True if the operator signed the stop, or a robot that hands the stop on."""
+def _may_send_stop(stop: Stop, author: Author) -> bool:
+    """True if the author is the operator of the stop, or a robot that relays the stop."""
     if author.role is Role.ROBOT:
         return stop.hops > 0
     return stop.hops == 0 and stop.operator == author.name

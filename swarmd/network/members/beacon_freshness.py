@@ -1,10 +1,13 @@
 """Detection of replayed beacons without a shared clock. Pure: beacons and times in.
 
-Only secured swarms use this. A signed beacon may be an old beacon that an attacker replays.
+Only secured swarms use this module. A signed beacon may be an old beacon that an attacker replays.
+An *instance* is one life (start to end) of a robot's daemon.
 
 1. An instance that is unknown, or was silent for a lease, is accepted only once it has answered a
-   question (`Solicit`) asked after its last beacon: the answer repeats the echo of the question.
-2. From then on each beacon of the instance with a greater sequence than the last is accepted.
+   question (`Solicit`) asked after its last beacon. The answer is a beacon with the `echo` of the
+   question, a number that was never used before.
+2. From then on a beacon of the instance is accepted if its sequence is greater than that of the
+   last beacon.
 
 `membership.py` decides after which silence a member has failed.
 """

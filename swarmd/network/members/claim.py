@@ -5,8 +5,8 @@
    owner has lost. A single beacon may be a delayed beacon of a daemon that has ended.
 3. Of several claimers the smallest instance wins.
 4. A claim is won after `settle` seconds of listening without a rival. Each call of `is_won` adds
-   the time since the call before, at most LONGEST_LOOK: after a stall the beacons of rivals may
-   still wait to be read. So a claim takes at least settle / LONGEST_LOOK calls.
+   the time since the call before, at most LONGEST_LOOK: after a stall of the process, beacons of
+   rivals may still wait to be read. So a claim takes at least settle / LONGEST_LOOK calls.
 
 Two owners of an id can still meet when two parts of a network are joined again: `Membership` and
 the daemon then see the beacons of a second instance.

@@ -1,7 +1,7 @@
 """How well the datagrams of each robot arrive here. Pure: beacons and times in, figures out.
 
 A robot numbers the beacons that it sends to all, so that a gap in the numbers is a loss. Loss is
-directed: it measures how well this robot hears the sender.
+measured in one direction: from the sender to this robot.
 """
 
 from __future__ import annotations

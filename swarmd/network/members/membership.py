@@ -9,8 +9,8 @@ operator judges for itself. A member is
   or is forgotten.
 
 An indirect member is a robot that only the member lists of other robots name: its beacons do not
-arrive here. A robot hands indirect members on with their age and the number of hops; they are no
-neighbors. An operator owns no id, and keeps the reports of robots in `operator/member_reports.py`.
+arrive here. A robot hands indirect members on with their age and the number of hops. Indirect
+members are no neighbors. An operator keeps the reports of robots in `operator/member_reports.py`.
 Times are in s on the caller's monotonic clock.
 """
 
@@ -63,16 +63,18 @@ class Life(Struct):
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
         """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        1. A beacon with a lower number counts as delayed for LATE_TIME only: a forged number must
-           not hide the robot.
-        2. After a farewell the answer to a later question counts in any case (`is_answer`).
-        3. After a false farewell no farewell of this life counts.
+        1. A beacon with a lower number than the newest beacon counts as delayed for LATE_TIME after
+           the newest. Later such a beacon is taken: a forged high number must not hide the robot.
+        2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) is always taken.
+        3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
+           this life counts.
         """
         is_farewell = bool(beacon.flags & Flag.LEFT)
-        is_late = beacon.sequence <= self.beacon.sequence and now - self.heard < LATE_TIME
-        if (is_late and not (self.left is not None and is_answer)) or (
-            is_farewell and self.has_returned
-        ):
+        is_delayed = beacon.sequence <= self.beacon.sequence and now - self.heard < LATE_TIME
+        answers_after_farewell = self.left is not None and is_answer
+        if is_delayed and not answers_after_farewell:
+            return False
+        if is_farewell and self.has_returned:
             return False
         self.has_returned |= self.left is not None and not is_farewell
         self.heard = now
@@ -84,12 +86,12 @@ class Life(Struct):
 
 
 class Change(Enum):
-    """What a beacon changed: nothing, the figures of a life, or which lives there are."""
+    """What a beacon has changed in the membership."""
 
-    IGNORED = auto()
-    REFRESHED = auto()
-    FOUND = auto()
-    LEFT = auto()
+    IGNORED = auto()  # nothing
+    REFRESHED = auto()  # the time, address and content of a known life
+    FOUND = auto()  # a new life, or a life whose farewell was false
+    LEFT = auto()  # the life has ended by its farewell
 
 
 class _Robot(Struct):
@@ -113,10 +115,10 @@ class _Robot(Struct):
         return next(reversed(self.lives.values()))
 
     def living(self, lease: float, now: float) -> list[bytes]:
-        """The living instances, the newest first.
+        """The instances that were heard within `lease` s and did not leave, the newest first.
 
-        An older instance counts only if it was heard after the newest appeared: a robot that
-        restarts is no duplicate of itself.
+        An older instance is included only if it was heard after the first beacon of the newest
+        instance: a robot that restarts is no duplicate of itself.
         """
         newest = self.latest
         return [
@@ -131,7 +133,7 @@ class _Robot(Struct):
 class IndirectMember(Struct, frozen=True):
     """A robot that other robots know."""
 
-    heard: MemberReport  # the report of another robot
+    heard: MemberReport  # the newest report of another robot
     by: str  # the robot that sent the report
     at: float  # the time at which the report came
 
@@ -141,10 +143,12 @@ class IndirectMember(Struct, frozen=True):
 
 
 class Membership:
-    """The other robots of a swarm; `own` is never among them, and empty for an operator.
+    """The other robots of a swarm, as this robot or operator hears them.
 
-    Bounded: beyond MAX_MEMBERS a new robot replaces the robot that is gone the longest. If all are
-    alive, the new robot is ignored, and counted in `ignored`.
+    `own`: the name of this robot, which is never a member; empty for an operator. `lease`: s of
+    silence after which a member has failed. At most MAX_MEMBERS: a new robot replaces the robot
+    that is gone the longest. If no robot may be replaced, the new robot is ignored, and counted in
+    `ignored`.
     """
 
     def __init__(self, own: str, lease: float) -> None:
@@ -162,35 +166,43 @@ class Membership:
     def take(
         self, beacon: Beacon, address: Address, now: float, *, is_answer: bool = False
     ) -> Change:
-        """Take a beacon of a robot that owns its id.
+        """Take a beacon of a robot that owns its id; returns what the beacon has changed.
 
-        `is_answer`: the beacon answers a question that was asked after its sender left.
+        A *life* is the time from start to end of one daemon, marked by its random `instance`. A
+        *farewell* is the last beacon of a life (Flag.LEFT). `is_answer`: the beacon answers a
+        question that was asked after its sender's farewell. Returns IGNORED for a beacon of this
+        robot, of a robot that still claims its id, of a new robot without room, and for a beacon
+        that is delayed (`Life.take`).
         """
         name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
         if name == self._own or beacon.flags & Flag.JOINING:
             return Change.IGNORED
         robot = self._robots.get(name)
         life = None if robot is None else robot.lives.get(beacon.instance)
-        if life is None:
+        if life is None:  # the first beacon of a life
             if is_farewell:
                 return Change.IGNORED
-            if robot is None:
+            if robot is None:  # the first beacon of a robot
                 if len(self._robots) >= MAX_MEMBERS and not self._make_room(now):
                     self.ignored += 1
                     return Change.IGNORED
                 robot = self._robots[name] = _Robot(first=now)
-            self._indirect.pop(name, None)
+            self._indirect.pop(name, None)  # the robot is heard directly from now on
             life = robot.lives[beacon.instance] = Life(now, now, beacon, address, beacon.version)
-            for old in list(robot.lives)[:-MAX_INSTANCES]:
-                del robot.lives[old]
+            for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:
+                del robot.lives[oldest_instance]
             change = Change.FOUND
         else:
             assert robot is not None
-            was_gone = life.left is not None
+            had_left = life.left is not None
             if not life.take(beacon, address, now, is_answer=is_answer):
                 return Change.IGNORED
-            change = Change.FOUND if was_gone else Change.REFRESHED
-            change = Change.LEFT if is_farewell else change
+            if is_farewell:
+                change = Change.LEFT
+            elif had_left:
+                change = Change.FOUND
+            else:
+                change = Change.REFRESHED
         if beacon.body is not None and (robot.body is None or life is robot.latest):
             robot.body = beacon.body
         return change
@@ -268,9 +280,9 @@ class Membership:
         return {robot: member for robot, member in members if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
-        """The body that each member heard here reported; None: no report so far.
+        """By robot, the body (outline and sensor heights) that the robot reported; None without.
 
-        Members that left or failed are included until they are forgotten: their bodies still stand
+        Members that left or failed are included until they are forgotten: such robots still stand
         somewhere. The report of an earlier instance holds until a newer instance reports a body.
         """
         return {
@@ -332,17 +344,22 @@ class Membership:
                 yield robot, known.latest.address
 
     def reports(self, now: float) -> tuple[MemberReport, ...]:
-        """The member list for other robots: the robots heard here, then the indirect members."""
+        """The member list for other robots: the robots heard here, then the indirect members.
+
+        An indirect member is a robot that only other robots hear. `age` in a report: ms since the
+        last beacon of a robot that is alive, or since the robot left or failed.
+        """
         reports = []
         for robot, known in sorted(self._robots.items()):
             if known.shown is None:
                 continue
-            presence, latest = known.shown[1], known.latest
+            instance, presence = known.shown
+            latest = known.latest
             since = latest.heard if presence is Presence.ALIVE else known.since
             reports.append(
                 MemberReport(
                     robot=robot,
-                    instance=known.shown[0],
+                    instance=instance,
                     presence=PRESENCES.index(presence),
                     age=round(max(now - since, 0.0) * 1000),
                     host=latest.address[0].partition("%")[0],
@@ -350,19 +367,9 @@ class Membership:
                 )
             )
         for robot, indirect in sorted(self._indirect.items()):
-            heard = indirect.heard
+            report = indirect.heard
             age = round(indirect.age(now) * 1000)
-            reports.append(
-                MemberReport(
-                    robot=robot,
-                    instance=heard.instance,
-                    presence=heard.presence,
-                    age=age,
-                    hops=heard.hops + 1,
-                    host=heard.host,
-                    port=heard.port,
-                )
-            )
+            reports.append(replace(report, robot=robot, age=age, hops=report.hops + 1))
         return tuple(reports)
 
     def duplicates(self, now: float) -> Mapping[str, tuple[str, ...]]:
@@ -432,6 +439,7 @@ class Membership:
         return bool(gone)
 
     def _settle(self, known: _Robot, now: float) -> bool:
+        """Update the reported instance and presence of a robot; True if these have changed."""
         living = known.living(self._lease, now)
         name, latest = next(reversed(known.lives.items()))
         if living:

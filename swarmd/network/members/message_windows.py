@@ -1,8 +1,8 @@
 """Which messages of patterns are new, which are duplicates, and how many are lost. Pure.
 
-Other modules drop other repeated datagrams: a copy by a second way `carriers/udp.py`, a
-delayed beacon `membership.py`, a replayed beacon `beacon_freshness.py`, a replayed stop
-`stops/stop_freshness.py`.
+Other modules drop repeated datagrams of other kinds: `carriers/udp.py` a copy by a second way,
+`membership.py` a delayed beacon, `beacon_freshness.py` a replayed beacon, `stops/stop_freshness.py`
+a replayed stop.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ class _Window:
     seen: int = 1
 
     def take(self, sequence: int) -> tuple[bool, int]:
-        """Whether a message is new, and the change of the number of lost messages.
+        """Take the sequence number of a message.
 
-        A late message was counted as lost when it was skipped, so that the change is -1.
+        Returns whether the message is new, and the change of the number of lost messages. A message
+        that comes after a later message was counted as lost before, so that the change is -1.
         """
         ahead = sequence - self.highest
         if ahead >= WINDOW:  # the window holds no message before: start again, with WINDOW lost

@@ -9,13 +9,13 @@ from msgspec import Meta, Struct
 
 
 class NeighborSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which robots are neighbors.
+    """Which robots are neighbors, so that a pattern gets their messages.
 
-    - `neighborhood`: all; range: within `range` m, by hardware for range and bearing or by poses in
-      a shared frame; link: by the quality of the radio link.
-    - `quality`: with link, the share of beacons that must arrive.
-    - `signal`: with link, the least signal strength in dBm where the radio reports it.
-    - `programs`: whether messages of Zenoh programs count as those of neighbors.
+    - `neighborhood`: `all`: all robots. `range`: robots within `range` m, measured by hardware for
+      range and bearing, or by poses in a shared frame. `link`: robots with a good radio link.
+    - `quality`: with `link`, the share of a robot's beacons that must arrive.
+    - `signal`: with `link`, the least signal strength in dBm, where the radio reports it.
+    - `programs`: whether a pattern gets the messages of Zenoh programs, too.
     """
 
     neighborhood: Literal["all", "range", "link"] = "all"

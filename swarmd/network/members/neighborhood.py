@@ -1,9 +1,9 @@
 """Which robots are neighbors: all, those within a range, or those with a good link. Pure.
 
-A robot takes messages of its neighbors only. The settings have the meaning of the simulated radio's
-(`radio.neighborhood` and `radio.range` of a scenario), so that a pattern meets the same
-neighborhood in simulation and in the field. Each limit has a hysteresis: a robot at the edge does
-not become a neighbor and lose that state with each measurement.
+A robot takes messages of its neighbors only. The settings mean the same as those of the simulated
+radio (`radio.neighborhood` and `radio.range` of a scenario), so that a pattern meets the same
+neighborhood in simulation and in the field. Each limit has a hysteresis: noise does not turn a
+robot at the limit into a neighbor and back with each measurement.
 """
 
 from __future__ import annotations
@@ -59,11 +59,12 @@ class Neighborhood:
         now: float,
         links: Mapping[str, Link] | None = None,
     ) -> tuple[Neighbor, ...]:
-        """The candidates, each with `in_reach` set; `links`: the measured links by robot.
+        """Set `in_reach` of each candidate: True if it is a neighbor now.
 
-        With neighborhood range, a distance that the base measures counts before a distance from
-        reported places. A robot of unknown distance is not in reach. With neighborhood link, a
-        robot without a measured link is not in reach.
+        `candidates`: the other robots. `now` in s. `links`: the measured links by robot. With
+        neighborhood `range`, the distance that the base measures is used, or else the distance to
+        the place that the robot reported; a robot of unknown distance is not in reach. With
+        neighborhood `link`, a robot without a measured link is not in reach.
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)

@@ -26,10 +26,11 @@ class PeerClocks:
         self._asked: dict[str, int] = {}  # ns: when the question was sent, by robot
 
     def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
-        """Questions to some of the robots that are alive; empty if they are not due.
+        """Questions for the clocks of some robots, with their addresses; empty if none is due.
 
-        The robots form a ring in the order of their names. Each robot asks the robots 1, 2, 4, ...
-        places further in the ring: few questions, and a short path between any two robots.
+        `alive`: the robots that are alive. All robots form a ring in the order of their names. Each
+        robot asks the robots that are 1, 2, 4, ... places further in the ring. So few questions are
+        sent, and a short chain of clock comparisons connects any two robots.
         """
         if now < self._due_at:
             return []

@@ -3,8 +3,8 @@
 A robot reads its clock at some time between the operator's query and the arrival of its answer. So
 the offset is estimated from the middle of the round trip, with an error of at most half of the
 round trip (Cristian, Probabilistic clock synchronization, Distributed Computing 3, 1989). Of
-several exchanges the one with the shortest round trip counts (the clock filter of NTP, RFC 5905,
-section 10). All times are CLOCK_BOOTTIME, in s.
+several exchanges with a robot, the exchange with the shortest round trip counts (the clock filter
+of NTP, RFC 5905, section 10). All times are CLOCK_BOOTTIME, in s.
 """
 
 from __future__ import annotations
@@ -97,10 +97,10 @@ def read_clocks(operator: Operator, robots: Collection[str]) -> dict[str, ClockO
 def start_times(
     offsets: Mapping[str, ClockOffset], moment: float
 ) -> tuple[dict[str, float], float]:
-    """The time on each robot's clock at which it starts, for a start at `moment`.
+    """The start time in s on the clock of each robot, for a start of all robots at one moment.
 
-    `moment`: s on the operator's clock. Also returns the bound in s of how far apart two robots may
-    start by the errors of their clocks: the sum of the two greatest errors.
+    `moment`: s on the operator's clock. Also returns the greatest time in s between the starts of
+    two robots by the errors of the offsets: the sum of the two greatest errors.
     """
     starts = {robot: moment + offset.offset for robot, offset in offsets.items()}
     errors = sorted((offset.error_at(moment) for offset in offsets.values()), reverse=True)

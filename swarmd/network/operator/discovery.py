@@ -3,8 +3,9 @@
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
 (`status_table.py`), and rosters. A look is complete once every expected robot has answered itself,
-and either all views agree or nothing new has come for `quiet_time`. A look that does not become
-complete ends after a time that follows from the measured round trip and loss (`ends_at`).
+and the answers agree on the members. If they do not agree, the look is complete once nothing new
+has come for `quiet_time`. Any other look ends after a time that follows from the measured round
+trip and loss of datagrams (`ends_at`).
 """
 
 from __future__ import annotations
@@ -57,12 +58,13 @@ class Discovery:
 
     - `roster`: robots that are expected in any case.
     - `first_robot_timeout`: how long to wait for a first robot, in s.
-    - `earlier`: the result of an earlier look, whose robots stay expected, and count as failed
-      until they are heard again.
+    - `earlier`: the result of an earlier look. Its robots stay expected, and count as failed until
+      they are heard again.
     - `is_local`: all robots are on this machine, by the loopback interface.
-    - `is_secured`: links take longer to open.
+    - `is_secured`: the swarm is secured, so that links take longer to open.
     - `needs_status`: a robot has answered once its status has come. With `needs_status` False a
-      beacon that echoes a solicit, together with a whole member list, is an answer, too.
+      robot has also answered once a beacon that echoes a solicit and a whole member list have
+      come.
     """
 
     def __init__(
@@ -76,23 +78,28 @@ class Discovery:
         is_secured: bool = False,
         needs_status: bool = True,
     ) -> None:
+        """Begin a look (a query of all members) at `now` in s; the arguments as in the class."""
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
-        self._news_at = self._prolonging_news_at = now  # of any robot; of a robot that prolongs
+        self._news_at = now  # when anything new was heard or reported of any robot
+        self._prolonging_news_at = now  # the same, of a robot for which the look waits
         self._roster = set(roster)
-        self._programs: set[str] = set()
-        self._members = Membership("", FRESH_TIME)
+        self._programs: set[str] = set()  # Zenoh programs that robots hear
+        self._members = Membership("", FRESH_TIME)  # by the beacons heard here
         self._trips = RoundTrips()
-        self._reports = MemberReports(is_local=is_local)
+        self._reports = MemberReports(is_local=is_local)  # of robots on other robots
         self._statuses = StatusTable()
-        self._mentioned: dict[str, float] = {}
+        self._mentioned: dict[str, float] = {}  # each robot heard or reported, and since when
         # When a report last named a robot; inf for a robot that an earlier look has heard.
         self._named: dict[str, float] = {}
         self._forgot_at = now
-        self._lists_at = -float("inf")
+        self._lists_at = -float("inf")  # when member lists were last asked for
+
+        # The robots of an earlier look count as failed until they are heard again. A member with
+        # `by` was known only from the report of another robot.
         for robot, member in (earlier.members if earlier else {}).items():
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
@@ -105,8 +112,8 @@ class Discovery:
     def wants_members(self, now: float) -> bool:
         """True if the next solicit must ask for member lists; it then counts as asked.
 
-        Lists are long. So they are asked for at the start, soon again while a robot heard has not
-        sent its list, and rarely after that.
+        Lists are long. So this asks for lists at the start, soon again while a robot that is heard
+        has not sent its list, and every LISTS_PERIOD after that.
         """
         has_all_lists = bool(self.heard) and not self.unlisted
         period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)
@@ -221,7 +228,7 @@ class Discovery:
     def _answered_by_datagram(self, robot: str) -> bool:
         """True if the robot has one living instance, which echoed a solicit and sent its list.
 
-        False for an id that two daemons hold: both must be linked before a request goes out.
+        False for an id that two daemons hold: a request needs a link to each of the two.
         """
         holders = self.holders(robot)
         is_echoed = all(self._trips.has_answered(robot, instance) for instance in holders)
@@ -243,8 +250,8 @@ class Discovery:
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        Robots that only other robots have heard and that did not answer are limited to
-        MAX_INDIRECT_DIALS: those that the most robots report.
+        Of the robots that only other robots hear, and that did not answer, at most
+        MAX_INDIRECT_DIALS are included: the robots with the most reporters.
         """
         direct: dict[tuple[str, str], Address] = {}
         indirect: dict[tuple[str, str], Address] = {}
@@ -301,9 +308,10 @@ class Discovery:
         )
 
     def has_all_lists(self, now: float) -> bool:
-        """True once all robots heard have sent their lists, and the lists are settled.
+        """True once all robots heard have sent their member lists, and the lists are settled.
 
-        They are settled if each list has all other robots heard as alive, or after `quiet_time`.
+        The lists are settled if each list names all other robots heard as alive. Otherwise the
+        lists are settled once nothing new has come for `quiet_time`.
         """
         heard = self.heard
         if not heard or self.unlisted:
@@ -314,37 +322,42 @@ class Discovery:
         return agree or now - self._news_at >= self.quiet_time
 
     def ends_at(self, now: float, lacking: Iterable[str]) -> float:
-        """The time at which to stop waiting for the robots in `lacking`, by what is known now.
+        """The time in s until which the look waits for answers of the robots in `lacking`.
 
-        The latest of these ends counts:
+        The latest of these ends counts. All waits grow with the round trip:
 
-        1. After the last news, `quiet_time`.
-        2. For a robot heard: ANSWER_WAIT from the last robot found, and more with the loss.
-        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT from its report.
-        4. For any other robot: GONE_WAIT.
+        1. `quiet_time` after the last news.
+        2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found. This
+           wait grows with the loss of datagrams, too.
+        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT after it was first
+           mentioned.
+        4. For any other robot: GONE_WAIT after it was first mentioned.
         5. While no robot is heard: the timeout for the first robot.
         """
+        first_robot_end = self.started + self._first_robot_wait
         if not self._mentioned:
-            return self.started + self._first_robot_wait
+            return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news_at + self.quiet_time]
+        # A robot that was found late and is not confirmed does not prolong the look: an attacker
+        # may invent robots.
         prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
-        found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
+        last_found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
         for robot in lacking:
             if robot in self._mentioned and robot not in prolonging:
                 continue
             since = self._mentioned.get(robot, self.started)
-            best = most_certain(self._all_reports(robot))
+            report = most_certain(self._all_reports(robot))
             if self._is_fresh(robot, now):
                 wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
-                since = max(since, found_at)
-            elif best is not None and best.presence is Presence.ALIVE:
+                since = max(since, last_found_at)
+            elif report is not None and report.presence is Presence.ALIVE:
                 wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
             else:
                 wait = GONE_WAIT + GONE_TRIPS * trip
             ends.append(since + wait)
         if not self.heard:
-            ends.append(self.started + self._first_robot_wait)
+            ends.append(first_robot_end)
         return max(ends)
 
     def is_over(self, now: float) -> bool:

@@ -30,10 +30,10 @@ def code_of_outcome(outcome: Outcome) -> int:
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
-    """The code of a command that only asks.
+    """The exit code of a command that only asks robots and changes nothing.
 
-    APPLIED if all robots in `asked` answered (or `asked` is empty), PARTIAL if some answered,
-    TIMEOUT if none answered.
+    APPLIED if all robots in `asked` have answered (or `asked` is empty), PARTIAL if some have
+    answered, TIMEOUT if no robot has answered.
     """
     if set(asked) <= set(answered):
         return APPLIED

@@ -36,9 +36,9 @@ class PeerReport(Struct, frozen=True):
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     """The address of a robot in the report of another robot; None if the address is not valid.
 
-    The host must be an IP literal; only a link-local IPv6 host may have a scope, which must be a
-    number. With `is_local` the host must be in 127.0.0.0/8, otherwise it must be no loopback
-    address.
+    The host must be an IP address, and no multicast address. Only a link-local IPv6 address may
+    have a scope, and the scope must be a number. With `is_local` the host must be in 127.0.0.0/8,
+    else it must not be a loopback address.
     """
     try:
         ip = ipaddress.ip_address(host)
@@ -58,8 +58,8 @@ def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
     """The most certain of the reports on one robot; None without reports.
 
     1. The newest report that the robot is alive.
-    2. Without such a report: of the reports on the newest instance, `left` before failed, then the
-       newest.
+    2. Without such a report: a report on the instance of the newest report. A report that this
+       instance left counts before a report that it failed, then the newest report counts.
     """
     on_robot = list(reports)
     alive = [report for report in on_robot if report.presence is Presence.ALIVE]
@@ -103,28 +103,33 @@ class MemberReports:
     def add_list(self, word: MemberList, now: float) -> dict[str, list[PeerReport]]:
         """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
 
-        Parts older than the last whole list are dropped. Without a whole list, the parts of the
-        last MAX_PARTIAL_LISTS lists are kept.
+        A list comes in parts, in several datagrams; the `echo` of the solicit marks the parts of
+        one list. Parts older than the last whole list are dropped. Without a whole list, the parts
+        of the last MAX_PARTIAL_LISTS lists are kept.
         """
+        # 1. Keep the part, and drop parts of older lists.
         parts = self._lists.setdefault(word.robot, {})
         parts[word.echo, word.part] = (word, now)
-        whole = [echo for echo, _ in parts if _has_all(parts, echo)]
-        echoes = list(dict.fromkeys(echo for echo, _ in parts))
-        oldest = whole[-1] if whole else echoes[-MAX_PARTIAL_LISTS:][0]
-        for key in list(parts):
-            if key[0] == oldest:
+        whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]
+        lists = list(dict.fromkeys(echo for echo, _ in parts))
+        oldest_kept = whole_lists[-1] if whole_lists else lists[-MAX_PARTIAL_LISTS:][0]
+        for echo, number in list(parts):
+            if echo == oldest_kept:
                 break
-            del parts[key]
+            del parts[echo, number]
+
+        # 2. Collect the reports. An unknown presence comes from a later version, and is left out.
         reports: dict[str, list[PeerReport]] = {}
         for part, at in parts.values():
             for member in part.members:
                 if member.presence < len(PRESENCES):
+                    address = reported_address(member.host, member.port, is_local=self._is_local)
                     report = PeerReport(
-                        member.instance.hex(),
-                        PRESENCES[member.presence],
-                        at - member.age / 1000.0,
-                        word.robot,
-                        reported_address(member.host, member.port, is_local=self._is_local),
+                        instance=member.instance.hex(),
+                        presence=PRESENCES[member.presence],
+                        at=at - member.age / 1000.0,
+                        by=word.robot,
+                        address=address,
                     )
                     reports.setdefault(member.robot, []).append(report)
         return reports

@@ -40,46 +40,60 @@ class MemberSearch:
     def look(
         self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
     ) -> MembersView:
-        """Run the look `discovery`, which was just begun; returns the members.
+        """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
-        The look ends once it is complete, and after `timeout` s at the latest. With `timeout` None
-        it ends once `discovery.is_over`, and after `cap` s at the latest. `needs_status` False: a
-        robot's datagram is an answer.
+        Threads of the carrier and of Zenoh put the answers into `discovery`. The look ends after
+        `timeout` s at the latest. With `timeout` None it ends once `discovery.is_over`, and after
+        `cap` s at the latest. `needs_status` False: a robot's datagram is an answer, so that its
+        status is asked for only after STATUS_DELAY.
         """
         now = discovery.started
-        solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
-        until = None if timeout is None else now + timeout
-        ask_at = now if needs_status else now + STATUS_DELAY
-        over = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))
+        solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
+        over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))
+        deadline = None if timeout is None else now + timeout
+        ask_status_at = now if needs_status else now + STATUS_DELAY
         while True:
+            # 1. Has the look ended?
             with self._arrivals.lock:
                 now, count = boottime(), self._arrivals.count
                 is_complete = discovery.is_complete(now)
-                is_late = until is not None and now >= until
-                is_over = until is None and (
-                    now - discovery.started >= cap or (over.is_due(now) and discovery.is_over(now))
-                )
-            if is_complete or is_late or is_over:
+                if deadline is not None:
+                    is_over = now >= deadline
+                else:
+                    is_capped = now - discovery.started >= cap
+                    is_over = is_capped or (over_timer.is_due(now) and discovery.is_over(now))
+            if is_complete or is_over:
+                # Dial robots that were found last: `dial` waits for more robots to dial together.
                 while is_complete and (wait := self._sessions.dial(discovery, now)) < float("inf"):
                     time.sleep(wait)
                     now = boottime()
                 with self._arrivals.lock:
                     return discovery.result(now)
-            if solicit.is_due(now):
+
+            # 2. Send what is due.
+            if solicit_timer.is_due(now):
                 self._datagrams.solicit(discovery, now)
             wait = self._sessions.dial(discovery, now)
-            if now >= ask_at and poll.is_due(now):
+            if now >= ask_status_at and status_timer.is_due(now):
                 self._ask_members(discovery)
-            ends = [OVER_PERIOD if until is None else until - now, wait]
-            self._arrivals.wait(count, min(solicit.pause(now), poll.pause(now), *ends))
+
+            # 3. Wait for an answer, or until something is due.
+            to_end_check = OVER_PERIOD if deadline is None else deadline - now
+            due_in = min(solicit_timer.pause(now), status_timer.pause(now), to_end_check, wait)
+            self._arrivals.wait(count, due_in)
 
     def _ask_members(self, discovery: Discovery) -> None:
+        """Ask all linked robots for status and members, by Zenoh; the replies go to `discovery`.
+
+        Robots that have answered do not answer again. The status of a robot of another version is
+        asked for on its own, and only the head of such a status is read.
+        """
         if not self._sessions.is_open:
             return
         from swarmd.network.carriers.session import MAX_WIRE
 
         with self._arrivals.lock:
-            known = sorted(discovery.settled)
+            answered = sorted(discovery.settled)
         decode = Decoder(PeerView, MAX_WIRE)
 
         def on_view(robot: str, payload: bytes) -> None:
@@ -94,9 +108,9 @@ class MemberSearch:
             if header.robot == robot and version_of(payload) != codec.VERSION:
                 discovery.on_header(header, boottime())
 
-        query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
+        query = encode(MembersQuery(answered=tuple(answered[:MAX_EXCUSED])))
         self._sessions.get(ANY, CONTROL, "members", query, STATUS_TIMEOUT, on_view)
         with self._arrivals.lock:
-            of_other_version = discovery.of_other_version - set(known)
+            of_other_version = discovery.of_other_version - set(answered)
         for robot in sorted(of_other_version):
             self._sessions.get(robot, "state", "status", b"", STATUS_TIMEOUT, on_status)

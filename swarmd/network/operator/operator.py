@@ -77,12 +77,12 @@ StopVerb = Literal["stop", "estop"]
 
 
 class Operator:
-    """An operator in a swarm; a context manager.
+    """An operator in a swarm: finds robots, sends requests and stops; a context manager.
 
-    `settings`: of the swarm. `identity`: makes the swarm secured, and gives the operator's name.
-    `roster`: robots that are expected even if no daemon has heard them. `takes_rosters` False: keep
-    the identity's roster even if robots show a newer roster. Raises NetworkError in one line if the
-    network cannot be used.
+    `settings`: of the swarm. `identity`: keys and name of the operator in a secured swarm; None: a
+    swarm without keys. `roster`: robots that are expected even if no daemon has heard them.
+    `takes_rosters` False: keep the identity's roster even if robots show a newer roster. Raises
+    NetworkError in one line if the network cannot be used.
     """
 
     def __init__(
@@ -95,6 +95,11 @@ class Operator:
         carrier: Carrier | None = None,
         takes_rosters: bool = True,
     ) -> None:
+        """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
+
+        `name`: of the operator in a swarm without keys; None: the name of this user. `carrier`: a
+        carrier in place of UDP or routers, for tests.
+        """
         settings.check()
         self.settings = settings
         self.identity = identity
@@ -104,10 +109,10 @@ class Operator:
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
-        self._discovery: Discovery | None = None
-        self._looked = MembersView({})
-        self._swarms: set[str] = set()
-        self._listeners: dict[type, Callable[[Any, float], object]] = {}
+        self._discovery: Discovery | None = None  # of the last look (query of all members)
+        self._last_view = MembersView({})  # the result of the last look
+        self._swarms: set[str] = set()  # names of swarms that answered a solicit of any swarm
+        self._listeners: dict[type, Callable[[Any, float], object]] = {}  # by kind of datagram
         self._rosters = RosterFollower(self, is_on=takes_rosters)
         self._arrivals = Arrivals()
         self._sessions = OperatorSessions(settings, identity, self._arrivals)
@@ -181,10 +186,10 @@ class Operator:
         An identity with the same roster and keys of more robots is used at once, on the same links.
         """
         with self._arrivals.lock:
-            known, old = self._datagrams.answers, self.identity
-            if known is not None and old is not None and old.roster == identity.roster:
+            admission, before = self._datagrams.answers, self.identity
+            if admission is not None and before is not None and before.roster == identity.roster:
                 self.identity = identity
-                known.take_keys(identity)
+                admission.take_keys(identity)
                 return
         answers = self._answers_for(identity)
         with self._arrivals.lock:
@@ -206,12 +211,12 @@ class Operator:
         cap: float = math.inf,
         needs_status: bool = True,
     ) -> MembersView:
-        """Look for the members; returns once all expected robots have answered.
+        """Query all members (a look); returns once all expected robots have answered.
 
         The look ends after `timeout` s at the latest. With `timeout` None it ends after a time that
         follows from the round trip, and after `cap` s at the latest. `needs_status` False: a
         robot's datagram is an answer, since its beacon has the epoch for a request. If robots are
-        missing and a robot has shown a newer roster, the roster is taken and the look repeated.
+        missing and a robot has shown a newer roster, this method takes the roster and looks again.
         """
         view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
@@ -220,8 +225,8 @@ class Operator:
 
     def _look(self, timeout: float | None, cap: float, *, needs_status: bool) -> MembersView:
         discovery = self._new_discovery(boottime(), needs_status=needs_status)
-        self._looked = self._search.look(discovery, timeout, cap, needs_status=needs_status)
-        return self._looked
+        self._last_view = self._search.look(discovery, timeout, cap, needs_status=needs_status)
+        return self._last_view
 
     def seen(self) -> MembersView:
         """The members that the last look or stop has found, by all that was heard until now."""
@@ -311,35 +316,37 @@ class Operator:
         is_ended: Callable[[], bool] = lambda: False,
         **fields: Any,
     ) -> Outcome:
-        """Send a request to the robots in `targets`, with the epoch that was seen of each.
+        """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `kind` and `fields`: the request. It is repeated with one id to each robot without a reply.
-        Returns once all robots have replied or `is_ended` returns True, and after `timeout` s at
-        the latest. `timeout` None: `least` s, longer by the round trip and the loss. Robots that
-        are unreachable or gone, by the last look and by all that was heard since, count as missing
-        and are not waited for. Raises ConfigError if the role of the own identity does not permit
-        the request: robots would refuse it silently.
+        `kind` and `fields`: the request; all repeats have one id. `targets`: the epoch of each
+        robot that the operator has seen. A robot whose epoch has changed since refuses the request.
+        None: no check. Returns once all robots have replied or `is_ended` returns True, and after
+        `timeout` s at the latest. `timeout` None: `least` s, longer by the round trip and the loss
+        of datagrams. A robot that is unreachable or gone counts as missing, and the request does
+        not wait for it. Raises ConfigError if the role of the own identity does not permit the
+        request: robots would refuse the request silently.
         """
         self._check_role(str(kind.__struct_config__.tag))
-        view, fresh = self._looked, self.seen()
+        last_view, present_view = self._last_view, self.seen()
         asked = {
             name: epoch
             for name, epoch in targets.items()
-            if view.is_in_reach(name) or fresh.is_in_reach(name)
+            if last_view.is_in_reach(name) or present_view.is_in_reach(name)
         }
         request = self._new(kind, targets=asked, **fields)
         if timeout is None:
-            timeout = request_timeout(view, least)
+            timeout = request_timeout(last_view, least)
         outcome, linked = self._requests.send(
-            request, targets, asked, view, self._discovery, timeout, is_ended
+            request, targets, asked, last_view, self._discovery, timeout, is_ended
         )
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
-        """The answer of a robot to the query `control/<name>`; None without an answer.
+        """Query `control/<name>` of a robot, which moves nothing; returns the answer's bytes.
 
-        The query is repeated for `timeout` s, and moves nothing. Call `members` first. Raises
-        ConfigError as `request` does.
+        None without an answer within `timeout` s, for which the query is repeated. Call `members`
+        first, which finds the robots. Raises ConfigError if the role of the own identity does not
+        permit the query.
         """
         return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
 
@@ -362,16 +369,18 @@ class Operator:
         on_progress: Callable[[tuple[str, ...]], None] = lambda missing: None,
         is_ended: Callable[[], bool] = lambda: False,
     ) -> Outcome:
-        """Stop or estop by datagrams: sent at once, repeated until each expected robot has acked.
+        """Stop robots by datagrams, sent at once and repeated until each expected robot has acked.
 
+        `verb`: "stop", or "estop" for an emergency stop, with which each robot keeps `reason`.
         `select` picks the targets from the names known so far, and is called again as more names
-        become known; `names` are targets in any case. `select` None: all robots. An estop of all is
-        swarm-wide: robots that join take it over. `reason` is kept with an estop.
+        become known; `names` are targets in any case. `select` None: all robots. An emergency stop
+        of all robots also holds for robots that join later.
 
-        The stop ends after `timeout` s, or, if that is None, after a time that follows from the
-        round trip. With `until_all` it ends only once all have acked, when `is_ended` returns True,
-        or at a KeyboardInterrupt, after which the outcome is returned. `on_progress` gets the
-        robots without an ack whenever they change.
+        Sending ends once all expected robots have acked and rest, and after `timeout` s at the
+        latest; `timeout` None: a time that follows from the round trip. With `until_all` there is
+        no time limit: sending also ends once `is_ended` returns True, and at a KeyboardInterrupt,
+        after which the outcome is returned. `on_progress` gets the robots without an ack whenever
+        these change.
         """
         self._check_role(verb)
         now = boottime()
@@ -383,6 +392,8 @@ class Operator:
             scope="swarm" if select is None else "robots",
             reason=stop_reason(reason) if verb == "estop" else "",
         )
+        # In a secured swarm a stop carries an origin and a counter, so that robots refuse a
+        # replayed stop. `renew` gives new numbers if a robot refuses the stop as replayed.
         renew: Renew | None = None
         if self.identity is not None:
             from swarmd.network.operator.stop_origin import StopOrigin
@@ -428,7 +439,7 @@ class Operator:
         """In a secured swarm: the robots in `missing` with a link, or with other answers."""
         if self.identity is None:
             return ()
-        return tuple(sorted((self._looked.answered | set(linked)) & set(missing)))
+        return tuple(sorted((self._last_view.answered | set(linked)) & set(missing)))
 
     def _open_carrier(self, tag: bytes) -> Carrier:
         settings = self.settings

@@ -1,9 +1,9 @@
 """Which datagrams of robots an operator or viewer of a secured swarm accepts. Pure.
 
-1. A robot counts once it has answered a solicit of the look (`beacon_freshness.py`).
+1. A robot counts as alive once it has answered a solicit of this operator (`beacon_freshness.py`).
 2. An answer is accepted only if the robot itself signed it for this operator.
 3. An ack is accepted only in a datagram that a robot of this roster signed, with a proof for this
-   operator by the robot that acks. So another robot can hand an ack on, but cannot make one.
+   operator by the robot that acks. So another robot can hand an ack on, but cannot make an ack.
 4. An identity that is older than a robot lacks the key that it shares with the robot. Datagrams of
    that robot are refused until the robot has handed over its key on a link (`roster_follower.py`).
 """
@@ -32,7 +32,7 @@ MAX_MISSING_KEYS = 4096
 
 
 class OperatorAdmission:
-    """Signs the operator's datagrams, and checks those of robots.
+    """Signs the operator's datagrams, and checks the datagrams of robots.
 
     `on_newer_roster(robot, address, generation)`: a robot may have a newer roster.
     `on_missing_key(robot, address)`: this identity has no key that it shares with the robot.
@@ -70,15 +70,22 @@ class OperatorAdmission:
         return self._trust.signer.sign(payload)
 
     def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
-        """The datagram as far as it is accepted; None if it is refused."""
+        """Check a robot's datagram; returns it, or None if it is refused.
+
+        `payload`: the bytes of the datagram with its signature. `source`: the address of the
+        sender. A member list comes back without robots that the roster lacks. Refused are a
+        datagram with a wrong signature or of another roster, an answer that its robot did not sign
+        for this operator, and a beacon or member list that may be replayed.
+        """
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)
             return None
         match body:
             case Ack() if body.robot in self._names:
-                is_direct = not body.via
-                if not self._has_key(body.robot, source if is_direct else None, now):
+                # An ack that another robot handed on does not come from the acking robot's address.
+                robot_address = None if body.via else source
+                if not self._has_key(body.robot, robot_address, now):
                     return None
                 return body if self._trust.verifier.is_proven(body) else None
             case Beacon() if body.robot in self._names:
@@ -88,16 +95,15 @@ class OperatorAdmission:
                 return body if self._is_fresh(body, payload, now) else None
             case MemberList() if self.freshness.is_own_echo(body.echo, now):
                 is_known = self.freshness.knows(body.robot, body.instance)
-                return (
-                    only_names(body, self._names)
-                    if is_known and self._is_own(body, payload)
-                    else None
-                )
+                if not is_known or not self._is_own(body, payload):
+                    return None
+                return only_names(body, self._names)
             case ClockReply() | GoalReport() if body.robot in self._names:
                 return body if self._is_own(body, payload) else None
         return None
 
     def _is_fresh(self, beacon: Beacon, payload: bytes, now: float) -> bool:
+        """True if the beacon's robot owns its id, and the beacon is no replay."""
         if beacon.flags & Flag.JOINING:
             return False
         is_answer = self.freshness.is_own_echo(beacon.echo, now)
@@ -112,8 +118,9 @@ class OperatorAdmission:
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
         """True if this identity has the key that it shares with the robot.
 
-        Else calls `on_missing_key` with `source`, if that is known. Any robot of the roster can
-        make a datagram with this name: only the link to `source` proves the name.
+        Without the key, calls `on_missing_key` with `source`, the robot's address, unless `source`
+        is None. Any robot of the roster can make a datagram with this name: only the link to
+        `source` proves the name.
         """
         if self._trust.verifier.has_key_of(robot):
             return True

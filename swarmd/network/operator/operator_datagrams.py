@@ -61,10 +61,10 @@ def reachable(address: Address, interface: str) -> Address:
 
 
 class OperatorDatagrams:
-    """Sends and verifies the datagrams of one swarm.
+    """Sends the operator's datagrams, and checks the datagrams that robots send.
 
-    `answers`: the operator's keys and checks in a secured swarm, which are replaced under the lock
-    of `arrivals`. `on_body` gets each accepted datagram, on the carrier's thread, from `start` on.
+    `answers`: the operator's keys and checks in a secured swarm; replace them under the lock of
+    `arrivals`. From `start` on, `on_body` gets each accepted datagram, on the carrier's thread.
     """
 
     def __init__(

@@ -38,10 +38,10 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
 
 
 def next_generation(operator: Operator, view: MembersView) -> int:
-    """The greatest generation of the goals in `view`, plus 1.
+    """The generation for a new goal: the greatest generation of the goals in `view`, plus 1.
 
-    In a secured swarm a generation above MAX_UNSIGNED counts only in a signed goal: a robot that
-    was taken over may show any generation. Raises ConfigError after MAX_GENERATION.
+    In a secured swarm a generation above MAX_UNSIGNED counts only if the goal is signed: a robot
+    that was taken over may show any generation. Raises ConfigError beyond MAX_GENERATION.
     """
     greatest = view.goal_generation
     if operator.identity is not None and greatest > MAX_UNSIGNED:
@@ -82,36 +82,38 @@ def sign_goal(goal: Goal, identity: Identity) -> Goal:
 
 
 def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
-    """The look without goals that their issuers have not signed; the look itself without keys.
+    """The members in `view` without goals that lack a valid signature of their issuer.
 
-    A robot reports its goals in its status. A stolen robot may report false goals: an operator must
-    not show them as goals of the swarm, and must never sign them. Verifying a signature takes some
-    4 ms. Pure.
+    A robot reports its goals in its status: the goal that it holds, its own goal, and the goal
+    before. A stolen robot may report false goals. An operator must not show such goals as goals of
+    the swarm, and must never sign them. `identity` None: the swarm has no keys, and `view` is
+    returned unchanged. Verifying a signature takes some 4 ms, so that each goal is verified once.
     """
     if identity is None:
         return view
-    key_of = identity.roster.operators.get
+    public_key_of = identity.roster.operators.get
 
     @cache
-    def is_signed(content: bytes) -> bool:
-        return is_signed_goal(msgspec.msgpack.decode(content, type=Goal), key_of)
+    def is_signed(encoded: bytes) -> bool:
+        return is_signed_goal(msgspec.msgpack.decode(encoded, type=Goal), public_key_of)
 
-    def checked_goal(goal: Goal | None) -> Goal | None:
+    def signed_or_none(goal: Goal | None) -> Goal | None:
         return goal if goal is not None and is_signed(msgspec.msgpack.encode(goal)) else None
 
-    def checked_known(known: KnownGoal | None) -> KnownGoal | None:
-        return known if known is not None and checked_goal(known.goal) is not None else None
+    def known_or_none(known: KnownGoal | None) -> KnownGoal | None:
+        return known if known is not None and signed_or_none(known.goal) is not None else None
 
-    def checked(member: SeenMember) -> SeenMember:
+    def with_signed_goals(member: SeenMember) -> SeenMember:
         if member.status is None or member.status.goal is None:
             return member
-        goals = member.status.goal
-        goals = replace(
-            goals,
-            held=checked_known(goals.held),
-            own=checked_known(goals.own),
-            before=checked_goal(goals.before),
+        reported = member.status.goal
+        signed = replace(
+            reported,
+            held=known_or_none(reported.held),
+            own=known_or_none(reported.own),
+            before=signed_or_none(reported.before),
         )
-        return replace(member, status=replace(member.status, goal=goals))
+        return replace(member, status=replace(member.status, goal=signed))
 
-    return replace(view, members={name: checked(seen) for name, seen in view.members.items()})
+    members = {name: with_signed_goals(member) for name, member in view.members.items()}
+    return replace(view, members=members)

@@ -45,9 +45,10 @@ class OperatorSessions:
         self._arrivals = arrivals
         self._opened: list[zenoh.Session] = []
         self._dial_at = 0.0
-        self._wanted_at: float | None = None
+        self._waiting_since: float | None = None  # since when robots wait to be dialled
+        # By robot and instance: the address that was dialled last, and when.
         self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
-        self._watched: dict[tuple[str, str], Handler] = {}
+        self._watched: dict[tuple[str, str], Handler] = {}  # by state name and robot
         self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
 
     @property
@@ -71,8 +72,8 @@ class OperatorSessions:
     def take_identity(self, identity: Identity) -> None:
         """Dial as this identity from now on.
 
-        Sessions to robots are closed: their access rules follow from the roster. A session to
-        routers has no such rules, and stays open for the carrier that uses it.
+        Sessions to robots are closed, since their access rules follow from the identity's roster. A
+        session to routers has no such rules. It stays open for the carrier of datagrams.
         """
         self._identity = identity
         if self.needs_links:
@@ -93,46 +94,53 @@ class OperatorSessions:
     # Links
 
     def dial(self, discovery: Discovery, now: float, only: Collection[str] | None = None) -> float:
-        """Dial robots that `discovery` has found; returns the s until the next call, inf if none.
+        """Dial the robots that `discovery` has found and that have no link, if that is due now.
 
-        `only`: dial only these robots. None: dial all, and dial those again whose status does not
-        come. Zenoh cannot add an endpoint to a session, so that each call that dials opens a
-        further session; beyond MAX_SESSIONS all are closed and all robots dialled anew.
+        `only`: dial only these robots. None: dial all robots, and dial a robot again if its status
+        does not come. Zenoh cannot add an endpoint to a session, so that each call that dials opens
+        a further session. Beyond MAX_SESSIONS all sessions are closed and all robots dialled anew.
+        Returns the s after which to call again; inf if no robot waits to be dialled.
         """
+        # 1. The robots to dial: new robots, robots with a new address, and robots without answer.
         with self._arrivals.lock:
-            to_dial = discovery.to_dial(now)
+            found = discovery.to_dial(now)
             if only is not None:
-                to_dial = {key: address for key, address in to_dial.items() if key[0] in only}
+                found = {key: address for key, address in found.items() if key[0] in only}
             answered = discovery.settled if only is None else frozenset[str]()
-            trip = discovery.round_trip
-        redial_after = REDIAL_WAIT + REDIAL_TRIPS * trip
-        wanted: dict[tuple[str, str], Address] = {}
-        for (robot, instance), address in to_dial.items():
-            known, at = self._dialled.get((robot, instance), (None, 0.0))
-            is_late = robot not in answered and now - max(at, discovery.started) >= redial_after
-            if known != address or is_late:
-                wanted[robot, instance] = address
-        if not wanted or not self.needs_links:
-            self._wanted_at = None
+            round_trip = discovery.round_trip
+        redial_after = REDIAL_WAIT + REDIAL_TRIPS * round_trip
+        to_dial: dict[tuple[str, str], Address] = {}
+        for (robot, instance), address in found.items():
+            dialled_address, dialled_at = self._dialled.get((robot, instance), (None, 0.0))
+            waits_since = max(dialled_at, discovery.started)
+            lacks_answer = robot not in answered and now - waits_since >= redial_after
+            if dialled_address != address or lacks_answer:
+                to_dial[robot, instance] = address
+        if not to_dial or not self.needs_links:
+            self._waiting_since = None
             return float("inf")
-        self._wanted_at = now if self._wanted_at is None else self._wanted_at
-        gathered = min(
-            discovery.found_at + GATHER_TIME, self._wanted_at + MAX_GATHER_TIMES * GATHER_TIME
+
+        # 2. Wait for more robots, so that one session dials many.
+        self._waiting_since = now if self._waiting_since is None else self._waiting_since
+        gathered_at = min(
+            discovery.found_at + GATHER_TIME, self._waiting_since + MAX_GATHER_TIMES * GATHER_TIME
         )
-        due = max(gathered, self._dial_at)
-        if now < due:
-            return due - now
+        due_at = max(gathered_at, self._dial_at)
+        if now < due_at:
+            return due_at - now
+
+        # 3. Open the session, and subscribe on it to the keys that are watched.
         if len(self._opened) >= MAX_SESSIONS:
             self.close()
-            wanted = dict(to_dial)
+            to_dial = dict(found)
         interface = self._settings.interface_name
-        endpoints = sorted({endpoint_of(address, interface) for address in wanted.values()})
+        endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
         opened = self._open_to(endpoints)
         self._opened += opened
         for session in opened:
             for name, robot in self._watched:
                 self._subscribe(session, name, robot)
-        self._dialled.update({key: (address, now) for key, address in wanted.items()})
+        self._dialled.update({key: (address, now) for key, address in to_dial.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._opened)
         return float("inf")
 
@@ -162,10 +170,11 @@ class OperatorSessions:
     def get(
         self, robot: str, plane: str, name: str, payload: bytes, timeout: float, handler: Handler
     ) -> None:
-        """Query a key in every session; `handler` takes each reply, with the lock held.
+        """Query `<plane>/<name>` of `robot` (ANY: of all robots) in every session.
 
-        A reply inherits the query's congestion control. That is DROP, so that a reply does not
-        block a daemon's loop; the caller repeats a query without a reply.
+        `handler(robot, payload)` takes each reply, on a thread of Zenoh with the lock held. Replies
+        on other keys are dropped. A reply inherits the congestion control of the query: DROP, so
+        that a reply does not block a daemon's loop. The caller repeats a query without a reply.
         """
         import zenoh
         from zenoh.handlers import Callback
@@ -179,11 +188,12 @@ class OperatorSessions:
             if sample is None or len(sample.payload) > MAX_WIRE:
                 return
             key = parse(str(sample.key_expr))
-            if key is None or (key.swarm, *key[2:]) != (self._settings.swarm, plane, name, asker):
+            expected = (self._settings.swarm, plane, name, asker)
+            if key is None or (key.swarm, key.plane, key.name, key.last) != expected:
                 return
-            answer = sample.payload.to_bytes()
+            content = sample.payload.to_bytes()
             with self._arrivals.lock, contextlib.suppress(CodecError):
-                handler(key.robot, answer)
+                handler(key.robot, content)
                 self._arrivals.notify()
 
         for session in self._opened:

@@ -1,7 +1,7 @@
 """An operator's name and reasons, shortened so that requests and datagrams can carry them.
 
-A stop must not fail because of its reason: a text that is too long is cut, and a character that
-UTF-8 cannot carry is replaced.
+A stop must not fail because of its reason: a text that is too long is cut, and a character without
+an encoding in UTF-8 is replaced.
 """
 
 from __future__ import annotations

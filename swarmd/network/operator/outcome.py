@@ -43,27 +43,27 @@ class Outcome(Struct, frozen=True):
 
     @property
     def applied(self) -> tuple[str, ...]:
-        """The robots that applied it."""
+        """The robots that applied the request."""
         return self._with(Code.APPLIED)
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """The robots that refused it."""
+        """The robots that refused the request."""
         return self._with(Code.REFUSED)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """The robots that failed to apply it."""
+        """The robots that failed to apply the request."""
         return self._with(Code.FAILED)
 
     @property
     def line(self) -> str:
-        """Such as `7 targeted, 6 applied, 1 no answer (tb3-03)`."""
+        """A line for the user, such as `7 targeted, 6 applied, 1 no answer (tb3-03)`."""
         parts = [f"{self.targeted} targeted", f"{len(self.applied)} applied"]
-        others = {"refused": self.refused, "failed": self.failed, "no answer": self.missing}
-        parts += [
-            f"{len(some)} {what} ({', '.join(some)})" for what, some in others.items() if some
-        ]
+        not_applied = {"refused": self.refused, "failed": self.failed, "no answer": self.missing}
+        for label, robots in not_applied.items():
+            if robots:
+                parts.append(f"{len(robots)} {label} ({', '.join(robots)})")
         return ", ".join(parts)
 
     @property
@@ -103,17 +103,17 @@ def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Out
 
 
 class Acks:
-    """Collects the replies to one request.
+    """Collects the replies to one request; acks of a stop count as replies.
 
-    Two replies with one robot id but different instances come from two daemons. The worse reply
-    counts, and the id is among the outcome's `duplicates`. A stopped robot counts as failed until
-    an ack says that its base rests.
+    Replies with one robot id and different instances come from two daemons with this id. The worse
+    reply counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts
+    as failed until an ack says that its base rests.
     """
 
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
-        self._replies: dict[str, dict[str, Reply]] = {}
-        self._direct: set[tuple[str, str]] = set()
+        self._replies: dict[str, dict[str, Reply]] = {}  # by robot, then by instance
+        self._direct: set[tuple[str, str]] = set()  # robots and instances that acked directly
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
         """Take a reply that came on `robot`'s key; False if the reply is not kept."""
@@ -129,22 +129,26 @@ class Acks:
         return True
 
     def on_ack(self, ack: Ack) -> bool:
-        """Take the ack of a stop; False if the ack is not kept.
+        """Take the ack of a stop, as the reply of its robot; False if the ack is not kept.
 
-        An ack that another robot handed on is dropped once the robot's own ack has come.
+        `ack.via`: the robot that has handed the ack on; empty if the ack came directly. An ack that
+        was handed on is dropped once a direct ack of the same instance has come.
         """
+        # 1. Drop acks of other requests, and older acks.
         instance = ack.instance.hex()
         if ack.id != self._request_id or (ack.via and (ack.robot, instance) in self._direct):
             return False
         earlier = self._replies.get(ack.robot, {}).get(instance)
         if ack.is_moving and earlier is not None and not earlier.is_moving:
             return False  # an older ack, which took longer through another robot
+
+        # 2. Make the reply. A later version may send a code or refusal that is unknown here.
         text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
-        if code is not Code.APPLIED:  # a later version may send a refusal that is unknown here
-            known = [refusal for refusal in Refusal if refusal == ack.refusal]
-            refusal = known[0] if known else Refusal.OTHER_VERSION
+        if code is not Code.APPLIED:
+            known_refusals = [known for known in Refusal if known == ack.refusal]
+            refusal = known_refusals[0] if known_refusals else Refusal.OTHER_VERSION
         reply = Reply(
             id=ack.id,
             robot=ack.robot,
@@ -192,22 +196,27 @@ class Acks:
         reached: int = 0,
         unlisted: tuple[str, ...] = (),
     ) -> Outcome:
-        """The outcome; a robot that answered without being expected counts as targeted.
+        """The outcome of the request so far.
 
-        A robot in `silent` counts as missing even if one of its instances has answered.
+        `expected`: the robots that must reply; such a robot without a reply counts as missing. A
+        robot that replied without being expected counts as targeted. `silent`: robots that count as
+        missing even if one of their instances has replied. `seconds`: the duration of the request.
+        `reached`: the number of robots that were heard. `unlisted`: robots whose member list did
+        not come.
         """
-        answered = sorted(self._replies.keys() - set(silent))
-        worst = {
-            name: max(map(_settled, self._replies[name].values()), key=lambda r: _SEVERITY[r.code])
-            for name in answered
-        }
+        worst_replies: dict[str, Reply] = {}
+        for robot in sorted(self._replies.keys() - set(silent)):
+            replies = [_settled(reply) for reply in self._replies[robot].values()]
+            worst_replies[robot] = max(replies, key=lambda reply: _SEVERITY[reply.code])
+        # Two replies with one robot id come from two daemons.
+        duplicates = sorted(robot for robot, replies in self._replies.items() if len(replies) > 1)
         return Outcome(
-            replies=worst,
+            replies=worst_replies,
             missing=tuple(sorted({*self.missing(expected), *silent})),
             seconds=seconds,
             reached=reached,
             unlisted=unlisted,
-            duplicates=tuple(sorted(name for name, all_ in self._replies.items() if len(all_) > 1)),
+            duplicates=tuple(duplicates),
         )
 
 

@@ -71,42 +71,55 @@ class RequestSender:
         timeout: float,
         is_ended: Callable[[], bool] = lambda: False,
     ) -> tuple[Outcome, set[str]]:
-        """Send a request to the robots in `asked`, until all have replied.
+        """Send a request to the robots in `asked`, and repeat it until all have replied.
 
-        Returns the outcome for `targets`, and the robots in `asked` with a link. Robots without a
-        link are dialled as `discovery` finds them. The wait ends after `timeout` s, or once
-        `is_ended` returns True. `view`: the last look; robots of another version in it are waited
-        for only a short time, since they may not reply.
+        Robots without a Zenoh link are dialled as `discovery` finds them. Returns the outcome for
+        `targets`, and the robots in `asked` with a link. Sending ends after `timeout` s, or once
+        `is_ended` returns True. `view`: the members by the last look (query of all members). Robots
+        of another version in `view` may not reply: when only such robots are missing, sending ends
+        after a short time.
         """
         of_other_version = set(asked) & set(view.of_other_version())
         acks = Acks(request.id)
-        patience = min(timeout, OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip)
+        other_version_timeout = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
+        other_version_timeout = min(timeout, other_version_timeout)
         started = now = boottime()
         links = self._sessions.question_links(request.verb)
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
-        robots = tuple(asked)
+        missing = tuple(asked)
         repeat_at = now
-        while robots and (left := started + timeout - now) > 0:
-            linked = self._sessions.linked(links, unlinked)
-            unlinked -= linked
-            is_due = now >= repeat_at
-            if is_due or linked:
-                repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
-                asking = set(robots) - unlinked if is_due else linked
+        while missing and (time_left := started + timeout - now) > 0:
+            # 1. Send to all missing robots if a repeat is due, else only to newly linked robots.
+            new_links = self._sessions.linked(links, unlinked)
+            unlinked -= new_links
+            is_repeat_due = now >= repeat_at
+            receivers = set(missing) - unlinked if is_repeat_due else new_links
+            if is_repeat_due:
+                repeat_at = now + REPEAT_PERIOD
+            if is_repeat_due or new_links:
                 payload = encode(aged(request, now - started + view.round_trip))
-                for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
-                    self._sessions.get(robot, CONTROL, request.verb, payload, left, _collect(acks))
+                # One query to all robots replaces many queries.
+                for robot in (ANY,) if len(receivers) == len(asked) else sorted(receivers):
+                    self._sessions.get(
+                        robot, CONTROL, request.verb, payload, time_left, _collect(acks)
+                    )
+
+            # 2. Dial the robots without a link.
             if unlinked and discovery is not None:
                 self._sessions.dial(discovery, now, only=unlinked)
-            pause = min(left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
+
+            # 3. Wait for replies.
+            pause = min(time_left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(lambda: not acks.missing(asked), max(pause, 0.001))
-                robots, now = acks.missing(asked), boottime()
+                missing, now = acks.missing(asked), boottime()
             if is_ended():
                 break
-            if now - started >= patience and of_other_version.issuperset(robots):
+            if now - started >= other_version_timeout and of_other_version.issuperset(missing):
                 break
         links.close()
+
+        # A robot of another version without a reply counts as refused.
         with self._arrivals.lock:
             for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
@@ -155,7 +168,7 @@ def _collect(acks: Acks) -> Callable[[str, bytes], object]:
 
 
 def _refused(request: str, robot: str, wire: int | None) -> Reply:
-    """The reply in place of that of a robot of another version that did not reply."""
+    """The refusal that stands for the missing reply of a robot of another version."""
     return Reply(
         id=request,
         robot=robot,

@@ -29,10 +29,10 @@ class Follower(Protocol):
 
 
 class RosterFollower:
-    """Takes newer rosters and missing keys for `operator`; does nothing if not `is_on`.
+    """Takes newer rosters and missing keys from robots for `operator`.
 
-    `notices`: lines for the user. `shown`: a robot with a newer roster, its address and the
-    generation; no signature proves them.
+    `is_on` False: it takes nothing. `notices`: lines for the user. `shown`: a robot that may have a
+    newer roster, with its address and the roster's generation; no signature proves these values.
     """
 
     def __init__(self, operator: Follower, *, is_on: bool) -> None:

@@ -1,9 +1,9 @@
 """Pulls a newer roster, or missing keys, for an operator or viewer from robots.
 
-Robots do not answer datagrams signed with keys of an earlier generation of the roster: until the
-newer roster is taken, no request works. The key that the operator shares with a robot added later
-is pulled from that robot. The link proves the robot's name, since the rules of `access.py` let a
-robot answer only on its own keys.
+Robots do not answer datagrams signed with keys of an earlier generation of the roster. So no
+request works until the operator has the newer roster. An operator also lacks the key that it shares
+with a robot that was added later, and pulls this key from the robot. The Zenoh link proves the name
+of the robot, since the rules of `access.py` let a robot answer only on its own key expressions.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _FAULTS = (NetworkError, TimeoutError, CodecError, ConfigError, OSError)
 def pulled_roster(
     settings: NetworkSettings, identity: Identity, robot: str, address: Address, generation: int
 ) -> tuple[Identity | None, str]:
-    """The identity with the roster that a robot hands over, and a line for the user.
+    """Pull the roster of a robot; returns the identity with this roster, and a line for the user.
 
-    The new roster is also written to the identity's folder. The identity is None if the roster
+    The roster is also written to the identity's folder. The returned identity is None if the roster
     cannot be pulled or verified. Raises NetworkError in one line if the roster lacks this name.
     """
     try:
@@ -51,10 +51,10 @@ def pulled_roster(
 def pulled_keys(
     settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> Identity | None:
-    """The identity with the keys that these robots hand over; None if no robot does.
+    """Pull missing keys from robots; returns the identity with these keys, None without any key.
 
-    Each robot hands over the key that it shares with this identity. `robots`: names and the
-    addresses at which they were heard; an address may be false.
+    Each robot hands over the key that it shares with this identity. `robots`: names, and addresses
+    at which datagrams with these names were heard. No signature proves an address.
     """
     try:
         keys = asyncio.run(_pull_keys(settings, identity, robots))

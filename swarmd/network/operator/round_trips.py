@@ -59,10 +59,11 @@ class RoundTrips:
 
     @property
     def round_trip(self) -> float:
-        """The round trip in s: the longest of few robots, the median of many; 0 without an answer.
+        """The round trip to the robots in s; 0 without an answer.
 
-        Of each robot its shortest round trip counts. Once a robot has answered two solicits, robots
-        that answered a single solicit are left out.
+        For each robot its shortest round trip counts. The result is the longest of few robots, and
+        the median of many robots. Once any robot has answered two solicits, robots that have
+        answered a single solicit are left out.
         """
         twice = {robot for (robot, _), answers in self._answers.items() if len(answers.echoes) > 1}
         trips = sorted(trip for robot, trip in self._trips.items() if not twice or robot in twice)

@@ -16,17 +16,27 @@ INDIRECT_TIME = 10.0  # s for which a robot that only other robots heard counts 
 def present_member(
     robot: str, heard: Life | None, answer: StatusAnswer | None, now: float
 ) -> SeenMember:
-    """A robot that is heard, or that answered. The status counts before the beacon."""
+    """The member `robot`, which is heard or has answered, at `now` in s.
+
+    `heard`: the life of the robot whose beacons this operator hears; None without a beacon.
+    `answer`: the robot's answer to a query of its status, for another version only the head of the
+    status; None without an answer. What the status says counts before the beacon.
+    """
     status = answer.status if answer is not None else None
-    at = now
-    if answer is not None:
-        at = answer.at
-    elif heard is not None:
-        at = heard.heard
     beacon = heard.beacon if heard is not None else None
-    contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
+
+    # 1. When the robot was last heard, and whether it answers.
+    last_heard = now
+    if answer is not None:
+        last_heard = answer.at
+    elif heard is not None:
+        last_heard = heard.heard
     if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
         contact = Contact.OTHER_VERSION
+    else:
+        contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
+
+    # 2. Instance, state and version.
     epoch = None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
     instance, state = "unknown", ""
     version = heard.version if heard else ""
@@ -40,7 +50,7 @@ def present_member(
         robot=robot,
         instance=instance,
         presence=Presence.ALIVE,
-        age=max(now - at, 0.0),
+        age=max(now - last_heard, 0.0),
         status=status if isinstance(status, Status) else None,
         contact=contact,
         state=state,
@@ -58,11 +68,14 @@ def silent_member(
     report: PeerReport | None,
     now: float,
 ) -> SeenMember | None:
-    """A robot whose beacons do not arrive now; None for a robot that was never heard or reported.
+    """The member `robot`, whose beacons do not arrive at this operator now.
 
-    `report`: the most certain report of other robots. If this operator's last beacon of the robot
-    is newer than the report, the robot has failed. If another robot heard the robot within
-    INDIRECT_TIME, it is alive and unreachable. Otherwise it failed or left, as reported.
+    `heard`: the last life of the robot that this operator heard. `report`: the most certain report
+    of other robots on the robot. None for a robot that was neither heard nor reported.
+
+    1. If this operator's last beacon of the robot is newer than the report, the robot has failed.
+    2. If another robot heard the robot within INDIRECT_TIME, the robot is alive and unreachable.
+    3. Otherwise the robot has failed or left, as reported.
     """
     if heard is not None and (report is None or report.at <= heard.heard):
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)

@@ -21,21 +21,24 @@ Renew = Callable[[], tuple[bytes, int]]
 """Returns an origin that was never used, and a counter (`stop_freshness.py`)."""
 RENEW_PERIOD = 0.5  # s between two new origins: refusals of the origin before may still arrive
 # Bytes for target names in one datagram, beside an operator's name and a reason of full length.
-_ROOM = 400
+_MAX_TARGET_BYTES = 400
+_NAME_OVERHEAD = 2  # bytes of MessagePack before a name
 # By default a stop goes on for at least STOP_WAIT s and STOP_TRIPS round trips.
 STOP_WAIT, STOP_TRIPS = 3.0, 8.0
-# It ends at the latest after STOP_CAP s and STOP_TRIPS round trips, of which each counts as at most
-# MAX_STOP_TRIP s: no datagram can raise this bound.
+# A stop ends at the latest after STOP_CAP s and STOP_TRIPS round trips. A round trip counts as at
+# most MAX_STOP_TRIP s, so that no datagram can raise this bound.
 STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
 
 
 class PendingStop:
-    """One stop or estop that is repeated until every expected robot acked.
+    """A stop or emergency stop that is repeated until every expected robot has acked.
 
-    - `select` picks the targets from the names known so far; None: a stop of all robots, which
-      needs no membership.
+    - `discovery`: the robots that are known so far.
+    - `select` picks the targets from the names known so far. None: all robots are targets, and
+      the stop needs no list of names.
     - `names`: targets from the start, whether or not they are known.
-    - `renew`: gives the stop a new origin if a robot refuses the stop as replayed.
+    - `renew` returns a new origin and counter, for the case that a robot refuses the stop as
+      replayed.
 
     Every repeat has the same id.
     """
@@ -62,39 +65,41 @@ class PendingStop:
     def datagrams(
         self, now: float, names: Collection[str] | None = None
     ) -> Iterator[tuple[Stop, tuple[Address, ...]]]:
-        """The datagrams to send now, each with the addresses of its targets that lack an ack.
+        """The stop datagrams to send now, each with the addresses of its targets that lack an ack.
 
-        A stop of named targets has as many datagrams as the names need: no datagram while no target
-        is known. `names`: only for these targets; None: for all targets.
+        The caller sends each datagram by multicast, and by unicast to these addresses. A stop of
+        all robots is one datagram. The names of a stop of named targets may need several datagrams.
+        No datagram while no target is known. `names`: only for these targets; None: all targets.
         """
-        age = round((now - self._started) * 1000)
-        stop = replace(self._stop, age=age, repeated=age)
+        age_ms = round((now - self._started) * 1000)
+        stop = replace(self._stop, age=age_ms, repeated=age_ms)
         lacking = set(self.lacking(now))
         if names is not None:
             lacking &= set(names)
         if self._select is None:
             yield stop, self._addresses(lacking)
             return
-        part: list[str] = []
+        targets: list[str] = []  # of the next datagram
         for name in sorted(self.selected() if names is None else names):
-            if part and sum(len(target) + 2 for target in (*part, name)) > _ROOM:
-                yield (
-                    replace(stop, targets=tuple(part)),
-                    self._addresses(lacking.intersection(part)),
-                )
-                part = []
-            part.append(name)
-        if part:
-            yield replace(stop, targets=tuple(part)), self._addresses(lacking.intersection(part))
+            size = sum(len(target) + _NAME_OVERHEAD for target in (*targets, name))
+            if targets and size > _MAX_TARGET_BYTES:
+                addresses = self._addresses(lacking.intersection(targets))
+                yield replace(stop, targets=tuple(targets)), addresses
+                targets = []
+            targets.append(name)
+        if targets:
+            addresses = self._addresses(lacking.intersection(targets))
+            yield replace(stop, targets=tuple(targets)), addresses
 
     def _addresses(self, names: Collection[str]) -> tuple[Address, ...]:
         addresses = {self._discovery.address(name) for name in names}
         return tuple(sorted(address for address in addresses if address is not None))
 
     def on_ack(self, ack: Ack, now: float) -> bool:
-        """Take an ack; False if it is not kept: of another request, or a refusal as replayed.
+        """Take an ack; False if the ack is not kept.
 
-        A robot that refuses the stop as replayed makes the next repeat have a new origin.
+        An ack of another request is not kept. Nor is the ack of a robot that refuses the stop as
+        replayed: such an ack gives the next repeat of the stop a new origin.
         """
         if ack.refusal != REPLAYED or self._renew is None:
             return self.acks.on_ack(ack)
@@ -154,8 +159,9 @@ class PendingStop:
     def _expected(self, now: float) -> frozenset[str]:
         """The robots that must ack: all selected robots except those that left.
 
-        Failed robots and the whole roster are expected: a robot that cannot be reached may move.
-        A farewell may be forged: it counts only while no other robot lists the robot as alive.
+        Failed robots and all robots of the roster must ack, since a robot that cannot be reached
+        may move. A farewell (last beacon of a robot) may be forged: the robot counts as left only
+        while no other robot lists it as alive.
         """
         view = self._discovery.result(now)
         left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}

@@ -44,49 +44,59 @@ class StopSender:
         on_progress: Callable[[tuple[str, ...]], None],
         is_ended: Callable[[], bool],
     ) -> Outcome:
-        """Send until the stop is done or over, as `Operator.send_stop` describes.
+        """Send a stop, and repeat it until all targets have acked and rest; returns the outcome.
 
-        `until`: s at which the wait ends; None: by `pending.is_over`, or, with `until_all`, never.
-        Each turn: 1. test the ends, 2. send the stop to all if a repeat is due, else only to robots
-        that were just found, 3. solicit, 4. report progress, 5. wait for arrivals.
+        `pending`: the stop, with its targets and the acks that other threads put there.
+        `discovery`: the robots that are found meanwhile. `until`: s at which sending ends at the
+        latest; None: by `pending.is_over`, or with `until_all` never. Sending also ends once
+        `is_ended` returns True. With `until_all`, `on_progress` gets the robots without an ack when
+        these change, and a KeyboardInterrupt ends sending like `is_ended`.
         """
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
-        names_moving_at = now + STOP_WAIT
-        solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
-        progress = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
-        selected: frozenset[str] = frozenset()
+        # By `rest_time` each base rests, or its robot has reported that the base has not stopped.
+        # From then on a robot whose last ack says "moving" counts as a robot without an ack.
+        rest_time = now + STOP_WAIT
+        solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
+        progress_timer = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
+        targets: frozenset[str] = frozenset()
         reported: tuple[str, ...] | None = None
         try:
             while True:
                 with self._arrivals.lock:
+                    # 1. Has sending ended?
                     now, count = boottime(), self._arrivals.count
                     is_over = until is not None and now >= until
                     if until is None and not until_all:
                         is_over = pending.is_over(now)
                     if is_over or is_ended() or pending.is_done(now):
                         break
-                    before, selected = selected, pending.selected()
+
+                    # 2. The datagrams to send: to all if a repeat is due, else only to robots that
+                    # were just found.
+                    targets_before, targets = targets, pending.selected()
                     lacking = pending.lacking(now)
-                    # By `names_moving_at` each base rests, or its robot has reported that it has
-                    # not stopped: a robot whose last ack says "moving" counts as lost from then on.
-                    silent = lacking if now >= names_moving_at else pending.silent(now)
-                    is_due, new = repeat.is_due(now), selected - before
-                    # Robots that were just found get a copy of their own before the next repeat.
-                    stops = tuple(pending.datagrams(now, None if is_due else new))
-                for stop_part, addresses in stops if is_due or new else ():
-                    self._datagrams.send(stop_part, addresses, is_to_all=is_due)
+                    silent = lacking if now >= rest_time else pending.silent(now)
+                    is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
+                    stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
+                if is_repeat_due or new_targets:
+                    for stop_part, addresses in stops:
+                        self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
                 self._rosters.begin()
-                if solicit.is_due(now):
+
+                # 3. Find more robots, and report progress.
+                if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                is_new = silent != reported and bool(silent or not lacking)
-                if until_all and is_new and progress.is_due(now):
+                is_change = silent != reported and bool(silent or not lacking)
+                if until_all and is_change and progress_timer.is_due(now):
                     reported = silent
                     on_progress(silent)
-                pause = min(solicit.pause(now), repeat.pause(now))
-                longest = END_PERIOD if until is None else until - now
-                self._arrivals.wait(count, min(pause, longest))
+
+                # 4. Wait for an ack, or until something is due.
+                pause = min(solicit_timer.pause(now), stop_timer.pause(now))
+                to_end_check = END_PERIOD if until is None else until - now
+                self._arrivals.wait(count, min(pause, to_end_check))
         except KeyboardInterrupt:
             if not until_all:
                 raise

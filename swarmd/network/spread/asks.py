@@ -1,7 +1,7 @@
 """Limits the questions of a robot for the records whose digests beacons show. Pure.
 
-Latches, goals, pushed patterns and rosters are asked for by this rule, each with its own times. So
-no beacon, even a forged one, makes a robot send many questions.
+A robot asks a peer for a record, such as its goal or roster, if the peer's datagrams show that the
+record differs. `Asks` keeps forged datagrams from making a robot send many questions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ class Asks:
     1. `take` permits one question to a peer in `period` s.
     2. `take` permits questions to at most `at_once` peers of a group in `window` s (default:
        `period`).
-    3. A peer that has answered for a digest is known until its beacon shows another digest.
+    3. A peer that has answered for a digest need not be asked for this digest again (`knows`).
 
     Each table keeps the newest MAX_KNOWN keys.
     """

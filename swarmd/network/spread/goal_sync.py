@@ -1,10 +1,11 @@
 """How the greatest goal spreads: beacons show digests, and a robot asks for a goal. Pure.
 
-1. A robot whose beacon shows another goal, of at least the own generation, is asked for its goal.
-2. Each question has a random number that the answer repeats. An answer to no question is dropped,
-   so that a recorded answer brings no goal and no age.
+1. If the beacon of a peer shows another goal, of at least the generation of this robot's goal, this
+   robot asks the peer for its goal.
+2. Each question has a random number that the answer repeats. An answer without such a number is
+   dropped, so that an attacker cannot replay an answer with an old goal or a wrong age.
 3. The time from question to answer is added to the age of the goal.
-4. A robot that does not know the age of its own goal asks robots that hold the same goal.
+4. A robot that does not know the age of its goal asks robots that hold the same goal.
 """
 
 from __future__ import annotations
@@ -149,10 +150,11 @@ def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
 
 
 class GoalCheck:
-    """Verifies that goals are signed by their issuers; `key_of`: the public key of an operator.
+    """Verifies that the issuer of a goal has signed the goal.
 
-    Each goal is verified once, at most CHECK_RATE goals a second. A goal without a pattern only
-    stops robots: it needs no signature up to the generation MAX_UNSIGNED.
+    `key_of(name)` returns the public key of an operator. Each goal is verified once, at most
+    CHECK_RATE goals a second. A goal without a pattern only stops robots: up to the generation
+    MAX_UNSIGNED such a goal needs no signature.
     """
 
     def __init__(self, key_of: Callable[[str], bytes | None]) -> None:

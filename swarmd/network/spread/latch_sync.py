@@ -1,9 +1,9 @@
 """How swarm-wide emergency stops spread: beacons show digests, and robots ask for latches. Pure.
 
-A latch is the lasting state of an emergency stop. A robot asks the sender of a beacon for its
-latches if the beacon's digest differs from the own digest, until an answer with that digest has
-come. So a robot that joins, restarts or was cut off takes over the latches that it missed. While
-all digests are equal, no latches are sent.
+A latch holds an emergency stop until a reset. A beacon shows the digest of its sender's latches. If
+this digest differs from the digest of this robot's latches, this robot asks the sender for its
+latches, until an answer with the digest has come. So a robot that joins, restarts or was cut off
+takes over the latches that it missed. While all digests are equal, no latches are sent.
 """
 
 from __future__ import annotations

@@ -36,6 +36,7 @@ log = logging.getLogger(__name__)
 
 PIECE = 64 * 1024
 """Bytes of one answer; a whole blob exceeds what one message may have on a narrow link."""
+MAX_REPLY = 2 * PIECE  # bytes of an encoded reply
 MAX_BLOB = 1024 * 1024
 PULL_TIMEOUT = 20.0  # s for a whole blob, with the opening of the session
 PIECE_TIMEOUT = 2.0  # s after which a piece is asked for again
@@ -72,7 +73,7 @@ class PullReply(Struct, frozen=True, kw_only=True):
 
 
 _query = Decoder(PullQuery)
-_reply = Decoder(PullReply, 2 * PIECE)
+_reply = Decoder(PullReply, MAX_REPLY)
 
 
 # The side that asks
@@ -110,17 +111,19 @@ class Puller:
         digest: bytes | None = None,
         on_done: Callable[[Blob, str], object],
     ) -> bool:
-        """Begin to pull the blob `name` of `what` from `peer`; False if the pull was not begun.
+        """Begin to pull a blob from a peer, in a task of the loop; False if no pull was begun.
 
-        It is not begun while another pull is under way, or beyond PULL_RATE: try again later.
-        `digest`: the SHA-256 that the blob must have; None: the digest that the peer states.
-        `on_done(blob, reason)`: the blob, or None and the reason.
+        No pull is begun while another pull is under way, or beyond PULL_RATE: try again later.
+        `what`, `name`: the kind of blob, such as a table of patterns, and the name of the blob of
+        this kind. `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the
+        digest that the peer states. At the end the loop calls
+        `on_done(blob, reason)`; a blob of None means that the pull failed for this reason.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
 
         async def run() -> None:
-            blob, why = None, FAILED
+            blob, reason = None, FAILED  # of an unexpected error, which `refusing` logs
             with self._drops.refusing(f"shared/{what}"):
                 try:
                     blob = await pull(
@@ -128,10 +131,11 @@ class Puller:
                         name=name, limit=limit, digest=digest, identity=self._identity
                     )  # fmt: skip
                 except (NetworkError, TimeoutError) as error:
-                    why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
+                    timeout_text = f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
+                    reason = str(error) or timeout_text
             self._task = None
             with self._drops.refusing(f"shared/{what}"):
-                on_done(blob, why)
+                on_done(blob, reason)
 
         self._task = asyncio.get_running_loop().create_task(run())
         return True
@@ -160,10 +164,12 @@ async def pull(
     identity: Identity | None = None,
     timeout: float = PULL_TIMEOUT,
 ) -> bytes:
-    """The blob `name` that `peer` shares as `what`.
+    """Pull the blob `name` of the kind `what` from `peer` at `address`, on a new Zenoh session.
 
-    Raises NetworkError in one line if the peer is not reached, lacks the blob, or sends more than
-    `limit` bytes or bytes with another SHA-256 than `digest`; TimeoutError after `timeout` s.
+    `asker`: the name of this robot or operator. `digest`: the SHA-256 that the blob must have;
+    None: the digest that the peer states. Raises NetworkError in one line if the peer is not
+    reached, lacks the blob, or sends more than `limit` bytes or another digest. Raises TimeoutError
+    after `timeout` s.
     """
     key = build(settings.swarm, peer, SHARED, what, asker)
     async with asyncio.timeout(timeout):
@@ -199,16 +205,20 @@ async def _pieces(
 
 
 async def _piece(session: zenoh.Session, key: str, query: PullQuery) -> PullReply | None:
-    """The answer to a query of one piece; None without an answer within PIECE_TIMEOUT."""
+    """Query one piece of a blob; None without an answer within PIECE_TIMEOUT.
+
+    Zenoh calls `on_reply` on its own thread, which hands the first reply to the loop. Raises
+    NetworkError if the query cannot be sent, or the reply cannot be decoded.
+    """
     loop = asyncio.get_running_loop()
-    answered: asyncio.Future[bytes] = loop.create_future()
+    first_reply: asyncio.Future[bytes] = loop.create_future()
 
     def take(payload: bytes) -> None:
-        if not answered.done():
-            answered.set_result(payload)
+        if not first_reply.done():
+            first_reply.set_result(payload)
 
     def on_reply(reply: zenoh.Reply) -> None:
-        if reply.ok is not None and len(reply.ok.payload) <= 2 * PIECE:
+        if reply.ok is not None and len(reply.ok.payload) <= MAX_REPLY:
             hand_over(loop, take, reply.ok.payload.to_bytes())
 
     try:
@@ -219,7 +229,7 @@ async def _piece(session: zenoh.Session, key: str, query: PullQuery) -> PullRepl
             timeout=PIECE_TIMEOUT,
             payload=encode(query),
         )
-        return _reply(await asyncio.wait_for(answered, PIECE_TIMEOUT))
+        return _reply(await asyncio.wait_for(first_reply, PIECE_TIMEOUT))
     except TimeoutError:
         return None
     except (zenoh.ZError, CodecError) as error:
@@ -235,16 +245,18 @@ def _close(session: zenoh.Session) -> None:
 
 
 def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
-    """Serve the blobs of `provider` to the robots and operators that ask for `what`.
+    """Serve blobs of the kind `what` to robots and operators, piece by piece.
 
-    No answer gets a query beyond SERVE_RATE of its asker, a second query of an asker at a time, or
-    a query while MAX_SERVING are being served. The asker repeats it.
+    `provider(name, asker)` reads a blob, in a thread. A query is dropped without an answer if its
+    asker exceeds SERVE_RATE, if another query of the asker is being served, or if MAX_SERVING
+    queries are being served. The asker repeats the query.
     """
     loop = asyncio.get_running_loop()
     rates: dict[str, TokenBucket] = {}
     tasks: dict[asyncio.Task[None], str] = {}
 
     async def answer(query: Query) -> None:
+        """Reply with a piece; an error drops the query."""
         with bus.drops.refusing(f"{SHARED}/{what}", lambda code, text: query.drop()):
             query.reply(await asyncio.to_thread(_answer, provider, query.payload, query.asker))
 
@@ -252,8 +264,8 @@ def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
         asker = query.asker
         rate = rates.get(asker) or TokenBucket(SERVE_RATE, SERVE_BURST)
         keep_newest(rates, asker, rate, MAX_ASKERS)
-        is_full = len(tasks) >= MAX_SERVING or asker in tasks.values()
-        if is_full or not rate.take(1.0, boottime()):
+        is_busy = len(tasks) >= MAX_SERVING or asker in tasks.values()
+        if is_busy or not rate.take(1.0, boottime()):
             query.drop()
             return
         task = loop.create_task(answer(query))

@@ -3,16 +3,16 @@
 A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
 the operator's clock, and at least the counter of the last stop plus 1. A robot accepts
 
-- a copy of a stop whose id it knows. The age of the copy is at least the time since the robot first
-  heard the stop. So a copy ends no run that began later, and does not renew an emergency stop that
-  was reset since.
-- any other stop whose counter is above the greatest counter heard of its origin, less SLACK. Any
-  stop below is refused as replayed. SLACK covers stops that operators issue at the same time, and
-  that robots relay in another order.
+- a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
+  the robot first heard the stop. So a copy ends no run that began later, and does not renew an
+  emergency stop that was reset since.
+- any other stop whose counter is above the greatest counter heard of its origin, less SLACK. A stop
+  with a lower counter is refused as replayed. SLACK covers stops that operators issue at the same
+  time, and that robots relay in another order.
 
-An emergency stop must never be refused wrongly. A robot that refuses a stop answers `REPLAYED`,
+An emergency stop must never be refused wrongly. So a robot that refuses a stop answers `REPLAYED`,
 with a proof for the operator. The operator then repeats the stop with an origin that was never
-used. An attacker, who can only replay, cannot. The cases:
+used. An attacker can only replay datagrams, and cannot make a new origin. The cases:
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
@@ -30,8 +30,8 @@ relayed copies                   are known by their ids, or come within SLACK. R
 a stolen robot forges counters   as for a copied home
 ===============================  ===================================================================
 
-Not covered: a robot that never heard the stop, nor a later stop of its origin, accepts a replayed
-copy. The robot then stops late, which is the safe direction, and logs the operator's name.
+Not covered: a robot that has heard neither the stop nor a later stop of its origin accepts a
+replayed copy. The robot then stops without need, which is safe, and logs the operator's name.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ class TakenStop(Struct, frozen=True):
 
 
 class StopFreshness:
-    """The stops that a robot has heard.
+    """The stops that a robot has heard, by which it refuses replayed stops.
 
-    `floors`: the greatest counter of each origin in the robot's earlier life. Of these origins no
-    stop is accepted up to that counter: SLACK does not apply.
+    `floors`: by origin, the greatest counter that the robot heard in its earlier life. A stop of
+    such an origin is accepted only above this counter: SLACK does not apply.
     """
 
     def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:

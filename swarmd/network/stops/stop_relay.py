@@ -3,15 +3,16 @@
 Each robot that hears a stop repeats it by the Trickle algorithm (RFC 6206):
 
 1. Intervals double, from FIRST_INTERVAL to LAST_INTERVAL. The stop is sent at a random moment of
-   each interval, unless REDUNDANCY other robots have sent it in that interval. So a hundred robots
-   that all heard the operator send little, and a robot that only one of them reaches gets the stop.
+   each interval, unless REDUNDANCY other robots have sent the stop in that interval. So a hundred
+   robots that all hear each other send little. A robot that hears a single robot still
+   gets the stop.
 2. The relay ends LIFETIME after the operator sent its last copy, or once all named targets have
    acked and rest. Each copy carries the age at which the operator sent it (`repeated`), so that a
    copy that travels in a circle does not prolong the relay.
-3. A robot relays no stop that it would refuse itself.
+3. A robot does not relay a stop that the robot itself would refuse.
 
-Acks travel back by the same robots: a robot hands the acks that it gets to the senders of the stop,
-with its own name as `via`.
+Acks travel back by the same robots: a robot hands each ack to the senders of the stop, with its own
+name as `via`.
 """
 
 from __future__ import annotations
@@ -83,40 +84,55 @@ class StopRelay:
     def on_stop(
         self, stop: Stop, source: Address, now: float, *, is_member: bool = True
     ) -> list[Send]:
-        """Take a stop; returns the acks of other robots that its sender is to have.
+        """Take a copy of a stop, and relay the stop from now on if it is new.
 
-        Ask `wants_ack` next for the robot's own ack. `is_member` False: the sender is no member of
-        the swarm, so that its copy does not count for REDUNDANCY.
+        `source`: the sender of this copy, the operator or another robot. `is_member` False: the
+        sender is no member of the swarm, so that its copy does not count for REDUNDANCY. Returns
+        acks of other robots for the operator, if the operator sent this copy again. `wants_ack`
+        decides on this robot's own ack.
         """
+        # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
         issued = now - stop.age / 1000.0
         if relayed is None:
             while len(self._stops) >= MAX_STOPS:
                 del self._stops[next(iter(self._stops))]
-            relayed = _Relayed(
-                stop, issued, issued, 0.0, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0
+            relayed = self._stops[key] = _Relayed(
+                stop=stop,
+                issued=issued,
+                first_issued=issued,
+                repeated=0.0,
+                heard=now,
+                interval=FIRST_INTERVAL,
+                interval_ends=now + FIRST_INTERVAL,
+                due=self._moment(now, FIRST_INTERVAL),
             )
-            relayed.due = self._moment(now, FIRST_INTERVAL)
-            self._stops[key] = relayed
-        # Copies by several ways have different ages. A forged age must not make the stop look older
-        # than the present run, which would be exempt from it.
+
+        # 2. Update the ages. Copies by several ways have different ages, and an age may be forged:
+        # a stop that looks older than the present run would not end that run.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
-        repeated = min(stop.repeated / 1000.0, now - relayed.issued)  # it may be forged, too
+        repeated = min(stop.repeated / 1000.0, now - relayed.issued)
         relayed.repeated = max(relayed.repeated, repeated)
+
+        # 3. Keep the copy with the fewest hops; count copies of other robots.
+        is_from_operator = stop.hops == 0
         if stop.hops <= relayed.stop.hops:
-            origin = {"origin": stop.origin, "counter": stop.counter}
-            relayed.stop = replace(relayed.stop, hops=stop.hops, **origin)
-        if stop.hops == 0:
+            relayed.stop = replace(
+                relayed.stop, hops=stop.hops, origin=stop.origin, counter=stop.counter
+            )
+        if is_from_operator:
             relayed.heard_directly = now
         elif is_member:
             relayed.copies += 1
+
+        # 4. Note the sender, which gets acks; the operator takes the place of the oldest sender.
         if source not in relayed.sources:
-            if stop.hops == 0 and len(relayed.sources) >= MAX_SOURCES:
+            if is_from_operator and len(relayed.sources) >= MAX_SOURCES:
                 del relayed.sources[next(iter(relayed.sources))]
             if len(relayed.sources) < MAX_SOURCES:
                 relayed.sources[source] = _NEVER
-        if stop.hops == 0 and source in relayed.sources:  # the operator repeats: it may lack acks
+        if is_from_operator and source in relayed.sources:  # a repeat: the operator may lack acks
             return self._acks_again(relayed, source, now)
         return []
 
@@ -146,8 +162,13 @@ class StopRelay:
         return True
 
     def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
-        """Take another robot's ack of a relayed stop; returns copies for the stop's senders."""
-        parts = [part for key, part in self._stops.items() if key[0] == ack.id]
+        """Take another robot's ack of a relayed stop; returns copies of it to hand on.
+
+        The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
+        names this robot as `via`. Each ack is handed on to each receiver once. A stop with many
+        targets is relayed in parts, all with one id.
+        """
+        parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
         sends: list[Send] = []
         for relayed in parts:
             if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
@@ -155,9 +176,10 @@ class StopRelay:
             handed = replace(ack, via=self._own)
             receivers = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
-            if ack.refusal == REPLAYED:  # the operator repeats the stop for this robot
-                # Each refusal may have a new origin. A refusal that robots hand on again and again
-                # travels in circles.
+            if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
+                # A robot may refuse each new origin, so that a refusal is handed on once for each
+                # origin. The robot's own refusal always goes on. A refusal by way of a third robot
+                # could travel in circles, and is handed on only once.
                 origin = relayed.stop.origin
                 if not ack.via:
                     sends += [(handed, address) for address in receivers]
@@ -174,31 +196,38 @@ class StopRelay:
     def advance(
         self, now: float, is_over: Callable[[Stop, float], bool] = lambda stop, issued: False
     ) -> list[Stop]:
-        """The stops to send to all now, and the begin of new intervals.
+        """Returns the stops to send to all now, and begins intervals that are due (Trickle).
 
-        `is_over(stop, issued)`: True for a stop that this robot would refuse; it is not sent.
+        A stop is sent at a random moment of its interval, unless REDUNDANCY other robots have sent
+        it in that interval. `is_over(stop, issued)`: True for a stop, issued at `issued` s, that
+        this robot would refuse; such a stop is not sent.
         """
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
             if now - relayed.issued - relayed.repeated > LIFETIME:
                 del self._stops[key]
                 continue
+
+            # 1. The random moment of this interval has come.
             if now >= relayed.due and relayed.due != _SENT:
                 relayed.due = _SENT
                 is_needed = relayed.copies < REDUNDANCY and self._is_needed(relayed, now)
                 if is_needed and not is_over(relayed.stop, relayed.issued):
-                    age, repeated = now - relayed.issued, relayed.repeated
-                    hops = min(relayed.stop.hops + 1, MAX_HOPS)
-                    ages = {
-                        "age": min(round(age * 1000), MAX_MS),
-                        "repeated": round(repeated * 1000),
-                    }
-                    due.append(replace(relayed.stop, hops=hops, **ages))
+                    copy = replace(
+                        relayed.stop,
+                        hops=min(relayed.stop.hops + 1, MAX_HOPS),
+                        age=min(round((now - relayed.issued) * 1000), MAX_MS),
+                        repeated=round(relayed.repeated * 1000),
+                    )
+                    due.append(copy)
+
+            # 2. The interval has ended. The next interval is twice as long, but short while a base
+            # still moves after a new stop.
             if now >= relayed.interval_ends:
                 doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
                 is_new = now - relayed.heard < TRUSTLESS_TIME
-                moves = is_new and any(ack.is_moving for ack in relayed.acks.values())
-                relayed.interval = FIRST_INTERVAL if moves else doubled
+                is_moving = is_new and any(ack.is_moving for ack in relayed.acks.values())
+                relayed.interval = FIRST_INTERVAL if is_moving else doubled
                 relayed.due = self._moment(now, relayed.interval)
                 relayed.interval_ends = now + relayed.interval
                 relayed.copies = 0
@@ -217,16 +246,16 @@ class StopRelay:
         return now + self._random.uniform(_FIRST_SHARE, _LAST_SHARE) * interval
 
     def _is_needed(self, relayed: _Relayed, now: float) -> bool:
-        """False at MAX_HOPS, and once all other named targets have acked and rest.
+        """False at MAX_HOPS, and once all targets other than this robot have acked and rest.
 
-        Within TRUSTLESS_TIME acks do not count.
+        Within TRUSTLESS_TIME after the first copy acks do not count.
         """
         stop = relayed.stop
         if stop.hops >= MAX_HOPS:
             return False
         if stop.targets is None:
             return True
-        others = {*stop.targets} - {self._own}
-        is_new = now - relayed.heard < TRUSTLESS_TIME and bool(others)
+        other_targets = {*stop.targets} - {self._own}
+        is_new = now - relayed.heard < TRUSTLESS_TIME and bool(other_targets)
         resting = {name for name, ack in relayed.acks.items() if not ack.is_moving}
-        return is_new or not others <= resting
+        return is_new or not other_targets <= resting
