@@ -69,30 +69,32 @@ class Goals:
         self, robot: str, labels: tuple[str, ...], record: GoalRecord | None, now: float
     ) -> None:
         record = record or GoalRecord()
-        self._robot = robot
+        self._robot = robot  # the name of this robot
         self._file_labels = labels
-        self._set_labels = record.labels
+        self._set_labels = record.labels  # by an operator; None: the labels of the swarm file count
+        # The age of a goal from disk is unknown until a peer reports it.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
-        self.before = record.before
-        self.state: GoalState | None = None
-        self.superseded = ""
-        self._reason = ""
-        self._may_join = False
-        self.lease_until: float | None = None
-        self._lease_count = -1
-        self._stops: dict[str, None] = {}
-        self._undecided: dict[str, _Undecided] = {}
+        self.before = record.before  # the goal that `swarmctl goal undo` restores
+        self.state: GoalState | None = None  # of the own goal; None without an own goal
+        self.superseded = ""  # the goal, as text, that ended the last run
+        self._reason = ""  # text that explains `state`
+        self._may_join = False  # the own goal may be run without a request
+        self.lease_until: float | None = None  # s, own clock; None without a run lease
+        self._lease_count = -1  # of the newest lease message of the operator
+        self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
+        self._undecided: dict[str, _Undecided] = {}  # by id of the stop
         self._held_since = now  # the held goal was set before this time
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
-        self._stood = -math.inf if record.stood is None else record.stood
-        self._ran = record.ran  # the daemon ended during a run of the own goal
+        self._last_stop_at = -math.inf if record.stood is None else record.stood
+        self._ended_during_run = record.ran  # the daemon ended during a run of the own goal
         # Content of the held goal if a stop of all robots came later and could make no goal.
-        self._stopped = b""
-        self.is_changed = False
-        # The load that failed since the robot lacks the pattern, and whether the load was repeated.
+        self._stopped_content = b""
+        self.is_changed = False  # since the record was last written to disk
+        # The generation of the load that failed since the robot lacks the pattern. None: no such
+        # load, or a later load, run or label.
         self._awaits_code: int | None = None
-        self._has_retried = False
+        self._has_retried = False  # the failed load has been repeated
         if self.own is not None:
             self._offer(record.ended, may_join=record.may_join)
 
@@ -134,8 +136,8 @@ class Goals:
             before=self.before,
             ended=self._reason if self.state is GoalState.ENDED else "",
             may_join=self._may_join or is_run,
-            ran=is_run or (self._ran and self._may_join),
-            stood=None if self._stood == -math.inf else self._stood,
+            ran=is_run or (self._ended_during_run and self._may_join),
+            stood=None if self._last_stop_at == -math.inf else self._last_stop_at,
             labels=self._set_labels,
         )
 
@@ -194,7 +196,7 @@ class Goals:
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
             self._lease_count, self.lease_until = -1, None
-            self._has_retried = self._ran = False
+            self._has_retried = self._ended_during_run = False
             self._offer("", may_join=may_join)
         self.is_changed = True
         self._decide_stops(now)
@@ -202,7 +204,7 @@ class Goals:
     def learn_age(self, age: float | None, now: float) -> None:
         """Take in the age of the held goal that a peer reports; the greatest report counts."""
         held = self.held
-        if held is None or age is None or held.content == self._stopped:
+        if held is None or age is None or held.content == self._stopped_content:
             return
         issued = now - age if held.issued is None else min(held.issued, now - age)
         self.held = held._replace(issued=issued)
@@ -267,7 +269,7 @@ class Goals:
                     del self._undecided[next(iter(self._undecided))]
                 return False
             if held.goal.generation >= MAX_UNSIGNED:  # no unsigned goal can follow the held goal
-                self._stopped = held.content
+                self._stopped_content = held.content
                 self.held = held._replace(issued=None)  # no robot joins a goal of unknown age
                 return False
             generation = held.goal.generation + 1
@@ -285,7 +287,7 @@ class Goals:
         goal, age = own.goal, own.age(now)
         if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
             return False
-        if not self._ran and now - age <= self._stood:
+        if not self._ended_during_run and now - age <= self._last_stop_at:
             return False
         if self.refusal_to_resume(now):  # the operator of the run lease is not heard
             return False
@@ -355,7 +357,7 @@ class Goals:
 
     def bar(self, now: float) -> None:
         """After a stop or reset: join no goal that was set before `now`."""
-        self._stood, self._ran, self.is_changed = now, False, True
+        self._last_stop_at, self._ended_during_run, self.is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """End the run of the own goal with the reason `why`; no known goal is joined any more."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from msgspec import Struct
 
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded
 from swarmd.core.values import Scalar
-from swarmd.core.verbs import ReloadRequest, ResumeRequest, RunRequest
+from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
 
 
 class Wish(Struct, frozen=True):
@@ -52,6 +53,13 @@ class Loading:
     def is_restart(self) -> bool:
         """True if a failed pattern is loaded again: neither a request nor a goal is behind it."""
         return self.request is None and self.goal is None
+
+
+class PendingParams(NamedTuple):
+    """A parameter request without an answer of the pattern; `since`: s on the own clock."""
+
+    request: ParamRequest
+    since: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
