@@ -40,9 +40,11 @@ class GoalHandler:
         self._is_settled = False
 
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
-        """Take in a goal that a peer holds; `age`: s since the goal was set, None if unknown.
+        """Take in a goal that a peer holds.
 
-        `may_join`: the goals of all other peers are known, too, so that the robot may join a run.
+        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all other
+        peers are known, too, so that the robot may join a run (run without a request of an
+        operator).
         """
         goals, now = self._goals, effects.now
         relation = goals.judge(goal)
@@ -60,10 +62,10 @@ class GoalHandler:
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True if the goal of this run or goal request came from a peer before the request came.
+        """True if the goal of this run or goal request had already come from a peer.
 
-        True only if nothing else has changed the robot since `quoted`, the epoch that the operator
-        saw.
+        The epoch of the robot then differs from `quoted`, the epoch that the operator saw, through
+        that goal alone. False if anything else has changed the robot since `quoted`.
         """
         known = self._peer_goal
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
@@ -128,9 +130,11 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Adopt `goal`, which is greater than the own goal; a run for the lesser goal ends.
+        """Make `goal` the own goal, which it exceeds; a run for the lesser goal ends.
 
-        A load for a goal that is still greater than `goal` continues.
+        `age`: s since the goal was set, None if unknown. A load for a goal that is greater than
+        `goal` continues. `may_join`: the robot may run the goal without a request, if it was idle
+        or ran.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading

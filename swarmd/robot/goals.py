@@ -60,9 +60,10 @@ class _Undecided(NamedTuple):
 
 
 class Goals:
-    """The goals of `robot`. `labels`: from the swarm file. `record`: from disk, None without one.
+    """The goals of one robot, and the rules (see the module) for running them.
 
-    `now`: the time at which the robot starts, in s.
+    `robot`: its name. `labels`: its labels in the swarm file. `record`: the goals from disk, None
+    without a file. `now`: the time at which the robot starts, in s on the own clock.
     """
 
     def __init__(
@@ -180,9 +181,10 @@ class Goals:
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
-        """Hold a greater goal; if it targets this robot, it becomes the own goal and is offered.
+        """Hold `goal` if it exceeds the held goal; offer `goal` if it exceeds the own goal.
 
-        `age`: s since the goal was set, None if unknown.
+        An offered goal waits for a request `resume`. `age`: s since the goal was set, None if
+        unknown. `may_join`: the robot may also run the goal without a request.
         """
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
@@ -235,11 +237,11 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """Make the goal without a pattern that follows a stop of all robots; False without a goal.
+        """After a stop of all robots: make a goal without a pattern that follows the held goal.
 
-        `stop`: the id of the stop. `age`: s since the stop was issued. All robots that hold the
-        same goal make the same new goal. A repeated stop makes no goal, and a stop that is older
-        than the held goal makes no goal.
+        All robots that hold the same goal make the same new goal. `stop`: the id of the stop.
+        `age`: s since the stop was issued. Returns False if no goal is made: for a repeated stop,
+        and for a stop that is older than the held goal or that cannot be ordered yet.
         """
         if stop in self._stops:
             return False
@@ -254,9 +256,9 @@ class Goals:
             self._stand_since(stop, details, now)
 
     def _stand_since(self, stop: str, details: _Undecided, now: float) -> bool:
-        """Make the goal of a stop if the stop is newer than the held goal; True if it is made.
+        """Make the goal of a stop that is newer than the held goal; True if the goal is made.
 
-        If the order of both is unknown, adds the stop to the undecided stops.
+        A stop is undecided while the age of the held goal is unknown: the stop is kept for later.
         """
         held, generation = self.held, 1
         if held is not None:
@@ -304,9 +306,10 @@ class Goals:
             self._awaits_code = generation
 
     def offer_again(self, generation: int) -> None:
-        """Offer the own goal once more, since the awaited pattern has been pushed.
+        """Offer the own goal again, since its pattern, which the robot lacked, has been pushed.
 
-        `generation`: of the last load of the robot. Nothing is offered after a later load.
+        `generation`: the number of the last pattern load of the robot. Nothing is offered if a
+        later load followed the load that failed for lack of the pattern.
         """
         if self._awaits_code == generation:
             self._has_retried = True
@@ -325,10 +328,10 @@ class Goals:
     def on_running(
         self, goal: Goal | None, what: str, age: float, now: float, *, is_resumed: bool = False
     ) -> None:
-        """Note the begin of a run; `goal` None: a run without a goal.
+        """Note that a run begins; `goal`: the goal of the run, None without a goal.
 
-        `what`: the pattern, for the status. `age`: s since the run was requested. `is_resumed`: no
-        run request set the goal now, so the lease is not renewed.
+        `what`: the name of the pattern, for the status. `age`: s since the run was requested.
+        `is_resumed`: no run request set the goal now, so the lease is not renewed.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was requested after these stops
@@ -344,9 +347,10 @@ class Goals:
         self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
-        """Renew the lease: the operator of the goal with id `goal` was heard.
+        """Renew the run lease: the operator of the goal with id `goal` was heard at `now`.
 
-        `count` rises with each message of the operator. An old or repeated count is ignored.
+        A run lease ends the run if the operator is silent for longer. `count` rises with each
+        message of the operator; an old or repeated count is ignored.
         """
         own = self.own
         if own is None or own.goal.id != goal or own.goal.lease is None:

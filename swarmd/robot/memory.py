@@ -91,7 +91,7 @@ class _Node(Struct, array_like=True):
 
 
 class _Memory(Struct, array_like=True):
-    """A whole memory; node 0 is the robot.
+    """The serialised state of a robot; node 0 is the robot.
 
     `numbers`: the contents of all arrays and bytes, joined in the order of their nodes.
     """
@@ -137,10 +137,10 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
 
 
 class _Writer:
-    """Writes one memory.
+    """Serialises the state of one robot.
 
-    An object first gets an empty node, and its parts later, since objects may refer to each other
-    in circles. A value cannot: its parts are written at once.
+    An object gets an empty node first, and its parts later, since objects may refer to each other
+    in circles. Values cannot refer in circles: their parts are written at once.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -321,9 +321,10 @@ class _Reader:
         return [self._made[part[0]] if type(part) is tuple else part for part in parts]
 
     def _extent(self, parts: list[Any], name: str) -> tuple[int, int]:
-        """The number of a value's parts, nested parts included, and its nesting depth.
+        """The count of a value's parts, nested parts included, and its nesting depth.
 
-        Adds that number to the total. ValueError if a bound of this module is exceeded.
+        `parts`: the parts of the value. `name`: its type. Adds the count to `_size`, the total so
+        far. ValueError if the depth, the total or the size of a dict key exceeds its bound.
         """
         size, depth = 1 + len(parts), 0
         for number, part in enumerate(parts):
@@ -341,10 +342,10 @@ class _Reader:
         return size, depth + 1
 
     def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """Whether `kind` is a class of objects, and the function that makes such a node.
+        """(True if `kind` is a class of objects, the function that makes such a node).
 
-        For a value the function returns the value. For an object it returns the empty object and
-        the function that sets the fields of that object.
+        For a class of values the function returns the value. For a class of objects the function
+        returns the empty object, and a second function that sets the fields of that object.
         """
         if kind.name in self._makers:
             return False, self._makers[kind.name]

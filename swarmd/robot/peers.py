@@ -1,4 +1,4 @@
-"""The peers of one robot: which peers its lidar may miss, and their places by message or by radio.
+"""The peers of one robot: which peers its lidar may miss, and their measured or reported places.
 
 A place comes from one of two sources: range and bearing that the own sensors measure to the peer,
 or the pose that the peer reports in a shared frame. Protection avoids such a place as a disc that
@@ -56,8 +56,8 @@ class _PeerDisc(NamedTuple):
 class _OwnPose(NamedTuple):
     """The own pose in a shared frame at the time `at` in s.
 
-    `at` is uncertain by half of FASTEST_POSE. During that time the robot moves by at most `shift`
-    m and turns by at most `turn` rad.
+    `at` is uncertain by half of FASTEST_POSE. During this uncertainty the robot moves by at most
+    `shift` m and turns by at most `turn` rad.
     """
 
     shared: SharedPose
@@ -69,9 +69,10 @@ class _OwnPose(NamedTuple):
 class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
-    A finding is a property of a peer that protection does not assume, such as a body below the
-    scan plane. All times are in s on the robot's monotonic clock and come with each call. With
-    `tells_pose` the robot sends its pose to all peers, else only if a peer may not see this robot.
+    A finding is a property of a peer that protection does not assume, such as a body below the scan
+    plane. All times are in s on the robot's monotonic clock and come with each call. With
+    `tells_pose` the robot sends its pose to its peers always, else only if the lidar of a peer may
+    miss this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -176,10 +177,10 @@ class Peers:
         return bool(self._sensed)
 
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
-        """Take in the own pose; `twist` is measured, None without fresh odometry.
+        """Take in the own pose in a shared frame; returns the time of the pose in s.
 
-        Returns the time of the pose in s. None if the pose is invalid or not newer than the last
-        pose; such a pose is ignored.
+        `twist`: the measured twist, None without fresh odometry. Returns None, and ignores the
+        pose, if the pose is invalid or its stamp is not newer than the last stamp.
         """
         if not pose.is_valid:
             return None
@@ -247,8 +248,8 @@ class Peers:
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The places of near peers that the lidar may miss, as obstacles with their ages.
 
-        A peer that the lidar sees is listed only inside the blind zone. A peer with a place from
-        each source is listed twice.
+        A peer that the lidar sees is listed only inside the blind zone near the sensor. A peer
+        whose place is both measured and reported is listed twice.
         """
         if not (self._sensed or self._located):
             return ()
@@ -261,10 +262,11 @@ class Peers:
         )
 
     def holds(self, now: float) -> bool:
-        """True if a peer holds the robot, unless `accepts` lists the peer's platform.
+        """True if a peer makes this robot stand.
 
-        A peer holds the robot if it is faster than assumed, or if the lidar misses the peer and no
-        place of the peer is known.
+        A peer does so if it is faster than protection assumes, or if the lidar misses the peer and
+        no place of the peer is known. A peer whose platform the operator accepted (`accepts`) never
+        does.
         """
         return self._holds_always or now > self._places_until
 
@@ -304,9 +306,9 @@ def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> Non
 
 
 def _told_within(platform: Platform) -> float:
-    """The distance in m from axle to disc rim beyond which a disc constrains no command.
+    """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    Holds for the whole time in which the disc is valid. -inf in a mode that ignores such discs.
+    Valid until the disc expires after TOLD_TIMEOUT. -inf in a protection mode without such discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:
@@ -316,9 +318,9 @@ def _told_within(platform: Platform) -> float:
 
 
 def _blind_within(platform: Platform) -> float:
-    """The distance in m from the axle within which the lidar may lose a peer; 0 if it cannot.
+    """The distance in m from the axle within which the lidar may lose a peer; 0 if never.
 
-    A blind zone that ends within BLIND_RING of the outline has no room for a robot.
+    A blind zone that ends within BLIND_RING of the outline has no room for a robot: 0, too.
     """
     scan = platform.scan
     outer = float(np.hypot(*(platform.footprint - scan.offset).T).max())

@@ -196,11 +196,12 @@ class RequestHandler:
         self._goals.set_labels(request, effects)
 
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
-        """Acknowledge a stop; `is_moving` of the reply: the base is not known to rest yet.
+        """Reply to a stop. `is_moving` of the reply is True while the base is not known to rest.
 
-        After STOP_TIME a base that is not known to rest makes the stop fail (NOT_STOPPED): zero
-        does not reach the base, or the base moves on. A base that the driver has not reached yet
-        may still move by a command of an earlier daemon process.
+        The operator repeats the stop until the base rests. A base that is not known to rest after
+        STOP_TIME makes the stop fail (NOT_STOPPED): zero commands do not reach the base, or the
+        base moves on. A base that the driver has not reached yet may still move by a command of an
+        earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)
@@ -214,10 +215,10 @@ class RequestHandler:
             lifecycle.applied(effects, request, text, is_moving=is_moving)
 
     def _is_at_rest(self, now: float) -> bool:
-        """Whether odometry shows the base at rest.
+        """True if odometry measured the base at rest, after the last command to move took effect.
 
-        Without odometry: True once the robot is older than STOP_TIME; the text of the
-        acknowledgement then says that there is no odometry.
+        Without odometry: True once the robot is older than STOP_TIME. The text of the reply then
+        says that there is no odometry.
         """
         odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
         if odometry is None or age is None:
@@ -260,10 +261,10 @@ class RequestHandler:
     def _wish_of(
         self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
     ) -> Wish:
-        """The time at which the operator issued the request, and the operator.
+        """When (s on the own clock) and by whom the request was issued.
 
-        The request quotes an epoch that began after the last stop. It was issued after that stop,
-        even if its stated age says otherwise.
+        The request quotes an epoch that began with the last stop. The request was therefore issued
+        after that stop, even if its stated age says otherwise.
         """
         return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
 

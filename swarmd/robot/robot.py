@@ -1,4 +1,4 @@
-"""One robot without I/O: it takes inputs and times, and returns `Actions`.
+"""One robot without I/O: `step` takes an input and a time, and returns `Actions`.
 
 Two shells drive a `Robot`: the daemon and the lockstep simulator. Every method is O(1) and never
 waits. `wake_at` returns the next deadline; the shell must then tick the robot, even between two
@@ -57,9 +57,9 @@ else:
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `seed` makes the random choices of patterns repeatable. `instance` identifies this life of the
-    daemon. `now` is in s on a monotonic clock. `earlier`: what earlier instances left. `decision`:
-    the last decision of protection, made at `decided_at`.
+    `seed` makes the random choices of patterns repeatable. `instance` identifies this daemon
+    process. `now` is in s on a monotonic clock. `earlier`: the records of earlier processes on
+    disk. `decision`: the last decision of protection, made at `decided_at` (s).
     """
 
     decision: Decision

@@ -212,7 +212,7 @@ class Sensors(InputAges):
     def on_readings(self, values: Mapping[str, float]) -> None:
         """Replace all readings (values of scalar sensors by name).
 
-        NaN or inf: the sensor exists and has no fresh value.
+        A value of NaN or inf means that the sensor exists and has no fresh value.
         """
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
@@ -229,9 +229,10 @@ class Sensors(InputAges):
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take in the connection state of the driver; the arguments are as in `Sink.state`.
+        """Take in the connection state of the driver; the arguments are those of `Sink.state`.
 
-        Without a connection all readings become stale, and detections and similar inputs None.
+        Without a connection all readings become stale, and detections and other optional inputs
+        None.
         """
         if not is_up:
             self._forget_option_inputs()

@@ -3,11 +3,11 @@
 Each method of `Lifecycle` adds the effects of one event to `Effects`; requests and goals call these
 methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this file:
 
-| trigger     | fired because                                          | reason               |
+| trigger     | cause                                                  | reason               |
 |-------------|--------------------------------------------------------|----------------------|
-| RUN         | the pattern host reports Loaded                        | none: it runs        |
+| RUN         | the pattern host reports Loaded                        | none                 |
 | FINISH      | a step returns `done`; the seconds of the run are over | finished             |
-| STOP        | of a stop request; a reload of the running pattern     | operator, reloaded   |
+| STOP        | a stop request; a reload of the running pattern        | operator, reloaded   |
 |             | the daemon leaves                                      | leaving              |
 |             | a greater goal; a load that peers run is refused       | superseded           |
 |             | the run lease ends                                     | lease_ended          |
@@ -25,9 +25,9 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 |             | the same id                                            | duplicate_id         |
 | RESET       | a reset request after which no latch is held           | reset                |
 
-Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. The requests `run`
-and `resume`, a reload with a new run, a goal with `on_join: run`, and the restart of a failed
-pattern fire it.
+Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. Loads that end in
+RUN come from the requests `run` and `resume`, a reload with a new run, a goal with `on_join: run`,
+and the restart of a failed pattern.
 """
 
 from __future__ import annotations
@@ -138,7 +138,8 @@ class StateMachine(StateField):
     def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
         """Change state, reason and detail by a trigger.
 
-        Without a change of state the older reason stays, except for the triggers of `_RENEWS`.
+        If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
+        the trigger for this state.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -619,10 +620,10 @@ class Lifecycle:
         self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:
-        """After a stall of the daemon's loop by `late` s: end the run, make earlier epochs stale.
+        """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
-        An idle robot without a load or trial stays idle: a busy computer stalls most while the
-        daemon starts.
+        Requests that quote an earlier epoch are refused from now on. An idle robot without a load
+        or trial stays idle: a busy computer stalls most while the daemon starts.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
@@ -633,9 +634,10 @@ class Lifecycle:
         self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
-        """After a wheel drop or a lift (a person holds the robot): end the run or load.
+        """After a wheel drop or a lift (a person holds the robot): end the run or the load.
 
-        Earlier epochs become stale, and no goal that was set before starts the robot again.
+        Requests that quote an earlier epoch are refused from now on, and the robot joins no goal
+        that was set before.
         """
         run = self.pattern_run
         if run.running is None and run.loading is None:

@@ -64,14 +64,14 @@ class DutyCycle:
 
 @cython.cclass
 class Ticker:
-    """Handles the inputs of one robot: lets each change the robot, then settles the actions.
+    """Handles the inputs of one robot: each input changes the robot, then becomes `Actions`.
 
-    A quiet tick only decides: no deadline has passed since the last event.
+    A quiet tick only decides (computes the safe command), since no deadline has passed:
 
     1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
     2. Each event except a quiet tick resets `_quiet_until`.
     3. An event that may change the lifecycle also resets `_due_at`.
-    4. Odometry, neighbours, readings and messages reset neither.
+    4. Odometry, neighbours, readings and messages reset neither `_quiet_until` nor `_due_at`.
     """
 
     decision = cython.declare(object, visibility="public")
@@ -135,9 +135,9 @@ class Ticker:
 
     @cython.cfunc
     def _tick(self, now: cython.double):
-        """Check all deadlines. The shell ticks at 20 Hz, at rest at 10 Hz, and at `wake_at`.
+        """Check all deadlines; the shell calls this at 20 Hz, at rest at 10 Hz, and at `wake_at`.
 
-        Returns the actions; None after a quiet tick, which only decides.
+        Returns the actions; None after a quiet tick, which only computes the safe command.
         """
         if now >= self._quiet_until:
             self._look_ahead()
@@ -312,10 +312,10 @@ class Ticker:
         return decision
 
     def wake_at(self, now: cython.double) -> float | None:
-        """The next deadline for which the shell must wake the robot between ticks; None without.
+        """The next deadline in s for a tick between two regular ticks; None without a deadline.
 
         Counts the deadlines of the pattern run, the run lease, the scans and the longest hold. All
-        further deadlines wait for the next tick.
+        other deadlines wait for the next regular tick.
         """
         soonest: cython.double = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:
@@ -335,8 +335,8 @@ def tick_many(
 ) -> list[tuple[int, Actions]]:
     """Tick many robots; returns (index in `robots`, actions) of each tick that is not quiet.
 
-    `rows`: by robot, its row in `commands`. A quiet tick writes its safe command into that row:
-    linear (m/s), angular (rad/s), lateral (m/s).
+    A quiet tick only computes the safe command, and writes it into `commands`: a row of linear
+    (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of `robots[i]`.
     """
     found: list = []
     robot: Ticker
