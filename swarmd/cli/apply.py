@@ -90,36 +90,42 @@ def _plan(operator: Operator, view: MembersView) -> Plan:
 def _carry_out(
     options: CommonOptions, operator: Operator, view: MembersView, plan: Plan
 ) -> list[Outcome]:
-    """Send labels, then goal or resume, then parameters.
+    """Send the changes of `plan`: labels, then goal or resume, then parameters.
 
-    Each step has a look of its own, since each changes the robots' epochs.
+    A request quotes the epoch of each robot that the operator has seen, and each change raises that
+    epoch. The robots are therefore queried again after each step. Returns an outcome per request.
     """
     outcomes: list[Outcome] = []
     if plan.is_empty:
         return outcomes
-    # A robot that was stopped, or changed otherwise, since the first look refuses the run.
-    epochs = view.epochs(plan.targets)
+    # The run quotes epochs of the first query: a robot that was stopped, or changed otherwise,
+    # since then refuses the run. Epochs that the labels of this plan raise are taken over.
+    run_epochs = view.epochs(plan.targets)
 
-    def look() -> MembersView:
+    def queried_again() -> MembersView:
         return operator.members(timeout=options.timeout)
 
     if plan.labels:
-        by_labels = _grouped(plan.labels, tuple)
-        for labels, names in by_labels.items():
-            outcome = operator.request(LabelRequest, view.epochs(names), labels=labels)
-            replies = outcome.replies.items()
-            epochs |= {name: one.epoch for name, one in replies if name in epochs and one.epoch}
+        for labels, robots in _grouped(plan.labels, tuple).items():
+            outcome = operator.request(LabelRequest, view.epochs(robots), labels=labels)
+            for robot, reply in outcome.replies.items():
+                if robot in run_epochs and reply.epoch:
+                    run_epochs[robot] = reply.epoch
             outcomes.append(outcome)
-        view = look()
+        view = queried_again()
     if plan.goal is not None:
-        outcomes.append(send_goal(operator, epochs, next_goal(operator, view, **plan.goal)))
-        view = look()
+        outcomes.append(send_goal(operator, run_epochs, next_goal(operator, view, **plan.goal)))
+        view = queried_again()
     if plan.resume:
         outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
-        view = look()
-    params = _plan(operator, view).params
-    for items, names in _grouped(params, lambda one: tuple(sorted(one.items()))).items():
-        outcomes.append(operator.request(ParamRequest, view.epochs(names), params=dict(items)))
+        view = queried_again()
+    # Parameters are compared anew, since a run that has just begun may have them already. Robots
+    # with equal changes share a request.
+    params_by_robot = _plan(operator, view).params
+    by_params = _grouped(params_by_robot, lambda params: tuple(sorted(params.items())))
+    for items, robots in by_params.items():
+        epochs = view.epochs(robots)
+        outcomes.append(operator.request(ParamRequest, epochs, params=dict(items)))
     return outcomes
 
 

@@ -77,25 +77,32 @@ def _read(
     since: float | None,
     count: int,
 ) -> tuple[list[_Line], dict[str, str], set[str]]:
-    """The entries of all robots in the order of time, the faults, and the robots that answered."""
+    """Query the audit logs of the robots `names`: the last `count` entries of each, at most.
+
+    `since`: only entries of the last so many s, None for all. Returns the entries in the order of
+    time, the faults by robot (entries that are missing, or a log that could not be written), and
+    the robots that answered.
+    """
     lines: list[_Line] = []
     faults: dict[str, str] = {}
-    query = AuditQuery(since=since, count=min(count, AUDIT_PAGE))
-    replies = ask_robots(options, operator, names, AUDIT, query)
+    newest_page = AuditQuery(since=since, count=min(count, AUDIT_PAGE))
+    replies = ask_robots(options, operator, names, AUDIT, newest_page)
     for robot, reply in replies.items():
-        found = _lines(reply)
-        while reply.has_more and reply.entries and len(found) < count:
-            room, before = min(count - len(found), AUDIT_PAGE), reply.entries[0].seq
-            query = AuditQuery(before=before, since=since, count=room)
-            older = ask_robots(options, operator, (robot,), AUDIT, query)
-            if robot not in older:
-                faults[robot] = f"did not tell its entries before number {before}; ask again"
+        robot_lines = _lines(reply)
+        # A reply has at most AUDIT_PAGE entries: query older pages until the count is reached.
+        while reply.has_more and reply.entries and len(robot_lines) < count:
+            first_number = reply.entries[0].seq
+            page_size = min(count - len(robot_lines), AUDIT_PAGE)
+            query = AuditQuery(before=first_number, since=since, count=page_size)
+            older_replies = ask_robots(options, operator, (robot,), AUDIT, query)
+            if robot not in older_replies:
+                faults[robot] = f"did not tell its entries before number {first_number}; ask again"
                 break
-            reply = older[robot]
-            found = _lines(reply) + found
+            reply = older_replies[robot]
+            robot_lines = _lines(reply) + robot_lines
         if reply.fault:
             faults[robot] = reply.fault
-        lines += found
+        lines += robot_lines
     lines.sort(key=lambda line: (line.at or 0.0, line.robot, line.entry.seq))
     return lines, faults, set(replies)
 

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 LONGEST = 600.0
 """Seconds after which the robot ends the run by itself, whatever becomes of swarmctl."""
 
-_PERIOD = 0.5  # s between two looks at the robot
+_PERIOD = 0.5  # s between two queries of the robot
 _SILENCE = 5.0  # s without an answer after which the robot counts as lost
-_LOOK = 1.0  # s that a look may take
+_QUERY_TIME = 1.0  # s that a query may take
 _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 
 
@@ -73,12 +73,14 @@ def calibrate(
 ) -> None:
     """Measure brakes, delays and scales of ROBOT by a few short drives.
 
-    The robot stands in the middle of a free floor. It looks whether the floor is free, then drives
-    to and fro, to both sides if its base moves sideways, and turns on the spot, for one to three
-    minutes, under protection. Its figures are printed beside the values of its platform file, with
-    the platform file that follows from them. Other robots within the range of the lidar must stand:
-    figures from scans of moving objects are less exact. Ctrl-C stops the robot.
+    The robot stands in the middle of a free floor. The robot first checks that the floor is free.
+    Then it drives to and fro, to both sides if its base moves sideways, and turns on the spot, for
+    one to three minutes, under protection. The measured figures are printed beside the values of
+    the platform file, with a new platform file that has the measured values. All other robots
+    within the range of the lidar must stand: moving objects make the figures less exact. Ctrl-C
+    stops the robot.
     """
+    # 1. All that can be refused before anything moves.
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
     _check_file(write)
@@ -90,15 +92,19 @@ def calibrate(
         if member.presence is not Presence.ALIVE or status is None:
             raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
         if status.state not in (State.IDLE, State.STOPPED):
-            does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
-            raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
-        side = _floor(status) if floor is None else floor
-        statuses = {name: seen.status for name, seen in view.members.items()}
+            activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
+            raise Failure(
+                f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED
+            )
+        # 2. Warn of moving robots, and ask whether the floor is free.
+        side_m = _floor(status) if floor is None else floor
+        statuses = {name: other.status for name, other in view.members.items()}
         if moving := running_beside(statuses, robot):
             names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")
-        _confirm(robot, status.platform, side, yes)
-        report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
+        _confirm(robot, status.platform, side_m, yes)
+        # 3. Drive, and use the figures.
+        report, status = _measure(operator, robot, {"floor": side_m, "repeats": repeats})
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
 
@@ -157,32 +163,33 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
 def _measure(
     operator: Operator, robot: str, params: dict[str, float]
 ) -> tuple[Mapping[str, object], Status]:
-    """Run the drives; returns the report with the figures, and the status after them.
+    """Run the calibration pattern; returns its report with the figures, and the last status.
 
-    The robot is stopped in any case.
+    Failure if the robot refuses, is lost or does not finish. The robot is stopped if it may still
+    run the pattern when this function ends, for instance after Ctrl-C.
     """
-    for one in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C
-        signal.signal(one, signal.default_int_handler)
-    epochs = operator.members(timeout=_LOOK, needs_status=False).epochs((robot,))
-    must_stop = True
+    for signal_number in (signal.SIGTERM, signal.SIGHUP):  # raise KeyboardInterrupt, as Ctrl-C does
+        signal.signal(signal_number, signal.default_int_handler)
+    epochs = operator.members(timeout=_QUERY_TIME, needs_status=False).epochs((robot,))
+    may_run = True
     try:
         outcome = operator.request(
             RunRequest, epochs, pattern=PATTERN, params=params, seconds=LONGEST
         )
         if not outcome.applied:
             reply = outcome.replies.get(robot)
-            must_stop = reply is None
-            why = "did not answer" if reply is None else f"{reply.code}: {reply.text}"
-            raise Failure(f"{robot} {why}", outcome.exit_code)
+            may_run = reply is None  # the request may have arrived without its reply
+            answer = "did not answer" if reply is None else f"{reply.code}: {reply.text}"
+            raise Failure(f"{robot} {answer}", outcome.exit_code)
         try:
             status = _follow(operator, robot)
         finally:
             if sys.stderr.isatty():
-                click.echo(err=True)  # ends the line of `_tell`
-        must_stop = status.state is State.RUNNING and status.pattern == PATTERN
+                click.echo(err=True)  # ends the line of `_print_step`
+        may_run = status.state is State.RUNNING and status.pattern == PATTERN
         return _report(robot, status), status
     finally:
-        if must_stop:
+        if may_run:
             _stop(operator, robot)
 
 
@@ -190,7 +197,7 @@ def _follow(operator: Operator, robot: str) -> Status:
     """The first status after the drives have ended; prints each step and each hold."""
     last_line, heard = "", time.monotonic()
     while True:
-        member = operator.members(timeout=_LOOK).members.get(robot)
+        member = operator.members(timeout=_QUERY_TIME).members.get(robot)
         now = time.monotonic()
         if member is not None and member.presence is Presence.FAILED:
             raise Failure(f"{robot} is lost: its daemon failed or its link is cut", TIMEOUT)
@@ -205,12 +212,12 @@ def _follow(operator: Operator, robot: str) -> Status:
             is_held = status.reason not in _NO_HOLD
             line = f"held: {status.reason}" if is_held else str(status.report.get("step", "loads"))
             if line != last_line:
-                _tell(f"{robot}: {line}")
+                _print_step(f"{robot}: {line}")
                 last_line = line
         time.sleep(_PERIOD)
 
 
-def _tell(line: str) -> None:
+def _print_step(line: str) -> None:
     """Print the line on stderr; on a terminal it replaces the one before."""
     if sys.stderr.isatty():
         rewrite(line)
@@ -246,41 +253,45 @@ def _report(robot: str, status: Status) -> Mapping[str, object]:
 def _end_findings(
     operator: Operator, robot: str, status: Status, report: Mapping[str, object]
 ) -> None:
-    """End findings of the assumption monitor about brakes that the drives do not confirm.
+    """End those findings of the assumption monitor that the calibration disproves.
 
-    The monitor's test: the measured braking, less 2 standard deviations, is more than SOUND of the
-    declared braking.
+    A finding is the text of a doubt of the robot: its brakes seem weaker than the platform file
+    declares. `report`: the measured figures. A figure disproves a finding if the measured braking,
+    less 2 standard deviations, is more than the share SOUND of the declared braking.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 
-    ended = []
-    for text in status.findings:
-        axis = axis_of(text)
+    # 1. Choose the findings to end, with their figures as text; warn of each that stays.
+    figure_texts: dict[str, str] = {}
+    for finding in status.findings:
+        axis = axis_of(finding)
         if axis is None:
             warn(
-                f"{robot} keeps the finding: {text}; a calibration does not measure it;"
+                f"{robot} keeps the finding: {finding}; a calibration does not measure it;"
                 " see `swarmctl reset --findings`"
             )
             continue
-        brake = Figure.parse(str(report[f"braking_{axis}"]))
-        if brake.is_measured and brake.value - 2.0 * brake.spread > SOUND * brake.assumed:
-            ended.append((text, f"{brake.value:.3g} +- {brake.spread:.2g}"))
+        braking = Figure.parse(str(report[f"braking_{axis}"]))
+        lowest = braking.value - 2.0 * braking.spread
+        if braking.is_measured and lowest > SOUND * braking.assumed:
+            figure_texts[finding] = f"{braking.value:.3g} +- {braking.spread:.2g}"
         else:
-            warn(f"{robot} keeps the finding: {text}; give it the platform file that follows")
-    if not ended:
+            warn(f"{robot} keeps the finding: {finding}; give it the platform file that follows")
+    if not figure_texts:
         return
-    reason = f"calibrated: {', '.join(measured for _, measured in ended)}"
+    # 2. Send the request, and say of each finding whether the robot has ended it.
     outcome = operator.request(
         ResetRequest,
         {robot: status.epoch},
-        findings=tuple(text for text, _ in ended),
-        reason=reason,
+        findings=tuple(figure_texts),
+        reason=f"calibrated: {', '.join(figure_texts.values())}",
     )
-    reply = outcome.replies.get(robot)
-    for text, measured in ended:
-        done = "ended" if outcome.applied else "not ended"
-        why = "" if outcome.applied else f" ({'no answer' if reply is None else reply.text})"
-        warn(f"{robot}: {done}{why}: {text}; now {measured}")
+    result = "ended"
+    if not outcome.applied:
+        reply = outcome.replies.get(robot)
+        result = f"not ended ({'no answer' if reply is None else reply.text})"
+    for finding, figure_text in figure_texts.items():
+        warn(f"{robot}: {result}: {finding}; now {figure_text}")
 
 
 def _stop(operator: Operator, robot: str) -> None:
@@ -297,19 +308,27 @@ def _show(
     report: Mapping[str, object],
     write: Path | None,
 ) -> None:
+    """Print the measured figures and the platform file that has them, or write that file.
+
+    `report`: the report of the calibration pattern after its drives. `write`: the file to write,
+    None to print. Failure if another version of swarmd made the report.
+    """
     from swarmd.calibration.report import figures_of, platform_file, rows, settings
     from swarmd.settings.platforms import platform_names
 
+    # 1. Parse the figures, and make the text of a platform file that extends the present file.
     platform, delay = status.platform, status.scan_delay
     try:
         figures = figures_of(report)
-        drove = tuple(map(float, str(report.get("drove")).split()))
+        fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    chosen = settings(figures, drove, None if delay is None else delay.sweep)
+    sweep = None if delay is None else delay.sweep
+    new_values = settings(figures, fastest_speeds, sweep)
     extends = platform if platform in platform_names() else f"./{platform}.yaml"
-    day = datetime.date.today().isoformat()
-    text = platform_file(robot, extends, day, figures, chosen)
+    today = datetime.date.today().isoformat()
+    file_text = platform_file(robot, extends, today, figures, new_values)
+    # 2. Print. The figure `margin` follows from the others, so it is never measured.
     if options.is_json:
         figures_json = {
             name: {
@@ -321,18 +340,18 @@ def _show(
             }
             for name, figure in figures.items()
         }
-        print_json("Calibration", {"robot": robot, "figures": figures_json, "file": text})
+        print_json("Calibration", {"robot": robot, "figures": figures_json, "file": file_text})
     else:
         print_table(("FIGURE", "MEASURED", "SD", "SAMPLES", "PLATFORM"), rows(figures))
         for name, figure in figures.items():
             if figure.why and name != "margin":
                 click.echo(f"{name} is not measured: {figure.why}")
         if write is None:
-            click.echo(
-                f"\nA platform file that follows (--write FILE writes it):\n\n{text}", nl=False
-            )
+            heading = "A platform file that follows (--write FILE writes it):"
+            click.echo(f"\n{heading}\n\n{file_text}", nl=False)
+    # 3. Write.
     if write is not None:
-        write.write_text(text)
+        write.write_text(file_text)
         warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
 
 

@@ -126,6 +126,7 @@ def swarmd(
     if ctx.invoked_subcommand is not None:
         _refuse_options(ctx)
         return
+    # 1. The options of the command line, which count more than the file; None: the file counts.
     overrides = {
         **options,
         "seeds": list(seeds) or None,
@@ -133,15 +134,17 @@ def swarmd(
         "driver_options": _read_options(driver_options) or None,
         "die_with_parent": die_with_parent,
     }
-    if die_with_parent is not None:
+    if die_with_parent is not None:  # a process id
         tie_to(die_with_parent)
     check_descriptors()
-    # numpy comes with the settings; its BLAS would start a thread per core for 360 numbers.
+    # 2. The settings. Their import loads numpy, whose BLAS would start a thread per core for
+    #    arrays of 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
     _log_to_stderr(log_level.upper(), settings.id)
+    # 3. Print the settings, check them, or run the daemon.
     if print_effective_config:
         from swarmd.cli.effective_config import effective_config
 
@@ -153,8 +156,8 @@ def swarmd(
     else:
         from swarmd.daemon.daemon import serve
 
-        # By pattern hosts, which have the same user. In profile dev, on loopback, that user may
-        # look into the daemon: benchmarks and tests read its memory and open files.
+        # Pattern hosts have the same user, and must not trace the daemon. In profile dev, on
+        # loopback, that user may: benchmarks and tests read the daemon's memory and open files.
         if settings.network.profile != "dev":
             keep_from_tracing()
         ctx.exit(asyncio.run(serve(settings)))

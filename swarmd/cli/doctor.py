@@ -74,24 +74,34 @@ def _of_this_network(operator: Operator) -> Iterator[_Line]:
 
 
 def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> Iterator[_Line]:
+    """Yields the findings about the targeted robots, from the answers to a query of each.
+
+    A robot without a readable answer gets a single finding. Without any robot: a warning.
+    """
+    # 1. The robots, and time to hear their beacons.
     view = operator.members(timeout=options.timeout)
     remember(operator.settings, view)
     if not view.members and not view.roster and targets.is_whole_swarm:
-        swarm = operator.settings.swarm
-        others = ", ".join(operator.swarms())
-        text = f"no robot of swarm {swarm!r} is heard" + (f"; swarms: {others}" if others else "")
+        text = f"no robot of swarm {operator.settings.swarm!r} is heard"
+        if other_swarms := ", ".join(operator.swarms()):
+            text += f"; swarms: {other_swarms}"
         remedy = "start swarmd; see --swarm, --profile and --interface"
         yield _Line("swarm", warning("robots", text, remedy))
         return
-    names = robots_of(view, targets)
+    robots = robots_of(view, targets)
     time.sleep(LISTEN_TIME)
-    asked = in_reach(view, names)
+    reachable = in_reach(view, robots)
     decode = Decoder(DOCTOR.answer, MAX_ANSWER)
-    for robot in names:
-        sent = time.time()
-        wait = options.timeout or ASK_TIME
-        answer = operator.ask(robot, DOCTOR.name, timeout=wait) if robot in asked else None
-        returned = time.time()
+    roster_generation = None if operator.identity is None else operator.identity.roster.generation
+    # 2. Query each robot. Its clock is compared with the middle of the time of the query; half of
+    #    that time is the error of the comparison.
+    for robot in robots:
+        timeout = options.timeout or ASK_TIME
+        sent_at = time.time()
+        answer = None
+        if robot in reachable:
+            answer = operator.ask(robot, DOCTOR.name, timeout=timeout)
+        returned_at = time.time()
         if answer is None:
             remedy = "see swarmctl members; look at its power, its network and its daemon"
             yield _Line(robot, Finding("answer", False, "it does not answer", remedy))
@@ -104,13 +114,13 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
             continue
         for finding in findings_of.of_robot(
             reply,
-            skew=reply.machine.wall - 0.5 * (sent + returned),
-            error=0.5 * (returned - sent),
+            skew=reply.machine.wall - 0.5 * (sent_at + returned_at),
+            error=0.5 * (returned_at - sent_at),
             version=version("swarmd"),
             ways=operator.ways(robot),
             others=len(set(view.alive) - {robot}),
-            now=returned,
-            roster=None if operator.identity is None else operator.identity.roster.generation,
+            now=returned_at,
+            roster=roster_generation,
         ):
             yield _Line(robot, finding)
 

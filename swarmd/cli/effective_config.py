@@ -18,8 +18,12 @@ NETWORK_KEYS = NetworkSettings.__struct_fields__
 
 
 def effective_config(settings: DaemonSettings) -> str:
-    """YAML that `--config` reads back to the same settings; the platform follows as comments."""
-    keys = {
+    """The settings as YAML, which `swarmd --config` reads back to the same settings.
+
+    A comment names the source of each value. The values of the platform follow as comments, since
+    the key `platform` stands for them.
+    """
+    values = {
         "id": settings.id,
         **{name: to_builtins(getattr(settings.network, name)) for name in NETWORK_KEYS},
         "identity": None if settings.identity is None else str(settings.identity.folder.absolute()),
@@ -38,10 +42,11 @@ def effective_config(settings: DaemonSettings) -> str:
         "recording": to_builtins(settings.recording),
     }
     lines = [
-        _line(f"{key}: {_flow(value)}", settings.provenance[key]) for key, value in keys.items()
+        _line(f"{key}: {_flow(value)}", settings.provenance[key]) for key, value in values.items()
     ]
     lines += ["", f"# platform {settings.platform.name}"]
-    lines += [f"#   {name}: {_flow(value)}" for name, value in _flat(_platform(settings.platform))]
+    platform_values = _flat(_platform(settings.platform))
+    lines += [f"#   {name}: {_flow(value)}" for name, value in platform_values]
     return "\n".join(lines) + "\n"
 
 

@@ -33,32 +33,33 @@ NAME_WIDTH = 10
 def events(options: CommonOptions, targets: Targets, follow: bool, since: float | None) -> None:
     """Print what happened to TARGETS, or to all robots: states, requests, holds, faults, drivers.
 
-    Each robot keeps its last 10 events. With -f also holds as they begin and end, and robots that
-    fall silent and return; with -o json then one document a line.
+    Each robot keeps its last 10 events. With -f the command continues, and prints also holds as
+    they begin and end, and robots that fall silent and return; with -o json a document a line.
     """
     from swarmd.client.event_feed import EventFeed
     from swarmd.client.events import events_of
 
+    # `since`: the longest age of an event in s.
     feed = EventFeed(float("inf") if since is None else since)
     with options.operator() as operator:
         if follow:
             session = session_of(options, operator)
-            chosen = session.named_now(targets)
+            followed_targets = session.named_now(targets)
             with signals_end():
-                _follow(session, feed, chosen, is_json=options.is_json)
+                _follow(session, feed, followed_targets, is_json=options.is_json)  # until a signal
         view = known_members(options, operator)
-        names = robots_of(view, targets)
-        lines = events_of(feed, view, names)
+        robots = robots_of(view, targets)
+        lines = events_of(feed, view, robots)
         if options.is_json:
-            found = [_record(line) for line in lines]
-            missing = [name for name in view.missing if name in names]
-            print_json("Events", {"events": found, "missing": missing})
+            records = [_record(line) for line in lines]
+            missing = [name for name in view.missing if name in robots]
+            print_json("Events", {"events": records, "missing": missing})
         else:
             _print(lines)
             if not lines:
-                last = "" if since is None else f" of the last {seconds(since)}"
-                warn(f"no event{last} is known; each robot keeps its last {MAX_EVENTS}")
-        click.get_current_context().exit(exit_code_of(view, names))
+                period = "" if since is None else f" of the last {seconds(since)}"
+                warn(f"no event{period} is known; each robot keeps its last {MAX_EVENTS}")
+        click.get_current_context().exit(exit_code_of(view, robots))
 
 
 def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:

@@ -28,8 +28,8 @@ DAEMON_FILE = "swarmd.yaml"
 def install(file: Path, root: Path | None, interface: str | None, force: bool) -> None:
     """Take the bundle FILE: this machine becomes the robot that FILE names.
 
-    It writes the identity and swarmd.yaml, as root into /etc/swarmd, else into ~/.config/swarmd,
-    and starts nothing. Keys of swarmd.yaml that belong to the robot are kept, such as platform and
+    Writes the identity and swarmd.yaml, as root into /etc/swarmd, else into ~/.config/swarmd, and
+    starts nothing. Keys of swarmd.yaml that belong to the robot are kept, such as platform and
     driver.
     """
     from swarmd.cli.service_files import give_to_service, keep_for_root
@@ -39,6 +39,7 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     from swarmd.security.roster import Role
     from swarmd.settings.installed import checked_settings, draft_daemon_file
 
+    # 1. Read the bundle: the identity of one robot, and the settings of its swarm.
     opened = read_bundle(file)
     info = opened.bundle.info
     if info.role is not Role.ROBOT:
@@ -46,6 +47,7 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
             f"{file} is the bundle of {info.role} {info.name};"
             f" take it with `swarmctl keys install {file}`"
         )
+    # 2. Check all before the first write. Folders of the service belong to root.
     base = _base(root)
     is_of_service = base == (root or Path("/")) / "etc/swarmd"
     if is_of_service:
@@ -57,24 +59,27 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     check_replaces(opened, installed(folder), is_forced=force)
     if not force:
         _check_file(config, info.swarm, info.name)
+    # 3. Write the identity and swarmd.yaml; if the file cannot be written, the identity returns to
+    #    its former content. Then give both to the account of the service.
     base.mkdir(parents=True, exist_ok=True)
     with replaced_identity(folder, opened) as identity:
         drafted.write()
     if is_of_service:
         give_to_service(root or Path("/"))
+    # 4. Say what was written, what is missing, and which command comes next.
     report_identity(identity, opened.roster)
     click.echo(f"wrote {config}")
-    for what, keys in (("kept", drafted.kept), ("dropped", drafted.dropped)):
+    for verb, keys in (("kept", drafted.kept), ("dropped", drafted.dropped)):
         if keys:
-            click.echo(f"{what} of the file that was there: {', '.join(keys)}")
+            click.echo(f"{verb} of the file that was there: {', '.join(keys)}")
     if unset := [key for key in ("platform", "driver") if key not in drafted.data]:
         click.echo(
             f"note: {config} has no {' and no '.join(unset)}; on a real robot add them, such as"
             " `platform: burger` and `driver: ros2dds`"
         )
     if base == Path("/etc/swarmd"):
-        is_service = UNIT_FILE.exists()
-        next_step = "systemctl restart swarmd" if is_service else "swarmd service install"
+        has_service = UNIT_FILE.exists()
+        next_step = "systemctl restart swarmd" if has_service else "swarmd service install"
         click.echo(f"next: {next_step}")
     elif root is None:
         click.echo(f"next: swarmd --config {config}")

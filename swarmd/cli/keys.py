@@ -98,35 +98,41 @@ def init(
     from swarmd.security.bundle import OpenedBundle
     from swarmd.settings.installed import SWARM_YAML, swarm_settings, write_yaml
 
+    # 1. Check names, settings and folders before anything is written.
     check_id(swarm, "the swarm")
-    names = {
+    names_by_role = {
         Role.ROBOT: expand_names(robots),
         Role.OPERATOR: expand_names(operators) if operators else (_login_id(),),
         Role.VIEWER: expand_names(viewers) if viewers else (),
     }
-    check_distinct(*names.values())
+    check_distinct(*names_by_role.values())
     if settings["interface"] and not settings["profile"] and config is None:
         settings["profile"] = "field"
-    found = swarm_settings(swarm, config, settings)
+    swarm_yaml = swarm_settings(swarm, config, settings)
     folder, identities = authority_folder(swarm), configuration() / "identities" / swarm
-    for there in (folder, identities):
-        if there.exists():
-            raise ConfigError(f"{there} is there already; remove it to begin anew")
-    word = ask_passphrase(is_new=True) if passphrase else None
+    for path in (folder, identities):
+        if path.exists():
+            raise ConfigError(f"{path} is there already; remove it to begin anew")
+    passphrase_text = ask_passphrase(is_new=True) if passphrase else None
+    # 2. Write the authority into a draft folder, which gets its name when all is written. An error
+    #    or Ctrl-C leaves nothing.
     draft = folder.with_name(f".{swarm}.partial")
     shutil.rmtree(draft, ignore_errors=True)
     try:
         draft.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        authority = Authority.create(draft, swarm, word, days=days)
-        authority.change(add={name: role for role, group in names.items() for name in group})
-        write_yaml(draft / SWARM_YAML, found, f"Settings of swarm {swarm}, for its bundles.")
-        first = bundle_of(authority, names[Role.OPERATOR][0])
+        authority = Authority.create(draft, swarm, passphrase_text, days=days)
+        roles = {name: role for role, names in names_by_role.items() for name in names}
+        authority.change(add=roles)
+        write_yaml(draft / SWARM_YAML, swarm_yaml, f"Settings of swarm {swarm}, for its bundles.")
+        operator_bundle = bundle_of(authority, names_by_role[Role.OPERATOR][0])
         draft.rename(folder)
-        installed = install_reader(OpenedBundle(first, authority.roster), {}, is_forced=False)
+        opened = OpenedBundle(operator_bundle, authority.roster)
+        installed = install_reader(opened, {}, is_forced=False)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         shutil.rmtree(folder, ignore_errors=True)
         raise
+    # 3. Report, and name the next command.
     click.echo(f"authority of swarm {swarm}, certificates of {days:g} days: wrote {folder}")
     report_identity(installed, authority.roster)
     _report_context(swarm)
@@ -156,25 +162,27 @@ def bundle(
     """Write a bundle for each NAME: one file with its identity and the settings of the swarm.
 
     NAME may be a range such as 'tb3-[01-40]' or a glob such as 'tb3-*'. A holder of the file has
-    the identity: carry it safely, and remove it once it is installed. The settings are those of
-    swarm.yaml in the authority's folder.
+    the identity: carry the file safely, and remove it once it is installed. The settings are those
+    of swarm.yaml in the authority's folder.
     """
     from swarmd.security.bundle import SUFFIX, write_bundle
 
     if bool(names) == is_all:
         raise click.UsageError("keys bundle needs names or --all")
     authority = open_authority(swarm)
-    chosen = select_names(names, authority.roster.names)
-    folder = target or Path()
-    if len(chosen) == 1 and target is not None and target.suffix and not target.is_dir():
-        files = {chosen[0]: target}
+    chosen_names = select_names(names, authority.roster.names)
+    # `target` is a file if a single bundle is written and the path has a suffix; else a folder.
+    if len(chosen_names) == 1 and target is not None and target.suffix and not target.is_dir():
+        files = {chosen_names[0]: target}
     else:
+        folder = target or Path()
         folder.mkdir(parents=True, exist_ok=True)
-        files = {name: folder / f"{name}{SUFFIX}" for name in chosen}
+        files = {name: folder / f"{name}{SUFFIX}" for name in chosen_names}
     for name, path in files.items():
-        made = bundle_of(authority, name, days=days)
-        write_bundle(path, made)
-        click.echo(f"wrote {path}: {made.info.role} {name}, until {day(made.info.expires)}")
+        new_bundle = bundle_of(authority, name, days=days)
+        write_bundle(path, new_bundle)
+        info = new_bundle.info
+        click.echo(f"wrote {path}: {info.role} {name}, until {day(info.expires)}")
 
 
 @keys.command("list")
@@ -183,20 +191,21 @@ def bundle(
 def list_(options: CommonOptions) -> None:
     """List the names of the roster, and how long their newest certificates last.
 
-    GENERATION names the newest roster that a name surely has: of its bundle, or taken since.
+    GENERATION: the newest roster that a name surely has, from its bundle or taken since.
     """
     authority = open_authority(options.swarm)
     roster, now = authority.roster, time.time()
     rows: list[dict[str, Any]] = []
     for name in roster.names:
-        record = authority.record_of(name)
+        record = authority.record_of(name)  # None before the first bundle of the name
+        days_left = None if record is None else math.floor((record.expires - now) / _DAY)
         rows.append(
             {
                 "name": name,
                 "role": str(roster.role_of(name)),
                 "is_bundled": record is not None,
                 "expires": None if record is None else record.expires,
-                "days": None if record is None else math.floor((record.expires - now) / _DAY),
+                "days": days_left,
                 "generation": None if record is None else record.generation,
             }
         )
@@ -207,12 +216,14 @@ def list_(options: CommonOptions) -> None:
     header = ("NAME", "ROLE", "ENDS", "GENERATION", "BUNDLED")
     print_table(header, [_row(row, now) for row in rows])
     click.echo(f"# swarm {roster.swarm}, roster of generation {roster.generation}")
-    for row in rows:
-        is_known = row["expires"] and now >= FIRST_WALL
-        if is_known and (text := end_of_certificate(row["expires"], now)):
-            click.echo(f"# {row['name']}: {text}; see `swarmctl keys renew`")
+    # Notes on certificates that end soon, unless the clock of this machine is not set yet.
     if now < FIRST_WALL:
         click.echo(f"# {UNSET_CLOCK}: whether certificates have ended is not known")
+        return
+    for row in rows:
+        note = end_of_certificate(row["expires"], now) if row["expires"] else ""
+        if note:
+            click.echo(f"# {row['name']}: {note}; see `swarmctl keys renew`")
 
 
 @keys.command()

@@ -93,25 +93,31 @@ def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
 def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: float | None) -> None:
     """Give robots, and this operator, new certificates for the keys that they have.
 
-    Each robot that takes one stands. Other operators and viewers need a new bundle: `keys bundle`.
+    Each robot that takes a new certificate stands. Other operators and viewers need a new bundle:
+    `keys bundle`.
     """
     if bool(names) == is_all:
         raise click.UsageError("keys renew needs names or --all")
     authority = open_authority(options.swarm)
     settings, own = _network(options, authority)
     roster = authority.roster
-    known = (*roster.robots, own.name) if is_all else roster.names
-    chosen = [name for name in select_names(names, known) if authority.record_of(name) is not None]
-    others = [name for name in chosen if name not in roster.robots and name != own.name]
-    if others:
-        raise ConfigError(f"{', '.join(others)}: only a bundle brings them a new certificate")
+    # 1. Choose the names. A name without a record has no keys yet.
+    selectable = (*roster.robots, own.name) if is_all else roster.names
+    chosen = [
+        name for name in select_names(names, selectable) if authority.record_of(name) is not None
+    ]
+    robots = tuple(name for name in chosen if name in roster.robots)
+    need_bundle = [name for name in chosen if name not in roster.robots and name != own.name]
+    if need_bundle:
+        raise ConfigError(f"{', '.join(need_bundle)}: only a bundle brings them a new certificate")
+    # 2. Renew this operator's certificate on this machine, and those of robots over the network.
     if own.name in chosen:
         _renew_own(authority, own, days)
-    robots = tuple(name for name in chosen if name in roster.robots)
     if not robots:
         return
     issued = {name: authority.issue(name, days=days, is_recorded=False) for name in robots}
-    outcome = _sent(options, settings, own, authority, robots, issued=issued)
+    outcome = _send_roster(options, settings, own, authority, robots, issued=issued)
+    # 3. Record what the robots have taken.
     for name in outcome.applied:
         authority.note_issued(issued[name])
     if outcome.missing:
@@ -144,7 +150,7 @@ def roll_out(
         text = "no robot has a bundle of this swarm yet: nothing was rolled out"
         raise Failure(text, NO_TARGET)
     try:
-        outcome = _sent(options, settings, own, authority, wanted, revoked=revoked)
+        outcome = _send_roster(options, settings, own, authority, wanted, revoked=revoked)
     except SwarmError:
         warn("the roster is not rolled out; repeat it with `swarmctl keys push`")
         raise
@@ -189,7 +195,7 @@ def _network(options: CommonOptions, authority: Authority) -> tuple[NetworkSetti
     return settings, identity
 
 
-def _sent(
+def _send_roster(
     options: CommonOptions,
     settings: NetworkSettings,
     own: Identity,
@@ -199,25 +205,39 @@ def _sent(
     issued: Mapping[str, Issued] = MappingProxyType({}),
     revoked: tuple[str, ...] = (),
 ) -> Outcome:
-    """Send the roster, and certificates, to robots of all generations of the roster."""
+    """Send the present roster, and new certificates if any, to `robots`; returns all replies.
+
+    `own`: the identity of this operator. `issued`: the new certificate by robot, or empty.
+    `revoked`: robots that were taken from the roster; those in reach get the roster without the
+    secret of the swarm.
+
+    A robot only accepts datagrams that are signed with the keys of its own generation (version) of
+    the roster. Robots may have different generations, so the operator speaks to them in turn, with
+    the keys of each generation.
+    """
     from swarmd.network.operator.operator import Operator
 
     replies: dict[str, Reply] = {}
-    seconds = 0.0
+    seconds = 0.0  # of all queries and requests
     for identity in _identities(own, authority, robots):
-        asked = [
+        # 1. Robots that have not replied yet, and that had no later generation when last recorded.
+        generation = identity.roster.generation
+        remaining = [
             name
             for name in robots
-            if name not in replies and _generation(authority, name) <= identity.roster.generation
+            if name not in replies and _generation(authority, name) <= generation
         ]
-        if not asked:
+        if not remaining:
             continue
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
-            look = None if options.timeout is None else options.timeout / 2.0
-            view = operator.members(timeout=look, needs_status=False)
+            # 2. Query the epochs of the robots, in half of the time that the user gives.
+            query_timeout = None if options.timeout is None else options.timeout / 2.0
+            view = operator.members(timeout=query_timeout, needs_status=False)
             seconds += view.seconds
-            for first in range(0, len(asked), MAX_CERTIFICATES if issued else len(asked)):
-                batch = asked[first : first + MAX_CERTIFICATES] if issued else asked
+            # 3. Send. A request has room for MAX_CERTIFICATES certificates.
+            batch_size = MAX_CERTIFICATES if issued else len(remaining)
+            for start in range(0, len(remaining), batch_size):
+                batch = remaining[start : start + batch_size]
                 outcome = operator.request(
                     RosterRequest,
                     view.epochs(batch),
@@ -228,8 +248,8 @@ def _sent(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            if identity.roster.generation == own.roster.generation and revoked:
-                _tell_revoked(operator, view, authority, revoked)
+            if generation == own.roster.generation and revoked:
+                _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))
     return Outcome(replies=replies, missing=missing, seconds=seconds)
 
@@ -255,7 +275,7 @@ def _generation(authority: Authority, name: str) -> int:
     return 0 if record is None else record.generation
 
 
-def _tell_revoked(
+def _send_to_revoked(
     operator: Operator, view: MembersView, authority: Authority, revoked: tuple[str, ...]
 ) -> None:
     """Send the roster, without the new secret, to revoked robots that are in reach."""

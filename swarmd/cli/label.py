@@ -55,22 +55,23 @@ def label(
     removed: tuple[str, ...],
     reset: bool,
 ) -> None:
-    """Give TARGETS labels, and take others away: swarmctl label tb3-01 +red -blue.
+    """Give TARGETS labels, and take labels away: swarmctl label tb3-01 +red -blue.
 
-    A robot keeps its labels across restarts; they are targets of -l and choose parameters of the
+    A robot keeps its labels across restarts. Labels are targets of -l, and choose parameters of the
     swarm file. Moves nothing: a goal for robots with a new label is offered.
     """
-    words = [*(f"+{one}" for one in added), *(f"-{one}" for one in removed)]
-    if reset == bool(words):
+    changes = [*(f"+{name}" for name in added), *(f"-{name}" for name in removed)]
+    if reset == bool(changes):
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
-    if words:
-        read_changes(words)
+    if changes:
+        read_changes(changes)  # UsageError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
-        known = labels_of(asked.view)
-        unseen = [name for name in asked.names if name not in known]
-        if unseen and not reset:
-            text = f"the labels of {', '.join(unseen)} are not known; nothing was sent"
-            raise Failure(text, TIMEOUT)
-        if reset:
+        if reset:  # to the labels of the swarm file; `report` ends the command
             asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))
+        # A robot's labels are replaced as a whole, so the present labels must be known.
+        known_labels = labels_of(asked.view)
+        unknown_robots = [name for name in asked.names if name not in known_labels]
+        if unknown_robots:
+            names = ", ".join(unknown_robots)
+            raise Failure(f"the labels of {names} are not known; nothing was sent", TIMEOUT)
         asked.report(change_labels(asked.targeted, added, removed))

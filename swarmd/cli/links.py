@@ -43,32 +43,33 @@ class _Pair(NamedTuple):
 @click.option("--every", is_flag=True, help=f"All pairs, not only the {MAX_ROWS} worst.")
 @common_options
 def links(options: CommonOptions, targets: Targets, every: bool) -> None:
-    """Show how well each of TARGETS, or of all robots, hears the others.
+    """Show how well each of TARGETS, or of all robots, hears all other robots.
 
     LOSS counts the beacons of about the last 30 s that did not arrive, in this direction. ROUND
-    TRIP is measured now, from each robot to up to 20 others; `-`: no answer. AGE is the time since
-    the last beacon.
+    TRIP is measured now, from each robot to up to 20 other robots; `-`: no answer. AGE is the time
+    since the last beacon.
     """
     with options.operator() as operator:
         view = known_members(options, operator)
-        names = robots_of(view, targets)
-        ask = LinksQuery(measures=True)
-        replies = ask_robots(options, operator, in_reach(view, names), LINKS, ask)
+        robots = robots_of(view, targets)
+        # 1. The first query starts the measurement of round trips, a second query reads them.
+        start_query = LinksQuery(measures=True)
+        replies = ask_robots(options, operator, in_reach(view, robots), LINKS, start_query)
         if any(reply.links for reply in replies.values()):
             time.sleep(max(PING_TIME, 2.0 * view.round_trip))
             replies |= ask_robots(options, operator, replies, LINKS, LinksQuery())
+        # 2. Pairs (hearing robot, heard robot), the worst first.
         pairs = pairs_of(replies, set(view.expected) | set(replies))
         if options.is_json:
-            missing = sorted(set(names) - replies.keys())
+            missing = sorted(set(robots) - replies.keys())
             print_json("Links", {"links": [_record(pair) for pair in pairs], "missing": missing})
         else:
             listed_pairs = pairs if every else pairs[:MAX_ROWS]
-            print_table(
-                HEADER, [_row(pair) for pair in sorted(listed_pairs, key=lambda one: one[:2])]
-            )
+            by_name = sorted(listed_pairs, key=lambda pair: pair[:2])
+            print_table(HEADER, [_row(pair) for pair in by_name])
             for line in summary(pairs, len(listed_pairs)):
                 click.echo(printable(f"# {line}"))
-        end(names, replies)
+        end(robots, replies)
 
 
 def pairs_of(replies: Mapping[str, LinksReply], expected: Iterable[str]) -> list[_Pair]:

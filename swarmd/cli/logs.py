@@ -67,28 +67,29 @@ def logs(
 ) -> None:
     """Print the log of TARGETS, or of all robots, and what their patterns print.
 
-    A daemon keeps its last 1000 lines, at most 50 a second of each module; of its pattern it logs
-    at most 20 a second. `--grep` takes the text as it is: no character has a meaning of its own.
+    A daemon keeps its last 1000 lines, at most 50 a second of each module, and at most 20 a second
+    of its pattern. `--grep` takes the text as it is: no character has a meaning of its own.
     """
     query = LogsQuery(count=count, level=LEVELS[level], grep=grep)
     with options.operator() as operator:
         view = known_members(options, operator)
-        names = robots_of(view, targets)
-        printer = _Printer(names, query, is_json=options.is_json and follow)
+        robots = robots_of(view, targets)
+        printer = _Printer(robots, query, is_json=options.is_json and follow)
         if follow:
             with signals_end():
-                _follow(options, operator, targets, view, printer)
-        replies = ask_robots(options, operator, in_reach(view, names), LOGS, query)
+                _follow(options, operator, targets, view, printer)  # until a signal
+        replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
         lines = printer.new_lines(replies.values())
         if options.is_json:
-            missing = sorted(set(names) - replies.keys())
+            # `left_out`: by robot, the count of lines that the daemon dropped at its limit.
             left_out = {robot: reply.left_out for robot, reply in replies.items() if reply.left_out}
+            missing = sorted(set(robots) - replies.keys())
             records = [_record(line) for line in lines]
             print_json("Logs", {"records": records, "left_out": left_out, "missing": missing})
         else:
             printer.show(lines)
             printer.tell_left_out(replies.values())
-        end(names, replies)
+        end(robots, replies)
 
 
 def _follow(
@@ -98,46 +99,54 @@ def _follow(
     view: MembersView,
     printer: _Printer,
 ) -> None:
-    """Print lines until a signal; robots that join are included if named as targets."""
-    names = set(robots_of(view, targets))
-    news: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)
+    """Print log lines as they arrive, until a signal ends the program.
+
+    Robots publish new lines in batches. Earlier lines are queried when a robot is heard for the
+    first time, after its daemon has restarted, and after a lost batch. Robots that join later are
+    followed if their names match `targets`.
+    """
+    robots = set(robots_of(view, targets))
+    batches: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)
     decode = Decoder(LogBatch, MAX_ANSWER)
 
-    def on_batch(robot: str, payload: bytes) -> None:
+    def on_batch(robot: str, payload: bytes) -> None:  # in a thread of Zenoh
         batch = decode(payload)
-        if batch.robot == robot and not news.full():
-            news.put(batch)
+        if batch.robot == robot and not batches.full():
+            batches.put(batch)
 
-    def look_back(robots: Iterable[str]) -> None:
+    def print_earlier(robots: Iterable[str]) -> None:
         replies = ask_robots(options, operator, robots, LOGS, printer.query) if robots else {}
         printer.print_new(replies.values())
 
-    lives: dict[str, str] = {}
+    instances: dict[str, str] = {}  # by robot, the daemon process that was heard last
     silent: set[str] = set()
-    look_at = 0.0
+    next_query_at = 0.0
     while True:
-        if time.monotonic() >= look_at:
-            look_at = time.monotonic() + LOOK_PERIOD
-            found = {robot: view.members[robot].instance for robot in in_reach(view, names)}
-            for robot in found.keys() - lives.keys():
+        # 1. Every LOOK_PERIOD: subscribe to new robots, and warn of robots that fall silent.
+        if time.monotonic() >= next_query_at:
+            next_query_at = time.monotonic() + LOOK_PERIOD
+            present = {robot: view.members[robot].instance for robot in in_reach(view, robots)}
+            for robot in present.keys() - instances.keys():
                 operator.watch("log", on_batch, robot)
-            look_back([robot for robot, life in found.items() if lives.get(robot) != life])
-            lives |= found
-            gone = lives.keys() - found.keys()
-            for robot in sorted(gone - silent):
+            started = [robot for robot, life in present.items() if instances.get(robot) != life]
+            print_earlier(started)
+            instances |= present
+            silent_now = instances.keys() - present.keys()
+            for robot in sorted(silent_now - silent):
                 warn(gap(view, robot))
-            for robot in sorted(silent - gone):
+            for robot in sorted(silent - silent_now):
                 warn(f"{robot} is heard again")
-            silent = gone
+            silent = silent_now
             view = operator.members(timeout=1.0, needs_status=False)
             if not targets.labels:
-                names |= set(targets.matching(view.members))
+                robots |= set(targets.matching(view.members))
+        # 2. Print the next batch, after the lines of lost batches.
         try:
-            batch = news.get(timeout=max(look_at - time.monotonic(), 0.01))
+            batch = batches.get(timeout=max(next_query_at - time.monotonic(), 0.01))
         except queue.Empty:
             continue
         if printer.has_gap(batch):
-            look_back([batch.robot])
+            print_earlier([batch.robot])
         printer.print_new([batch])
 
 

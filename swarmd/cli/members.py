@@ -39,21 +39,27 @@ def members(options: CommonOptions, wide: bool) -> None:
     with options.operator() as operator:
         view = known_members(options, operator)
         notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
+        listed = list(view.members.values())
         if options.is_json:
-            found = [to_builtins(member) for member in view.members.values()]
             content = {
+                "members": [to_builtins(member) for member in listed],
                 "roster": sorted(view.roster),
                 "missing": list(view.missing),
                 "programs": sorted(view.programs),
+                "notes": list(notes),
             }
-            print_json("Members", {"members": found, **content, "notes": list(notes)})
+            print_json("Members", content)
         else:
-            seen = view.members.values()
-            if wide:
-                rows = [(*row(one)[:-1], *wide_cells(one), row(one)[-1]) for one in seen]
-                print_table((*HEADER[:-1], *WIDE, HEADER[-1]), rows)
+            rows = [row(member) for member in listed]
+            if wide:  # further columns before the last column, REPORT
+                wide_header = (*HEADER[:-1], *WIDE, HEADER[-1])
+                wide_rows = [
+                    (*cells[:-1], *wide_cells(member), cells[-1])
+                    for cells, member in zip(rows, listed, strict=True)
+                ]
+                print_table(wide_header, wide_rows)
             else:
-                print_table(HEADER, [*map(row, seen)], width=line_width())
+                print_table(HEADER, rows, width=line_width())
             for note in notes:
                 click.echo(printable(f"# {note}"))
         click.get_current_context().exit(exit_code_of(view, view.expected))

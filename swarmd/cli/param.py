@@ -41,35 +41,43 @@ def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) 
 def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
-    """Print the parameters, and end with the exit code of the look."""
-    by_robot = {
-        name: params_of(view.members[name]) for name in robots_of(view, targets, view.members)
+    """Print the parameters of running patterns, and end with the exit code of the query `view`.
+
+    `keys`: the names of the parameters to print; empty for all. UsageError for a name that the
+    pattern of no robot has.
+    """
+    # 1. The parameters by robot, and those to print.
+    params_by_robot = {
+        robot: params_of(view.members[robot]) for robot in robots_of(view, targets, view.members)
     }
-    known = {key for params in by_robot.values() for key in params}
+    known_keys = {key for params in params_by_robot.values() for key in params}
     for key in keys:
-        if key not in known:
-            raise click.UsageError(unknown("parameter", key, known))
+        if key not in known_keys:
+            raise click.UsageError(unknown("parameter", key, known_keys))
     chosen = {
-        name: {key: one for key, one in params.items() if not keys or key in keys}
-        for name, params in by_robot.items()
+        robot: {key: param for key, param in params.items() if not keys or key in keys}
+        for robot, params in params_by_robot.items()
     }
+    # 2. Print a row for each robot and parameter.
     if options.is_json:
-        robots = {
-            name: {"params": {k: {"value": p.value, "source": p.source} for k, p in some.items()}}
-            for name, some in chosen.items()
-        }
+        robots = {}
+        for robot, params in chosen.items():
+            values = {key: {"value": p.value, "source": p.source} for key, p in params.items()}
+            robots[robot] = {"params": values}
         print_json("Params", {"robots": robots})
     else:
         rows = [
-            (name, _pattern(view.members[name]), key, number(one.value), one.source)
-            for name, params in chosen.items()
-            for key, one in params.items()
+            (robot, _pattern(view.members[robot]), key, number(param.value), param.source)
+            for robot, params in chosen.items()
+            for key, param in params.items()
         ]
         print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
-        idle = [name for name in by_robot.keys() & view.answered if not by_robot[name]]
+        answered = params_by_robot.keys() & view.answered
+        idle = sorted(robot for robot in answered if not params_by_robot[robot])
         if idle:
-            click.echo(f"# no pattern is running on {', '.join(sorted(idle))}")
-    click.get_current_context().exit(exit_code_of(view, by_robot.keys() & view.expected))
+            click.echo(f"# no pattern is running on {', '.join(idle)}")
+    expected = params_by_robot.keys() & view.expected
+    click.get_current_context().exit(exit_code_of(view, expected))
 
 
 @param.command("set")

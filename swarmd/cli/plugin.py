@@ -76,27 +76,33 @@ def new(
     has_folder: bool,
 ) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    written = write_plugin(name, folder, kind, policy, has_folder=has_folder)
+    # With `has_folder`, `write_plugin` also returns a scenario and a page.
+    paths = write_plugin(name, folder, kind, policy, has_folder=has_folder)
+    pattern_file, test_file = paths[:2]
+    # The next commands, each with a remark.
     python = shlex.quote(sys.executable)
-    get = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
-    steps = [
-        (f"swarmctl plugin check {written[0]}", "the contract of all patterns"),
-        (f"{get}{python} -m pytest {written[1]}", "the same, and an example of a test"),
+    install_pytest = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
+    test_command = f"{install_pytest}{python} -m pytest {test_file}"
+    next_steps = [
+        (f"swarmctl plugin check {pattern_file}", "the contract of all patterns"),
+        (test_command, "the same, and an example of a test"),
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if has_folder:
-        run = f"swarmctl exp run {written[2]} --seeds 20 --out runs/{name}"
-        steps.append((run, "twenty runs of its scenario"))
+        scenario = paths[2]
+        run = f"swarmctl exp run {scenario} --seeds 20 --out runs/{name}"
+        next_steps.append((run, "twenty runs of its scenario"))
     if options.is_json:
-        files = [str(path) for path in written]
-        print_json("Plugin", {"name": name, "files": files, "next": [line for line, _ in steps]})
+        commands = [command for command, _ in next_steps]
+        content = {"name": name, "files": [str(path) for path in paths], "next": commands}
+        print_json("Plugin", content)
         return
-    click.echo(f"wrote {', '.join(map(str, written[:-1]))} and {written[-1]}; next:\n")
-    width = max(len(line) for line, _ in steps)
-    for line, text in steps:
-        click.echo(f"  {line.ljust(width)}  # {text}")
-    what = f"the folder {name}" if has_folder else f"{name}.py"
-    click.echo(f"\nOn a robot, put {what} into the folder that its plugin_dir names.")
+    click.echo(f"wrote {', '.join(map(str, paths[:-1]))} and {paths[-1]}; next:\n")
+    width = max(len(command) for command, _ in next_steps)
+    for command, remark in next_steps:
+        click.echo(f"  {command.ljust(width)}  # {remark}")
+    plugin = f"the folder {name}" if has_folder else f"{name}.py"
+    click.echo(f"\nOn a robot, put {plugin} into the folder that its plugin_dir names.")
 
 
 @plugin.command("check")
@@ -113,26 +119,28 @@ def check(options: CommonOptions, file: Path) -> None:
         raise click.UsageError(
             f"{file} is no .py; a mission is checked by `swarmctl mission check`"
         )
+    # 1. Print each point (rule of the contract) as soon as it is checked. A point is `repeated` if
+    #    an earlier point has already shown its fault.
     points = []
     for point in check_file(file, options.timeout or CHECK_TIMEOUT):
         points.append(point)
         if not options.is_json and point.result != "repeated":
             line = f"{_MARKS[point.result]}  {point.name.ljust(_NAME_WIDTH)}  {point.text}"
             click.echo(printable(line.rstrip()))
-    results = Counter(point.result for point in points)
-    bad = len(points) - results["ok"]
+    # 2. Summarise.
+    counts = Counter(point.result for point in points)
+    is_well = counts["ok"] == len(points)
     if options.is_json:
         rows = [
             {"point": point.name, "result": point.result, "text": point.text} for point in points
         ]
-        print_json("Check", {"file": str(file), "is_well": bad == 0, "points": rows})
+        print_json("Check", {"file": str(file), "is_well": is_well, "points": rows})
     else:
-        how = f"{results['fault']} faults" if results["fault"] != 1 else "1 fault"
-        if results["repeated"]:
-            count = results["repeated"]
-            how += f", repeated at {count} other point{'s' if count > 1 else ''}"
-        click.echo(f"{len(points)} checked, {how if bad else 'all ok'}")
-    click.get_current_context().exit(1 if bad else 0)
+        summary = "1 fault" if counts["fault"] == 1 else f"{counts['fault']} faults"
+        if repeated := counts["repeated"]:
+            summary += f", repeated at {repeated} other point{'s' if repeated > 1 else ''}"
+        click.echo(f"{len(points)} checked, {'all ok' if is_well else summary}")
+    click.get_current_context().exit(0 if is_well else 1)
 
 
 @plugin.command("reload")
@@ -161,37 +169,39 @@ plugin.add_command(remove)
 def write_plugin(
     name: str, folder: Path, kind: str, policy: Path | None = None, *, has_folder: bool = False
 ) -> tuple[Path, ...]:
-    """Write pattern and test and return their paths; with `has_folder` also scenario and page.
+    """Write a pattern and its test from the templates in `templates/`; returns their paths.
 
-    The texts are those of `templates/`. With `policy` the pattern is that of the network in it.
-    UsageError for an unusable name and ConfigError without a network: no file is written then.
+    `kind`: the template of the pattern. `policy`: a file with a network; the pattern then runs that
+    network. `has_folder`: write also a scenario and a page, all into a folder `name`. UsageError
+    for an unusable name or an existing file, ConfigError for a file without a network; nothing is
+    written then.
     """
     if policy is not None and kind != "movement":
         raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
     network = "" if policy is None else _network_text(policy)
     kind = kind if policy is None else "policy"
     _check_name(name)
-    own = folder / name if has_folder else folder
-    paths = {
-        kind: own / (PATTERN_FILE if has_folder else f"{name}.py"),
-        f"test_{kind}": own / f"test_{name}.py",
-    }
+    # 1. The files by the name of their template, pattern and test first.
+    plugin_folder = folder / name if has_folder else folder
+    pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
+    paths = {kind: pattern_file, f"test_{kind}": plugin_folder / f"test_{name}.py"}
     if has_folder:
-        paths |= {"scenario": own / "scenario.yaml", "page": own / "page.md"}
+        paths |= {"scenario": plugin_folder / "scenario.yaml", "page": plugin_folder / "page.md"}
     for path in paths.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
     _check_free(name)
     templates = files("swarmd.cli") / "templates"
-    texts = {path: (templates / f"{head}.txt").read_text() for head, path in paths.items()}
+    texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
+    # 2. A class name that the templates use for something else, such as Twist, gets a suffix.
     title = class_name(name)
-    if title in "".join(texts.values()):  # such as Twist, which it imports
+    if title in "".join(texts.values()):
         title += "Pattern"
-    own.mkdir(parents=True, exist_ok=True)
-    module = paths[kind].stem
+    # 3. Fill in the templates.
+    fields = {"name": name, "module": pattern_file.stem, "kind": title, "network": network}
+    plugin_folder.mkdir(parents=True, exist_ok=True)
     for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:
-            fields = {"name": name, "module": module, "kind": title, "network": network}
             file.write(Template(text).substitute(fields))
     return tuple(texts)
 

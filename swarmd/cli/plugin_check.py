@@ -130,37 +130,41 @@ def check_mission(
 
 
 def check_file(path: Path, timeout: float) -> Iterator[Point]:
-    """Yields the points of a pattern's file, each as soon as known and within `timeout` s.
+    """Yields the points (rules of the contract) of a pattern's file, each as soon as it is known.
 
-    Raises PluginError if the child itself fails.
+    A child process checks the points, each within `timeout` s. If the plugin's code ends the child
+    in a point, another child checks the points after it. After a point that hangs, the remaining
+    points are skipped. Raises PluginError if the child fails before the first point.
     """
-    done: list[str] = []
-    faults: set[str] = set()
+    done: list[str] = []  # names of points
+    known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
     side_effects: list[str] = []
-    is_over = False
-    with TemporaryFile() as log:
-        while not is_over:
-            is_over = True
-            for row in _inspect(["check", str(path), "--done", *done], timeout, path.parent, log):
+    needs_child = True
+    with TemporaryFile() as log:  # all that the plugin's code prints
+        while needs_child:
+            needs_child = False
+            words = ["check", str(path), "--done", *done]
+            for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
                 elif "result" in row and row["result"] not in done:
                     done.append(row["result"])
-                    yield _point(row["result"], row, faults)
+                    yield _point(row["result"], row, known_faults)
                     if row.get("is_hang"):
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
-                elif "lost" in row:
+                elif "lost" in row:  # the child ended or hangs in this point
                     is_first = not done
                     done.append(row["lost"])
                     fault = {"fault": f"the process that checks it {row['how']}"}
-                    yield _point(row["lost"], fault, faults)
+                    yield _point(row["lost"], fault, known_faults)
                     if row["hangs"]:
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
-                    is_over = is_first or row["hangs"]
+                    needs_child = not (is_first or row["hangs"])
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
-    for name, found in ((NO_OUTPUT, printed), (NO_SIDE_EFFECTS, side_effects)):
-        yield Point(name, "fault" if found else "ok", _first_of(found))
+    # Two points about the whole check.
+    for name, faults in ((NO_OUTPUT, printed), (NO_SIDE_EFFECTS, side_effects)):
+        yield Point(name, "fault" if faults else "ok", _first_of(faults))
 
 
 def _point(name: str, row: Record, faults: set[str]) -> Point:
@@ -189,16 +193,19 @@ def _plugin_dir_option(plugin_dir: Path | None) -> list[str]:
 def _inspect(
     words: Sequence[str], timeout: float, folder: Path | None, log: IO[bytes] | None = None
 ) -> Iterator[Record]:
-    """The child's rows, each within `timeout` s.
+    """Yields the rows (JSON objects) of a child process that imports plugin code.
 
-    If the child ends or hangs in an item, the last row is that item's with `lost` (its name), `how`
-    (the end in words, with the line of a file in `folder`) and `hangs`. Raises PluginError for what
-    the child reports as `error`, or if it ends or hangs before the first item.
+    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row.
+    `folder`: of the plugin's code. `log`: takes standard error. If the child ends or hangs in an
+    item, the last row is the item's with `lost` (its name), `how` (the end in words, with the line
+    of code) and `hangs`. PluginError for an `error` of the child, and if the child ends or hangs
+    before the first item.
     """
-    # -P: a random.py in the current folder must not shadow a module.
+    # 1. Start the child. -P: a random.py in the current folder must not shadow a module. --secret:
+    #    folders that the sandbox hides from plugin code.
     command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
-    secret = (SYSTEM_FOLDER.parent, user_folder())
-    command += [f"--secret={one}" for one in secret if one is not None]
+    secret_folders = (SYSTEM_FOLDER.parent, user_folder())
+    command += [f"--secret={path}" for path in secret_folders if path is not None]
     command += ["--parent", str(os.getpid()), *words]
     with contextlib.ExitStack() as stack:
         child = stack.enter_context(
@@ -212,8 +219,10 @@ def _inspect(
         )
         stack.callback(child.kill)
         assert child.stdout is not None
-        begun: Record | None = None
-        place = ""
+        # 2. Read its rows. A row `begin` opens an item, a row `result` closes it. All other lines
+        #    are stack traces, whose first line in `folder` tells the place in the code.
+        open_item: Record | None = None
+        code_place = ""
         hangs = False
         try:
             for line in _lines(child.stdout, timeout, child.pid):
@@ -223,26 +232,29 @@ def _inspect(
                 if "error" in row and "result" not in row:
                     raise PluginError(row["error"])
                 if "begin" in row:
-                    begun = row
+                    open_item = row
                 elif row:
-                    begun = None if "result" in row else begun
+                    if "result" in row:
+                        open_item = None
                     yield row
                 else:
-                    place = place or _place_of(line, folder)
+                    code_place = code_place or _place_of(line, folder)
             hangs = _is_running(child)
         except TimeoutError:
             hangs = True
-        if hangs and begun is not None:  # else the child does not take the signal yet
+        # 3. The child hung or ended early. A child that hangs prints its stack after SIGUSR1, which
+        #    it handles from the first item on.
+        if hangs and open_item is not None:
             child.send_signal(signal.SIGUSR1)
             with contextlib.suppress(TimeoutError):
                 for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
-                    place = place or _place_of(line, folder)
-                    if place:
+                    code_place = code_place or _place_of(line, folder)
+                    if code_place:
                         break
         how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
-        if begun is None:
+        if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
-        yield {**begun, "lost": begun["begin"], "how": how + place, "hangs": hangs}
+        yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
 
 
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:

@@ -49,6 +49,8 @@ MAX_GENERATION = 2**32 - 1
 PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
 CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
 LOOK_PERIOD = 0.5
+MAX_NAME, MAX_VERSION = 63, 32  # characters in a manifest
+DIGEST_LENGTH = 12  # characters of the hash in a report of pushed patterns
 
 
 class Source(NamedTuple):
@@ -91,11 +93,12 @@ def push(
 ) -> None:
     """Send the pattern in FILE, a .py or a wheel of pure Python, to TARGETS; starts no run.
 
-    At most 1 MiB. With keys it is signed with your identity. Each robot tries the code in a process
-    of its own, then a run takes it. It is provisional until it has run for 60 s without a fault;
-    after a fault the robot stands and returns to the version before. Robots that join later and
-    match TARGETS get it from the others.
+    At most 1 MiB. With keys, your identity signs the pattern. Each robot tries the code in a
+    process of its own, then a run takes it. The code is provisional until it has run for 60 s
+    without a fault; after a fault the robot stands and returns to the version before. Robots that
+    join later and match TARGETS get the pattern from other robots.
     """
+    # 1. Check the file and the right to push, before anything is sent.
     read_canary(canary)
     source = read_source(file)
     settings, _, identity = options.network()
@@ -104,20 +107,24 @@ def push(
             "without keys robots take code in profile dev only; see `swarmctl keys --help`"
         )
     with asking(options, targets, needs_status=False) as asked:
-        names, to = asked.names, goal_targets(targets, asked.names)
-        first = () if canary is None else canaries_of(canary, names)
+        robots, push_targets = asked.names, goal_targets(targets, asked.names)
+        canaries = () if canary is None else canaries_of(canary, robots)
         pusher = _Pusher(asked, source, version, replace, rerun)
         generation = pusher.next_generation()
-        if not first:
-            asked.report(pusher.push(to, names, generation))
-        rest = tuple(name for name in names if name not in first)
-        warn(f"canary: {', '.join(first)}")
-        outcome = pusher.push(first, first, generation)
-        if len(outcome.applied) < len(first):
-            _end_early(outcome, rest)
-        end = _await_canary(asked, source, first, rest, canary_time)
-        warn(f"canary: {end}; now {', '.join(rest)}")
-        asked.report(pusher.push(to, names, generation + 1))
+        # 2. Without canaries: push to all robots. `report` ends the command.
+        if not canaries:
+            asked.report(pusher.push(push_targets, robots, generation))
+        # 3. Push to the canaries alone, and wait until they have tried the code (`canary_time` s at
+        #    most). If a canary refuses the code or fails, the command ends.
+        remaining = tuple(robot for robot in robots if robot not in canaries)
+        warn(f"canary: {', '.join(canaries)}")
+        outcome = pusher.push(canaries, canaries, generation)
+        if len(outcome.applied) < len(canaries):
+            _end_early(outcome, remaining)
+        result = _await_canary(asked, source, canaries, remaining, canary_time)
+        # 4. Push to all robots.
+        warn(f"canary: {result}; now {', '.join(remaining)}")
+        asked.report(pusher.push(push_targets, robots, generation + 1))
 
 
 @click.command("remove")
@@ -140,28 +147,28 @@ def remove(options: CommonOptions, name: str, targets: Targets) -> None:
 def list_pushed(options: CommonOptions, targets: Targets) -> None:
     """List the pushed patterns of TARGETS, or all robots: version, hash and standing.
 
-    `!` marks what differs from most of the other robots.
+    `!` marks a pattern whose hash differs from its most frequent hash in the swarm.
     """
     with options.operator() as operator:
         view = known_members(options, operator, needs_status=bool(targets.labels))
-        names = targets_of(view, targets)
-        pushed = pushed_patterns_of(options, operator, view, names)
-        missing = [name for name in names if name not in pushed]
-        code = code_of_answers(names, pushed)
-        marked = _differing(pushed)
+        robots = targets_of(view, targets)
+        replies = pushed_patterns_of(options, operator, view, robots)
+        missing = [robot for robot in robots if robot not in replies]
+        exit_code = code_of_answers(robots, replies)
+        differing = _differing(replies)  # pairs (robot, pattern)
         if options.is_json:
-            _print_list_json(pushed, missing, marked, code)
+            _print_list_json(replies, missing, differing, exit_code)
         else:
             rows = [
-                (robot, *_row(one), "!" if (robot, one.name) in marked else "")
-                for robot, reply in pushed.items()
-                for one in reply.patterns
+                (robot, *_row(pattern), "!" if (robot, pattern.name) in differing else "")
+                for robot, reply in replies.items()
+                for pattern in reply.patterns
             ]
             header = ("NAME", "PATTERN", "VERSION", "HASH", "STANDING", "FROM", "TEXT", "")
             print_table(header, rows)
-        for name in missing:
-            warn(f"no answer: {gap(view, name)}")
-        click.get_current_context().exit(code)
+        for robot in missing:
+            warn(f"no answer: {gap(view, robot)}")
+        click.get_current_context().exit(exit_code)
 
 
 def pushed_patterns_of(
@@ -325,12 +332,17 @@ class _Pusher:
         return outcome
 
     def _manifest(self, targets: tuple[str, ...], generation: int) -> tuple[bytes, bytes]:
+        """The encoded manifest of the push, and its signature; b"" for a swarm without keys.
+
+        The manifest names the pattern, its hash, the robots that take it, and the operator. Without
+        source code the manifest removes the pattern from robots. `generation`: the version number
+        that orders all manifests of the pattern. ConfigError for a manifest that is too large.
+        """
         source, operator = self._source, self._operator
         identity = operator.identity
-        issuer = operator.name[:63] if identity is None else identity.name
-        swarm = operator.settings.swarm
+        issuer = operator.name[:MAX_NAME] if identity is None else identity.name
         manifest = PatternManifest(
-            swarm=swarm,
+            swarm=operator.settings.swarm,
             name=self._name,
             generation=generation,
             issuer=issuer,
@@ -342,7 +354,7 @@ class _Pusher:
                 manifest,
                 name=source.name,
                 kind=source.kind,
-                version=(self._version or source.version)[:32],
+                version=(self._version or source.version)[:MAX_VERSION],
                 digest=hashlib.sha256(source.code).digest(),
                 size=len(source.code),
                 value=source.value,
@@ -376,38 +388,43 @@ def _joined(before: Outcome, after: Outcome) -> Outcome:
 
 
 def _await_canary(
-    asked: Asked, source: Source, first: Collection[str], rest: Collection[str], limit: float
+    asked: Asked, source: Source, canaries: Collection[str], rest: Collection[str], limit: float
 ) -> str:
-    """Return when no canary runs the new code, or when all that run it hold it, or after `limit`.
+    """Wait until the canaries (the first robots with the new code) have tried the code in a run.
 
-    Returns what is known by then. Failure, and the rest is untouched, if one has returned from it
-    or does not answer.
+    New code is provisional on a robot until it has run for a minute without a fault; then the robot
+    holds it. Returns the result in words: all canaries hold the code, no canary that still must try
+    the code runs it, or `limit` s are over. Failure if a canary does not answer, or has returned to
+    another version; the robots of `rest` then keep their code.
     """
     options, operator = asked.options, asked.operator
-    digest = hashlib.sha256(source.code).hexdigest()[:12]
-    until = time.monotonic() + limit
+    digest = hashlib.sha256(source.code).hexdigest()[:DIGEST_LENGTH]
+    deadline = time.monotonic() + limit
     while True:
         view = operator.members(timeout=options.timeout)
-        pushed = pushed_patterns_of(options, operator, view, first)
-        is_waiting, unproven = False, []
-        for name in first:
-            one = _named(pushed.get(name), source.name)
-            if one is None or one.digest != digest:
-                why = "does not answer" if name not in pushed else "has another version"
-                if one is not None and one.text:
-                    why = f"returned: {one.text}"
-                raise _untouched(f"canary {name} {why}", rest)
-            member = view.members.get(name)
-            status = None if member is None else member.status
-            is_run = status is not None and status.pattern == source.name
-            is_waiting |= one.standing == "provisional" and is_run
-            if one.standing == "provisional":
-                unproven.append(name)
-        if not unproven:
+        replies = pushed_patterns_of(options, operator, view, canaries)
+        provisional_on: list[str] = []
+        is_tried_now = False
+        for robot in canaries:
+            report = _named(replies.get(robot), source.name)
+            if report is None or report.digest != digest:
+                if report is not None and report.text:
+                    fault = f"returned: {report.text}"
+                elif robot in replies:
+                    fault = "has another version"
+                else:
+                    fault = "does not answer"
+                raise _untouched(f"canary {robot} {fault}", rest)
+            if report.standing == "provisional":
+                provisional_on.append(robot)
+                member = view.members.get(robot)
+                status = None if member is None else member.status
+                is_tried_now |= status is not None and status.pattern == source.name
+        if not provisional_on:
             return "holds it"
-        if not is_waiting:
-            return f"loaded, and not tried by a run on {', '.join(unproven)}"
-        if time.monotonic() >= until:
+        if not is_tried_now:
+            return f"loaded, and not tried by a run on {', '.join(provisional_on)}"
+        if time.monotonic() >= deadline:
             return f"not held yet after {limit:.0f} s, and without a fault"
         time.sleep(LOOK_PERIOD)
 

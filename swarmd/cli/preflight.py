@@ -151,35 +151,41 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
 
 
 def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
-    """The faults of this robot's patterns, how many fit, and their parameters and touch zones."""
+    """Yields findings about the patterns of this robot, with their parameters and touch zones.
+
+    A pattern fits if the platform has what the pattern needs. A pattern of `plugin_dir` that the
+    robot refuses is a fault; an installed pattern that does not fit is only counted.
+    """
     try:
         origins = pattern_names(settings.plugin_dir)
-        own = pattern_names(settings.plugin_dir, {})
+        in_plugin_dir = pattern_names(settings.plugin_dir, {})
         rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
         return
-    fit, misfits = 0, list[str]()
+    fit_count, misfits = 0, list[str]()
     for row in rows:
         name = row["name"]
-        if origins[name].rival:
-            text = f"exists twice: {origins[name].source} and {origins[name].rival}"
+        origin = origins[name]
+        if origin.rival:  # a second file or package with this name
+            text = f"exists twice: {origin.source} and {origin.rival}"
             yield Finding(f"pattern {name}", False, f"{text}; rename one")
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
         elif row["missing"]:
             misfits.append(f"{name} (lacks {', '.join(row['missing'])})")
-        elif row["refused"] and name in own:
+        elif row["refused"] and name in in_plugin_dir:
             yield Finding(f"pattern {name}", False, row["refused"])
         elif row["refused"]:
             misfits.append(f"{name} ({row['refused']})")
         else:
-            fit += 1
-    rest = f"; not for this platform: {'; '.join(misfits)}" if misfits else ""
-    yield Finding("patterns", True, f"{fit} of {len(rows)} fit this platform{rest}")
-    by_name = {row["name"]: row for row in rows}
-    yield from _check_parameters(settings, by_name)
-    yield from _check_touch(settings, by_name)
+            fit_count += 1
+    misfit_text = f"; not for this platform: {'; '.join(misfits)}" if misfits else ""
+    text = f"{fit_count} of {len(rows)} fit this platform{misfit_text}"
+    yield Finding("patterns", True, text)
+    rows_by_name = {row["name"]: row for row in rows}
+    yield from _check_parameters(settings, rows_by_name)
+    yield from _check_touch(settings, rows_by_name)
 
 
 def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:

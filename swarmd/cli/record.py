@@ -59,34 +59,35 @@ def stop(options: CommonOptions, targets: Targets) -> None:
 def list_(options: CommonOptions, targets: Targets) -> None:
     """List the recordings of TARGETS, with their sizes and times."""
     with options.operator() as operator:
-        replies, failed = _recordings(options, operator, targets)
+        replies, without_answer = _recordings(options, operator, targets)
+        faults = {robot: reply.fault for robot, reply in replies.items() if reply.fault}
         if options.is_json:
+            # Times are in s on the clock of the robot, whose present time is `now`.
             robots = {
                 robot: [
                     {
-                        "file": one.name,
-                        "bytes": one.size,
-                        **fields(one, "is_open", "dropped", "begin", "end"),
+                        "file": file.name,
+                        "bytes": file.size,
+                        **fields(file, "is_open", "dropped", "begin", "end"),
                         "now": reply.now,
                     }
-                    for one in reply.files
+                    for file in reply.files
                 ]
                 for robot, reply in replies.items()
             }
-            faults = {robot: reply.fault for robot, reply in replies.items() if reply.fault}
-            print_json("Recordings", {"robots": robots, "faults": faults, "missing": failed})
+            content = {"robots": robots, "faults": faults, "missing": without_answer}
+            print_json("Recordings", content)
         else:
-            rows = [
-                (robot, one.name, megabytes(one.size, 2), *_times(one, reply.now), str(one.dropped))
-                for robot, reply in replies.items()
-                for one in reply.files
-            ]
+            rows = []
+            for robot, reply in replies.items():
+                for file in reply.files:
+                    size, times = megabytes(file.size, 2), _times(file, reply.now)
+                    rows.append((robot, file.name, size, *times, str(file.dropped)))
             print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED", "DROPPED"), rows)
             click.echo(f"{len(rows)} files of {len(replies)} robots")
-            for robot, reply in replies.items():
-                if reply.fault:
-                    warn(f"{robot} ended its recording: {reply.fault}")
-        _end(replies.keys(), failed)
+            for robot, fault in faults.items():
+                warn(f"{robot} ended its recording: {fault}")
+        _end(replies.keys(), without_answer)
 
 
 @record.command()
@@ -102,40 +103,43 @@ def list_(options: CommonOptions, targets: Targets) -> None:
 def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
     """Copy the recordings of TARGETS to this machine.
 
-    A fetch that was interrupted goes on where it ended. Robots record on while their files are
+    A fetch that was interrupted continues where it ended. Robots record on while their files are
     copied; the copy of a file that is being written ends in `.partial`.
     """
     from swarmd.recording.fetch import fetch as copy_file
     from swarmd.recording.fetch import note_clock
 
     with options.operator() as operator:
-        replies, failed = _recordings(options, operator, targets)
+        replies, failed_robots = _recordings(options, operator, targets)
         ask = partial(_ask, options, operator)
-        rows = []
+        rows = []  # (robot, path, size, state of the copy)
         for robot, reply in replies.items():
             try:
-                note_clock(ask, robot, folder)
-                for one in reply.files:
-                    done = copy_file(ask, robot, one, folder, partial(_tell, robot, one.name))
-                    state = done.fault or ("whole" if done.is_whole else "so far")
-                    rows.append((robot, str(done.path), megabytes(done.size, 2), state))
-                    if done.fault and robot not in failed:
-                        failed.append(robot)
-            except NetworkError as error:
+                note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
+                for file in reply.files:
+                    progress = partial(_tell, robot, file.name)
+                    copy = copy_file(ask, robot, file, folder, progress)
+                    state = copy.fault or ("whole" if copy.is_whole else "so far")
+                    rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
+                    if copy.fault and robot not in failed_robots:
+                        failed_robots.append(robot)
+            except NetworkError as error:  # the files of this robot that remain are left out
                 warn(str(error))
-                failed.append(robot)
+                failed_robots.append(robot)
             except OSError as error:
                 raise click.ClickException(
                     f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
                 ) from error
         if sys.stderr.isatty():
-            rewrite("")
+            rewrite("")  # clears the line of progress
         if options.is_json:
-            files = [{"robot": r, "path": p, "state": s} for r, p, _, s in rows]
-            print_json("Fetched", {"files": files, "missing": failed})
+            files = [
+                {"robot": robot, "path": path, "state": state} for robot, path, _, state in rows
+            ]
+            print_json("Fetched", {"files": files, "missing": failed_robots})
         else:
             print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
-        _end(replies.keys(), failed)
+        _end(replies.keys(), failed_robots)
 
 
 record.add_command(merge)

@@ -35,42 +35,47 @@ def merge(
 ) -> None:
     """Merge recordings of several robots into one file with one timeline.
 
-    FILE: a recording (.mcap, .partial), or a folder of them, such as `record fetch` makes. The
-    offsets of the robots' clocks are estimated from the queries that robots exchange while they
+    FILE: a recording (.mcap, .partial), or a folder of recordings, such as `record fetch` makes.
+    The offsets of the robots' clocks are estimated from the queries that robots exchange while they
     record; the table states the bound of each error. The topic /scan of tb3-01 becomes
     /tb3-01/scan.
     """
     need("mcap", "rosbags", extra="record")
     from swarmd.recording.merge import place, rows, survey, write_merged
 
-    above = click.get_current_context().find_object(CommonOptions) or CommonOptions()
-    is_json = "json" in outputs or above.is_json
+    parent_options = click.get_current_context().find_object(CommonOptions) or CommonOptions()
+    is_json = "json" in outputs or parent_options.is_json
     target = _target(outputs)
-    found = survey(parts_of(files))
-    if not found.sources:
+    # 1. Read all recordings once: topics, times, and exchanges between clocks.
+    recordings = survey(parts_of(files))
+    if not recordings.sources:
         raise click.UsageError(f"{files[0]}: no messages in this recording")
-    for fault in found.faults:
+    for fault in recordings.faults:
         warn(fault)
-    placed = place(found, reference)
-    lost = sorted({one.source.robot for one in placed if one.alignment is None})
-    if lost and not unaligned:
+    # 2. Align the clock of each recording with that of the first, the reference.
+    aligned = place(recordings, reference)
+    reference_robot = aligned[0].source.robot
+    without_exchange = sorted({part.source.robot for part in aligned if part.alignment is None})
+    if without_exchange and not unaligned:
         raise click.UsageError(
-            f"{', '.join(lost)}: no exchange with the clock of {placed[0].source.robot} was"
+            f"{', '.join(without_exchange)}: no exchange with the clock of {reference_robot} was"
             " recorded; record the robots at the same time, leave them out, or give --unaligned to"
             " place them by their own wall clocks"
         )
+    # 3. Write the merged file, and print the clocks.
     try:
-        count = write_merged(placed, target)
+        message_count = write_merged(aligned, target)
     except OSError as error:
         raise click.ClickException(f"{target}: {error.strerror}; nothing was written") from error
-    table = rows(placed)
+    clocks = rows(aligned)
     if is_json:
-        content = {"file": str(target), "messages": count, "clocks": table}
-        print_json("Merged", {**content, "reference": placed[0].source.robot})
+        content = {"file": str(target), "messages": message_count, "clocks": clocks}
+        print_json("Merged", {**content, "reference": reference_robot})
         return
-    cells = [(one["robot"], one["clock"], *clock_cells(one)) for one in table]
+    cells = [(clock["robot"], clock["clock"], *clock_cells(clock)) for clock in clocks]
     print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), cells)
-    click.echo(f"{count} messages of {len({one['robot'] for one in table})} robots in {target}")
+    robot_count = len({clock["robot"] for clock in clocks})
+    click.echo(f"{message_count} messages of {robot_count} robots in {target}")
 
 
 def _target(outputs: tuple[str, ...]) -> Path:

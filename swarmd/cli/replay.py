@@ -34,12 +34,12 @@ if TYPE_CHECKING:
 def replay(
     options: CommonOptions, files: tuple[Path, ...], platform: str | None, plugin_dir: Path | None
 ) -> None:
-    """Repeat a recorded run without a robot, and compare its commands with the recorded ones.
+    """Repeat a recorded run without a robot, and compare its commands with the recorded commands.
 
-    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. Recordings of
-    several lives of a daemon are repeated one after the other. `safe` compares what protection
-    commanded, `requested` what the pattern asked for. The exit code is 1 unless all of them are
-    equal to the bit.
+    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. If the daemon
+    was restarted, the recording of each daemon process is repeated after the recording before.
+    `safe` compares what protection commanded, `requested` what the pattern asked for. The exit code
+    is 0 only if all commands are equal to the bit.
     """
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
@@ -47,23 +47,28 @@ def replay(
     from swarmd.replay.replay import recordings_of, repeat, total
     from swarmd.settings.platforms import load_platform
 
-    parts = recordings_of(_files(files))
-    names = {one[0].about.get("robot") for one in parts}
-    if len(names) > 1:
-        raise click.UsageError(f"the files are of {len(names)} robots; give those of one")
-    found = pattern_names(plugin_dir)
-    for name, origin in found.items():
+    # 1. The recordings, each a list of files, and the code of the patterns.
+    recordings = recordings_of(_files(files))
+    robots = {parts[0].about.get("robot") for parts in recordings}
+    if len(robots) > 1:
+        raise click.UsageError(f"the files are of {len(robots)} robots; give those of one")
+    origins = pattern_names(plugin_dir)
+    for name, origin in origins.items():
         check_single(name, origin)
-    other = None if platform is None else load_platform(platform)
-    done = []
-    for one in parts:
+    other_platform = None if platform is None else load_platform(platform)
+    # 2. Repeat each recording. A recording that cannot be repeated is left out, with a warning,
+    #    unless nothing else can be repeated.
+    results = []
+    for parts in recordings:
         try:
-            done.append(repeat(one, places_of(found), other))
+            results.append(repeat(parts, places_of(origins), other_platform))
         except ConfigError as error:
-            if one is parts[-1] and not done:
+            if parts is recordings[-1] and not results:
                 raise
             warn(f"{error}; it is left out")
-    head, parity = done[0][0], total(parity for _, parity in done)
+    # 3. Compare.
+    head, _ = results[0]
+    parity = total(parity for _, parity in results)
     is_equal = parity.safe.is_equal and parity.requested.is_equal
     if options.is_json:
         _print_json(head.robot, parity, is_equal)

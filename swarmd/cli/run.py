@@ -88,9 +88,9 @@ def run(
 ) -> None:
     """Start PATTERN on TARGETS: names, globs such as 'tb3-*', -l LABEL, or --all.
 
-    It becomes the goal of these robots; robots that join later are offered it. A robot answers
-    `applied` when the pattern is loaded and will be stepped. A robot that changed since swarmctl
-    looked at it refuses: check `swarmctl members` and repeat the request.
+    The run becomes the goal of these robots; robots that join later are offered the goal. A robot
+    answers `applied` when the pattern is loaded and will be stepped. A robot that changed since
+    swarmctl looked at it refuses: check `swarmctl members` and repeat the request.
     """
     wanted = Run(
         pattern=pattern,
@@ -104,14 +104,15 @@ def run(
         canary=read_canary(canary),
         canary_time=canary_time,
     )
-    wanted.check(_option)
+    wanted.check(_option)  # `_option` names a field as the option of the command line
     with asking(options, targets, needs_status=canary is not None) as asked, ExitStack() as opened:
-        of_goal = goal_targets(targets, asked.names)
+        run_targets = goal_targets(targets, asked.names)
         if lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
-            run_while_here(asked, wanted, of_goal)
-        started = carry_out(wanted, asked.targeted, of_goal, opened, _option)
+            # A run with a lease lasts while this command runs, so the call does not return.
+            run_while_here(asked, wanted, run_targets)
+        started = carry_out(wanted, asked.targeted, run_targets, opened, _option)
         asked.report(started.outcome, started.notes)
 
 

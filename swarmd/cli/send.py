@@ -112,32 +112,39 @@ def report(
 
 
 def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> None:
-    """Print the outcome of a request, and the mistake in it if robots refused one."""
-    for line in outcome.warnings:
-        warn(f"warning: {line}")
+    """Print the outcome of a request: warnings, the answers of robots, and a summary line.
+
+    If robots refused the request for a mistake in it, the mistake follows. `notes`: further fields
+    of the JSON document. OSError if standard output fails, such as a full disk.
+    """
+    # 1. Warnings, also about robots that the request may not have targeted.
+    for text in outcome.warnings:
+        warn(f"warning: {text}")
     if outcome.unlabelled:
         names = ", ".join(outcome.unlabelled)
         warn(f"view not complete: the labels of {names} are not known; repeat it")
     if outcome.unlisted:
         names = ", ".join(outcome.unlisted)
         warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
-    for name in outcome.duplicates:
-        warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
-    error = _mistake(outcome)
+    for robot in outcome.duplicates:
+        warn(f"warning: {robot} answered twice: two daemons have this id; stop one of them")
+    # 2. The answers. The summary line goes to standard error, too, if standard output cannot have
+    #    it: JSON has no such line, and a program without standard output prints nothing.
+    mistake = _mistake(outcome)
     try:
         if options.is_json:
-            print_json("Outcome", {**_as_json(outcome), "error": error, **(notes or {})})
+            print_json("Outcome", {**_as_json(outcome), "error": mistake, **(notes or {})})
         else:
             if rows := _rows(outcome):
                 print_table(("NAME", "ANSWER", "TEXT"), rows)
             click.echo(outcome.line)
         if options.is_json or sys.stdout is None:
             warn(outcome.line)
-    except OSError:  # what was applied must not be lost with the answer
+    except OSError:  # the operator must learn what robots have applied
         warn(outcome.line)
         raise
-    if error:
-        warn(f"error: {error}")
+    if mistake:
+        warn(f"error: {mistake}")
 
 
 def _mistake(outcome: Outcome) -> str | None:

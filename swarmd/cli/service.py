@@ -62,12 +62,13 @@ def service() -> None:
 def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> None:
     """Write the unit and the account of the service, enable the service, and start it.
 
-    Each step is printed. It needs no network. Without a running systemd the service starts with
-    the machine. A daemon that runs already keeps running as it is.
+    Each step is printed. The command needs no network. Without a running systemd the service starts
+    with the machine. A daemon that runs already keeps running as it is.
     """
-    steps = Steps(root, dry_run)
+    steps = Steps(root, dry_run)  # prints each step, and carries it out below `root`
     check_may_write(steps)
-    text = unit_text(_program(steps, program))
+    unit = unit_text(_program(steps, program))
+    # 1. The account. `otherwise`: the line to print if the program is not installed.
     steps.write(SYSUSERS_FILE, SYSUSERS)
     steps.run(
         "systemd-sysusers",
@@ -76,13 +77,15 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     )
     if not dry_run and give_to_service(root):
         click.echo(f"give {steps.within(CONFIG_FILE.parent)} to {USER}")
-    steps.write(UNIT_FILE, text)
+    # 2. The unit.
+    steps.write(UNIT_FILE, unit)
     has_systemctl = steps.run(
         "systemctl", "enable", SERVICE, otherwise=f"enable it there: systemctl enable {SERVICE}"
     )
     has_config = steps.within(CONFIG_FILE).exists()
     if not has_config:
         click.echo(f"next: there is no {steps.within(CONFIG_FILE)} yet: swarmd install BUNDLE")
+    # 3. Start the service, if systemd runs on this machine and the daemon has its file.
     if not has_systemctl or not steps.manages_services():
         click.echo("note: systemd does not run here; the service starts with the machine")
         return
@@ -187,33 +190,42 @@ def _active_text(steps: Steps) -> str:
 
 
 def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
-    """The daemon's file and the identity, or the one line on what is wrong with them."""
+    """Rows (title, text) of the status: the daemon's file, and its identity.
+
+    A file that is absent or faulty gives a single row with the fault.
+    """
     from swarmd.settings.settings import load_daemon_settings
 
     config = steps.within(CONFIG_FILE)
     if not config.exists():
         return [("settings", f"absent: {config}; run swarmd install BUNDLE, or write it")]
-    # The service's places, and not those of this user; identities are in etc/swarmd/identities.
-    environ = {
+    # Read the settings as the service does, with its folders and not those of this user.
+    service_environ = {
         "STATE_DIRECTORY": str(STATE_FOLDER),
         "XDG_CONFIG_HOME": str(steps.within(Path("/etc"))),
     }
     try:
-        settings = load_daemon_settings(config, {}, environ)
+        settings = load_daemon_settings(config, {}, service_environ)
     except SwarmError as error:
         return [("settings", str(error))]
     network = settings.network
-    where = f"{config}: {settings.id} of swarm {network.swarm}, profile {network.profile}"
+    text = f"{config}: {settings.id} of swarm {network.swarm}, profile {network.profile}"
+    settings_row = ("settings", text)
     identity = settings.identity
     if identity is None:
-        return [("settings", where), ("identity", "absent: the swarm is insecure")]
-    days = (identity.info.expires - time.time()) / _DAY
-    ends = f"ends in {days:.0f} days" if days >= 0 else "has ended by this machine's clock"
-    if time.time() < FIRST_WALL:
-        ends = f"until {day(identity.info.expires)} ({UNSET_CLOCK})"
+        return [settings_row, ("identity", "absent: the swarm is insecure")]
+    # The certificate's end, as a date if the clock of this machine is not set yet.
+    expires, now = identity.info.expires, time.time()
+    days_left = (expires - now) / _DAY
+    if now < FIRST_WALL:
+        validity = f"until {day(expires)} ({UNSET_CLOCK})"
+    elif days_left >= 0:
+        validity = f"ends in {days_left:.0f} days"
+    else:
+        validity = "has ended by this machine's clock"
     generation = identity.roster.generation
-    text = f"{identity.folder}: certificate {ends}, roster of generation {generation}"
-    return [("settings", where), ("identity", text)]
+    text = f"{identity.folder}: certificate {validity}, roster of generation {generation}"
+    return [settings_row, ("identity", text)]
 
 
 def _asked(steps: Steps, *words: str) -> str:

@@ -63,23 +63,25 @@ def reset(
 ) -> None:
     """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.
 
-    Clears only the emergency stops that swarmctl sees now; a later one stays. --findings ends only
-    the findings that swarmctl sees now.
+    Clears only the emergency stops that swarmctl sees now; a later emergency stop stays. With
+    --findings also ends the findings that swarmctl sees now.
     """
-    from swarmd.client.changes import findings_of  # a stop does without
+    # Imported here, so that the verbs of this file that stop robots start faster.
+    from swarmd.client.changes import findings_of
     from swarmd.client.changes import reset as clear
 
     with asking(options, targets, needs_status=True) as asked:
-        names, latches = asked.names, asked.view.latches(asked.names)
+        robots, latches = asked.names, asked.view.latches(asked.names)
+        # Say what the reset clears. A latch is an emergency stop that lasts until a reset.
         for latch_id, latch in latches.items():
-            text = f" ({latch.reason})" if latch.reason else ""
-            of = "all robots" if latch.scope == "swarm" else "named robots"
-            warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
-        findings_shown = findings_of(asked.view, names)
-        for robot, text in findings_shown:
-            warn(f"{robot}: {'ends' if findings else 'keeps (--findings ends it)'}: {text}")
-        if len(names) > 1 and not yes:
-            question, to_check = f"Reset {', '.join(names)}?", "all of them may move again"
-            need_consent(f"reset of {len(names)} robots", to_check, question)
-        outcome = clear(asked.targeted, reason=reason, findings=findings)
-        asked.report(outcome)
+            cause = f" ({latch.reason})" if latch.reason else ""
+            stopped = "all robots" if latch.scope == "swarm" else "named robots"
+            warn(f"clears emergency stop {latch_id} of {latch.issuer} for {stopped}{cause}")
+        # A finding is a doubt of a robot, such as brakes that are weaker than declared.
+        finding_action = "ends" if findings else "keeps (--findings ends it)"
+        for robot, finding in findings_of(asked.view, robots):
+            warn(f"{robot}: {finding_action}: {finding}")
+        if len(robots) > 1 and not yes:
+            question, to_check = f"Reset {', '.join(robots)}?", "all of them may move again"
+            need_consent(f"reset of {len(robots)} robots", to_check, question)
+        asked.report(clear(asked.targeted, reason=reason, findings=findings))

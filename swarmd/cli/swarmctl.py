@@ -42,7 +42,8 @@ Exit codes:
   130  interrupted
   141  the reader of the output has ended, such as head"""
 CLOSED_PIPE = 141
-"""As of a program that SIGPIPE ends."""
+"""The exit code of a program that SIGPIPE ends."""
+STDERR = 2  # file descriptor
 
 
 def _verb(name: str, section: str, example: str, text: str, file: str = "") -> tuple[str, LazyVerb]:
@@ -200,19 +201,23 @@ def _flushed() -> int:
 def run_cli(
     command: click.Command, args: list[str] | None, name: str, code_of: Callable[[SwarmError], int]
 ) -> int:
-    """Run a command and return its exit code; an error is one line on stderr.
+    """Run the command of a program and return its exit code; an error is one line on stderr.
 
-    With `-o json` an error is also a JSON document on stdout, the only one. While a shell completes
-    a line, nothing is written on stderr: the shell would show it in that line.
+    `args`: the words of the command line, None for those of this process. `name`: the program.
+    `code_of`: the exit code of an error of swarmd. With `-o json` an error is also a JSON document
+    on stdout, the only document. While a shell completes a line, nothing is written on stderr: the
+    shell would show it in that line.
     """
     words = sys.argv[1:] if args is None else args
     stdout = sys.stdout
-    if os.environ.get(f"_{name.upper()}_COMPLETE"):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+    is_completing = bool(os.environ.get(f"_{name.upper()}_COMPLETE"))
+    if is_completing:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), STDERR)
     elif fault := _not_text(words):
         return _fail(fault, 2, words)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
+    # 1. Interrupts, mistakes in the line, and errors of swarmd: one line each.
     except click.Abort:
         return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -225,27 +230,31 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
+    # 2. A closed pipe. Click raises SystemExit(1) for it, as for a failure, and replaces
+    #    `sys.stdout`.
     except SystemExit:
-        # Click makes exit code 1 of a closed pipe, as of a failure, and replaces the stream.
         if sys.stdout is stdout:
             raise
         sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED_PIPE
-    except UnicodeEncodeError as error:  # such as a file below a folder
+    # 3. A file name that is no text, such as that of a file below a folder.
+    except UnicodeEncodeError as error:
         try:
             as_text(error.object)
         except ConfigError as fault:
             return _fail(str(fault), 2, words)
         raise
-    except OSError as error:  # such as a full disk
+    # 4. Errors of the system, such as a full disk.
+    except OSError as error:
         import logging
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
-        why = error.strerror or str(error) or type(error).__name__
-        if "temporary directory" in why:
-            why += "; make one of them writable with some room, or set TMPDIR to a folder that is"
-        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1, words)
+        cause = error.strerror or str(error) or type(error).__name__
+        if "temporary directory" in cause:
+            cause += "; make one of them writable with some room, or set TMPDIR to a folder that is"
+        text = cause if error.filename is None else f"{error.filename}: {cause}"
+        return _fail(text, 1, words)
 
 
 def _not_text(words: Sequence[str]) -> str:

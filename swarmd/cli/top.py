@@ -53,31 +53,37 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
-    STATE and the first line name a robot whose base is lost, whatever its state.
-    CPU and MEM are those of the daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On
-    a terminal until q; with -o json a line for each robot and second, until Ctrl-C.
+    STATE and the first line name a robot whose base is lost, whatever its state. CPU and MEM are
+    those of the daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the
+    table is renewed until q; with -o json each robot gets a line every second, until Ctrl-C.
     """
+    # 1. A single table.
     if once:
         with options.operator() as operator:
             view = known_members(options, operator)
-            names = robots_of(view, targets)
-            known = {n: (m.status, m.age) for n, m in view.members.items() if m.status is not None}
+            robots = robots_of(view, targets)
+            statuses = {  # with their ages in s
+                name: (member.status, member.age)
+                for name, member in view.members.items()
+                if member.status is not None
+            }
             if options.is_json:
-                print_json("Load", {"robots": list(records(view, names, known))})
+                print_json("Load", {"robots": list(records(view, robots, statuses))})
             else:
-                print_table(HEADER, rows(view, names, known, sort))
-            click.get_current_context().exit(exit_code_of(view, names))
+                print_table(HEADER, rows(view, robots, statuses, sort))
+            click.get_current_context().exit(exit_code_of(view, robots))
+    # 2. A table that is renewed, or lines of JSON, from all that robots publish.
     if not options.is_json:
         need_terminal("top", "add --once or -o json")
     from swarmd.client.swarm_watch import SwarmWatch
 
     with options.operator() as operator, signals_end():
-        chosen = session_of(options, operator).named_now(targets)
+        watched_targets = session_of(options, operator).named_now(targets)
         watch = SwarmWatch(operator)
         watch.start()
         try:
-            follow = _print_records if options.is_json else _show
-            follow(watch, chosen, sort)
+            show = _print_records if options.is_json else _show
+            show(watch, watched_targets, sort)
         finally:
             watch.close()
 

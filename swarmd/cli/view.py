@@ -50,15 +50,17 @@ def view(
     """Show a living swarm: map, list, details and commands.
 
     On this terminal, where `?` lists the keys; with --web on a page whose address is printed. With
-    FILE the page plays recordings instead: a merged one, or those of robots (.mcap), or a folder of
-    them, such as `record fetch` makes. With --foxglove a Foxglove on this computer shows the swarm.
+    FILE the page plays recordings instead: a merged recording, recordings of robots (.mcap), or a
+    folder of recordings, such as `record fetch` makes. With --foxglove a Foxglove on this computer
+    shows the swarm.
     """
     if not web and (page.token or page.viewer_token or page.tls is not None):
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
+    # 1. --foxglove PORT.
     if foxglove is not None:
         if files or web:
-            what = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
-            raise click.UsageError(f"--foxglove shows a living swarm, alone; without {what}")
+            excluded = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
+            raise click.UsageError(f"--foxglove shows a living swarm, alone; without {excluded}")
         if page.bind != HOST:
             raise click.UsageError(
                 f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer:"
@@ -67,15 +69,18 @@ def view(
         need("foxglove", "websockets", extra="foxglove")
         _serve_foxglove(options, foxglove)
         return
+    # 2. The terminal.
     if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
         click.get_current_context().exit(_show(options))
+    # 3. A page that plays recordings.
     if files:
         need("websockets", "mcap", "rosbags", extra="web,record")
         check_web(page)
         _play(files, page)
         return
+    # 4. A page of the living swarm.
     need("websockets", extra="web")
     with _live(options, "from the page") as (source, commander, identity):
         page = page.of(identity)

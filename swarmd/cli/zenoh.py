@@ -26,31 +26,35 @@ from swarmd.core.errors import ConfigError, NetworkError
 def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
-    JSON, which Zenoh reads as JSON5: a peer that finds the robots by scouting, also those that
-    start later; with --dial, or where robots answer no scouts, one that dials each robot found now;
-    a client of the routers in profile routed. In a secured swarm it names the files of your
-    identity, and has its access rules.
+    The configuration is JSON, which Zenoh reads as JSON5. Its session is a peer that finds the
+    robots by scouting, also robots that start later. With --dial, or where robots answer no scouts,
+    the peer dials the robots that are known now. In profile routed the session is a client of the
+    routers. In a secured swarm the configuration names the files of your identity, and has its
+    access rules.
     """
     from swarmd.network.carriers.session import foreign_options
 
+    # 1. The robots, with the endpoint of each.
     with options.operator() as operator:
         settings = operator.settings
         known_members(options, operator, needs_status=False)
-        identity = operator.identity  # the look may have taken a newer roster
-        robots = operator.endpoints()
-        if not robots and settings.profile != "routed":
+        identity = operator.identity  # after the query, which may have brought a newer roster
+        endpoints = operator.endpoints()
+        if not endpoints and settings.profile != "routed":
             raise unreachable(operator)
+    # 2. In a secured swarm: leave out robots that only have an IPv6 address.
     if identity is not None:
-        undialled = sorted(name for name, one in robots.items() if one.startswith("tcp/["))
-        if undialled and settings.profile != "routed":
-            warn(f"{', '.join(undialled)}: left out: Zenoh dials no IPv6 address by TLS")
-            robots = {name: one for name, one in robots.items() if name not in undialled}
-            if not robots:
+        by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
+        if by_ipv6 and settings.profile != "routed":
+            warn(f"{', '.join(by_ipv6)}: left out: Zenoh dials no IPv6 address by TLS")
+            endpoints = {name: url for name, url in endpoints.items() if name not in by_ipv6}
+            if not endpoints:
                 raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
         identity = replace(identity, folder=identity.folder.absolute())
+    # 3. The configuration: a session that scouts dials no endpoint.
     scouts = not dial and settings.answers_scouts(is_secured=identity is not None)
-    endpoints = [] if scouts else sorted(set(robots.values()))
-    config = foreign_options(settings, endpoints, identity, scouts=scouts)
+    dialled = [] if scouts else sorted(set(endpoints.values()))
+    config = foreign_options(settings, dialled, identity, scouts=scouts)
     text = json.dumps(config, indent=2)
     if out is not None:
         try:
@@ -58,9 +62,9 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         except OSError as error:
             raise ConfigError(f"--out {out}: {error.strerror}; expected a file to write") from error
     if options.is_json:
-        content = {"swarm": settings.swarm, "robots": robots, "config": config}
+        content = {"swarm": settings.swarm, "robots": endpoints, "config": config}
         print_json("Zenoh", content)
     elif out is None:
         click.echo(text)
     else:
-        click.echo(f"{out}: a session to {len(robots)} robots of swarm {settings.swarm}")
+        click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")

@@ -25,20 +25,21 @@ class FailedCode(Struct, frozen=True):
 
 
 class Actions(Struct, frozen=True, eq=False):
-    """The work of the shell after one event, in this order.
+    """The work that one event leaves to the shell (daemon or lockstep simulator), in this order.
 
-    1. Hand `twist` to the driver.
+    1. Hand `twist`, the safe command, to the driver.
     2. Write `latches` and `goals` to disk.
-    3. Send `trial` and `host` to the pattern host. A trial runs in a process of its own and leaves
-       the running pattern alone.
+    3. Send `trial` and `host` to the pattern host. A trial runs new code in a process of its own
+       and leaves the running pattern alone.
     4. Publish `messages` (by `<pattern>/<channel>`), the status if `has_status`, and `replies`. A
        reply may answer an earlier request: a run is answered after its pattern has been loaded.
 
-    `requested_scan_seq`: the scan from which the pattern computed its command; -1 without a scan.
-    `is_idle`: the state is idle and the base is connected. `is_stopped`: the state is stopped,
-    estopped or faulted. `is_quiet`: only `twist` and `decision` count, and `Robot.wake_at` has not
-    changed. `ended`: state and reason after the end of a run; empty if no run ended. `grip`: True
-    closes the gripper, False opens the gripper, None leaves the gripper alone.
+    `requested_scan_seq`: the number of the scan from which the pattern computed its command; -1
+    without a scan. `is_idle`: the state is idle and the base is connected. `is_stopped`: the state
+    is stopped, estopped or faulted. `is_quiet`: only `twist` and `decision` count, and
+    `Robot.wake_at` has not changed. `ended`: state and reason after the end of a run; empty if no
+    run ended. `grip`: True closes the gripper, False opens the gripper, None leaves the gripper
+    alone.
     """
 
     twist: Twist

@@ -1,6 +1,7 @@
-"""`Effects`: what one event changes for the shell, gathered before it becomes `Actions`.
+"""`Effects`: the changes that one event makes for the shell, gathered before they become `Actions`.
 
-A kernel (see `core/kernels.py`), in one library with ticker.py.
+The shell is the daemon or the lockstep simulator. A kernel (see `core/kernels.py`), in one library
+with ticker.py.
 """
 
 from __future__ import annotations
@@ -24,10 +25,11 @@ _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 @cython.auto_pickle(False)
 @cython.cclass
 class Effects:
-    """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
+    """The effects of one event at `now`, gathered until the robot makes `Actions` of them.
 
-    `is_routine`: the event is a tick, a scan or the answer to a step, and of the lifecycle has
-    changed at most the requested command. The fields from `trial` on mean the same as in `Actions`.
+    `is_routine`: the event is a tick, a scan or the answer to a step, and has changed nothing of
+    the lifecycle except the requested command. The fields from `trial` on mean the same as in
+    `Actions`.
     """
 
     now = cython.declare(cython.double, visibility="readonly")
@@ -48,11 +50,11 @@ class Effects:
         self.now, self.messages, self.replies, self.ended = now, _NO_MESSAGES, (), ""
 
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
-        """Choose the one command of this event for the pattern host.
+        """Choose the only command of this event for the pattern host, which runs patterns.
 
-        KillHost and Load decide which pattern the host holds. Of several such commands the last
-        one wins, and a Load after a KillHost asks for a fresh host. SetParams and Step are meant
-        for the pattern that the host holds now, so they never replace another command.
+        KillHost and Load decide which pattern the host holds. Of several such commands the newest
+        counts, and a Load after a KillHost asks for a fresh host. SetParams and Step concern the
+        pattern that the host holds now, so they never replace another command.
         """
         if isinstance(command, (SetParams, Step)) and self.host is not None:
             return

@@ -40,9 +40,11 @@ class GoalHandler:
         self._is_settled = False
 
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
-        """Take in a goal that a peer holds; `age`: s since the goal was set, None if unknown.
+        """Take in a goal that a peer holds.
 
-        `may_join`: the goals of all other peers are known, too, so that the robot may join a run.
+        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all other
+        peers are known, too, so that the robot may join a run (run without a request of an
+        operator).
         """
         goals, now = self._goals, effects.now
         relation = goals.judge(goal)
@@ -60,10 +62,10 @@ class GoalHandler:
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True if the goal of this run or goal request came from a peer before the request came.
+        """True if the goal of this run or goal request had already come from a peer.
 
-        True only if nothing else has changed the robot since `quoted`, the epoch that the operator
-        saw.
+        The epoch of the robot then differs from `quoted`, the epoch that the operator saw, through
+        that goal alone. False if anything else has changed the robot since `quoted`.
         """
         known = self._peer_goal
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
@@ -128,9 +130,11 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Adopt `goal`, which is greater than the own goal; a run for the lesser goal ends.
+        """Make `goal` the own goal, which it exceeds; a run for the lesser goal ends.
 
-        A load for a goal that is still greater than `goal` continues.
+        `age`: s since the goal was set, None if unknown. A load for a goal that is greater than
+        `goal` continues. `may_join`: the robot may run the goal without a request, if it was idle
+        or ran.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
@@ -151,32 +155,44 @@ class GoalHandler:
         goals.adopt(goal, age, now, may_join=may_join and is_free and not keeps_load)
 
     def join_if_settled(self, effects: Effects) -> None:
-        """Run the own goal, which came from a peer, if `Goals.joins` permits.
+        """Join the own goal: run it without a request of an operator, if all rules permit that.
 
-        The run waits for the end of a present load or trial.
+        The own goal is the greatest goal that targets this robot; here it came from a peer.
+        `Goals.joins` has the rules for the goal itself. A load or a trial of new code that is under
+        way comes first: the caller calls again after its end.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
-        if not self._is_settled:
+        # 1. Reasons of the goal not to join: goals of other peers unknown, no joinable goal, or
+        #    invalid end conditions.
+        own_goal = goals.own
+        if not self._is_settled or own_goal is None or not goals.joins(now):
             return
-        own, trial, known = goals.own, lifecycle.trial, self._peer_goal
-        if own is None or not goals.joins(now) or lifecycle.pattern_run.loading or trial:
+        if fault_of(own_goal.goal.conditions):
             return
-        if lifecycle.duplicate is not None or lifecycle.revoked or fault_of(own.goal.conditions):
+        # 2. Reasons of the robot not to join.
+        is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
+        is_barred = lifecycle.duplicate is not None or bool(lifecycle.revoked)
+        if is_busy or is_barred:
             return
         if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
             return
-        is_unchanged = (
-            known is not None
-            and known.goal == own.goal
-            and known.revision_after == lifecycle.revision
-        )
-        seconds, age = own.goal.seconds, own.age(now) or 0.0
-        lifecycle.raise_revision(own.goal.text)
-        lifecycle.log(f"joins {own.goal.text}, set {age:.1f} s ago", now)
-        if known is not None and is_unchanged:  # a late request for this goal stays acceptable
-            self._peer_goal = known._replace(revision_after=lifecycle.revision)
-        seconds_left = None if seconds is None else seconds - age
-        self._start(own.goal, effects, Wish(now - age, own.goal.text), seconds_left, None)
+        # 3. Raise the revision, so that earlier requests are stale. Exception: a late request for
+        #    this same goal stays acceptable if nothing else has changed since the goal came.
+        peer_goal, revision_before = self._peer_goal, lifecycle.revision
+        age_s = own_goal.age(now) or 0.0
+        lifecycle.raise_revision(own_goal.goal.text)
+        lifecycle.log(f"joins {own_goal.goal.text}, set {age_s:.1f} s ago", now)
+        if (
+            peer_goal is not None
+            and peer_goal.goal == own_goal.goal
+            and peer_goal.revision_after == revision_before
+        ):
+            self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
+        # 4. Run for the rest of the goal's time, which counts from the time the goal was set.
+        seconds = own_goal.goal.seconds
+        seconds_left = None if seconds is None else seconds - age_s
+        wish = Wish(now - age_s, own_goal.goal.text)
+        self._start(own_goal.goal, effects, wish, seconds_left, None)
 
     def _start(
         self,

@@ -60,39 +60,42 @@ class _Undecided(NamedTuple):
 
 
 class Goals:
-    """The goals of `robot`. `labels`: from the swarm file. `record`: from disk, None without one.
+    """The goals of one robot, and the rules (see the module) for running them.
 
-    `now`: the time at which the robot starts, in s.
+    `robot`: its name. `labels`: its labels in the swarm file. `record`: the goals from disk, None
+    without a file. `now`: the time at which the robot starts, in s on the own clock.
     """
 
     def __init__(
         self, robot: str, labels: tuple[str, ...], record: GoalRecord | None, now: float
     ) -> None:
         record = record or GoalRecord()
-        self._robot = robot
+        self._robot = robot  # the name of this robot
         self._file_labels = labels
-        self._set_labels = record.labels
+        self._set_labels = record.labels  # by an operator; None: the labels of the swarm file count
+        # The age of a goal from disk is unknown until a peer reports it.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
-        self.before = record.before
-        self.state: GoalState | None = None
-        self.superseded = ""
-        self._reason = ""
-        self._may_join = False
-        self.lease_until: float | None = None
-        self._lease_count = -1
-        self._stops: dict[str, None] = {}
-        self._undecided: dict[str, _Undecided] = {}
+        self.before = record.before  # the goal that `swarmctl goal undo` restores
+        self.state: GoalState | None = None  # of the own goal; None without an own goal
+        self.superseded = ""  # the goal, as text, that ended the last run
+        self._reason = ""  # text that explains `state`
+        self._may_join = False  # the own goal may be run without a request
+        self.lease_until: float | None = None  # s, own clock; None without a run lease
+        self._lease_count = -1  # of the newest lease message of the operator
+        self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
+        self._undecided: dict[str, _Undecided] = {}  # by id of the stop
         self._held_since = now  # the held goal was set before this time
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
-        self._stood = -math.inf if record.stood is None else record.stood
-        self._ran = record.ran  # the daemon ended during a run of the own goal
+        self._last_stop_at = -math.inf if record.stood is None else record.stood
+        self._ended_during_run = record.ran  # the daemon ended during a run of the own goal
         # Content of the held goal if a stop of all robots came later and could make no goal.
-        self._stopped = b""
-        self.is_changed = False
-        # The load that failed since the robot lacks the pattern, and whether the load was repeated.
+        self._stopped_content = b""
+        self.is_changed = False  # since the record was last written to disk
+        # The generation of the load that failed since the robot lacks the pattern. None: no such
+        # load, or a later load, run or label.
         self._awaits_code: int | None = None
-        self._has_retried = False
+        self._has_retried = False  # the failed load has been repeated
         if self.own is not None:
             self._offer(record.ended, may_join=record.may_join)
 
@@ -134,8 +137,8 @@ class Goals:
             before=self.before,
             ended=self._reason if self.state is GoalState.ENDED else "",
             may_join=self._may_join or is_run,
-            ran=is_run or (self._ran and self._may_join),
-            stood=None if self._stood == -math.inf else self._stood,
+            ran=is_run or (self._ended_during_run and self._may_join),
+            stood=None if self._last_stop_at == -math.inf else self._last_stop_at,
             labels=self._set_labels,
         )
 
@@ -178,9 +181,10 @@ class Goals:
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
-        """Hold a greater goal; if it targets this robot, it becomes the own goal and is offered.
+        """Hold `goal` if it exceeds the held goal; offer `goal` if it exceeds the own goal.
 
-        `age`: s since the goal was set, None if unknown.
+        An offered goal waits for a request `resume`. `age`: s since the goal was set, None if
+        unknown. `may_join`: the robot may also run the goal without a request.
         """
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
@@ -194,7 +198,7 @@ class Goals:
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
             self._lease_count, self.lease_until = -1, None
-            self._has_retried = self._ran = False
+            self._has_retried = self._ended_during_run = False
             self._offer("", may_join=may_join)
         self.is_changed = True
         self._decide_stops(now)
@@ -202,7 +206,7 @@ class Goals:
     def learn_age(self, age: float | None, now: float) -> None:
         """Take in the age of the held goal that a peer reports; the greatest report counts."""
         held = self.held
-        if held is None or age is None or held.content == self._stopped:
+        if held is None or age is None or held.content == self._stopped_content:
             return
         issued = now - age if held.issued is None else min(held.issued, now - age)
         self.held = held._replace(issued=issued)
@@ -233,11 +237,11 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """Make the goal without a pattern that follows a stop of all robots; False without a goal.
+        """After a stop of all robots: make a goal without a pattern that follows the held goal.
 
-        `stop`: the id of the stop. `age`: s since the stop was issued. All robots that hold the
-        same goal make the same new goal. A repeated stop makes no goal, and a stop that is older
-        than the held goal makes no goal.
+        All robots that hold the same goal make the same new goal. `stop`: the id of the stop.
+        `age`: s since the stop was issued. Returns False if no goal is made: for a repeated stop,
+        and for a stop that is older than the held goal or that cannot be ordered yet.
         """
         if stop in self._stops:
             return False
@@ -252,9 +256,9 @@ class Goals:
             self._stand_since(stop, details, now)
 
     def _stand_since(self, stop: str, details: _Undecided, now: float) -> bool:
-        """Make the goal of a stop if the stop is newer than the held goal; True if it is made.
+        """Make the goal of a stop that is newer than the held goal; True if the goal is made.
 
-        If the order of both is unknown, adds the stop to the undecided stops.
+        A stop is undecided while the age of the held goal is unknown: the stop is kept for later.
         """
         held, generation = self.held, 1
         if held is not None:
@@ -267,7 +271,7 @@ class Goals:
                     del self._undecided[next(iter(self._undecided))]
                 return False
             if held.goal.generation >= MAX_UNSIGNED:  # no unsigned goal can follow the held goal
-                self._stopped = held.content
+                self._stopped_content = held.content
                 self.held = held._replace(issued=None)  # no robot joins a goal of unknown age
                 return False
             generation = held.goal.generation + 1
@@ -285,7 +289,7 @@ class Goals:
         goal, age = own.goal, own.age(now)
         if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
             return False
-        if not self._ran and now - age <= self._stood:
+        if not self._ended_during_run and now - age <= self._last_stop_at:
             return False
         if self.refusal_to_resume(now):  # the operator of the run lease is not heard
             return False
@@ -302,9 +306,10 @@ class Goals:
             self._awaits_code = generation
 
     def offer_again(self, generation: int) -> None:
-        """Offer the own goal once more, since the awaited pattern has been pushed.
+        """Offer the own goal again, since its pattern, which the robot lacked, has been pushed.
 
-        `generation`: of the last load of the robot. Nothing is offered after a later load.
+        `generation`: the number of the last pattern load of the robot. Nothing is offered if a
+        later load followed the load that failed for lack of the pattern.
         """
         if self._awaits_code == generation:
             self._has_retried = True
@@ -323,10 +328,10 @@ class Goals:
     def on_running(
         self, goal: Goal | None, what: str, age: float, now: float, *, is_resumed: bool = False
     ) -> None:
-        """Note the begin of a run; `goal` None: a run without a goal.
+        """Note that a run begins; `goal`: the goal of the run, None without a goal.
 
-        `what`: the pattern, for the status. `age`: s since the run was requested. `is_resumed`: no
-        run request set the goal now, so the lease is not renewed.
+        `what`: the name of the pattern, for the status. `age`: s since the run was requested.
+        `is_resumed`: no run request set the goal now, so the lease is not renewed.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was requested after these stops
@@ -342,9 +347,10 @@ class Goals:
         self.is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
-        """Renew the lease: the operator of the goal with id `goal` was heard.
+        """Renew the run lease: the operator of the goal with id `goal` was heard at `now`.
 
-        `count` rises with each message of the operator. An old or repeated count is ignored.
+        A run lease ends the run if the operator is silent for longer. `count` rises with each
+        message of the operator; an old or repeated count is ignored.
         """
         own = self.own
         if own is None or own.goal.id != goal or own.goal.lease is None:
@@ -355,7 +361,7 @@ class Goals:
 
     def bar(self, now: float) -> None:
         """After a stop or reset: join no goal that was set before `now`."""
-        self._stood, self._ran, self.is_changed = now, False, True
+        self._last_stop_at, self._ended_during_run, self.is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """End the run of the own goal with the reason `why`; no known goal is joined any more."""

@@ -1,8 +1,9 @@
 """The ages of a robot's inputs: the holds that follow from them, and the context of decisions.
 
-A kernel (see `core/kernels.py`), compiled into one library with ticker.py. `Sensors` extends
-`InputAges` by the work that is rarer than a tick. Times are in s on the robot's clock. The time of
-an input that has not arrived is -inf.
+A hold is a reason for which a running robot stands, such as a scan that is too old. A kernel (see
+`core/kernels.py`), compiled into one library with ticker.py. `Sensors` extends `InputAges` by the
+work that is rarer than a tick. Times are in s on the robot's clock. The time of an input that has
+not arrived is -inf.
 """
 
 from __future__ import annotations
@@ -36,9 +37,10 @@ _Inputs = cython.declare(object, Inputs)
 class InputAges:
     """The arrival times of inputs, the holds that follow, and the context of decisions.
 
-    `_problem`: why the last scan does not count. `_peers_due`: no peer holds the robot until this
-    time. `_hazards_until`: a hazard holds the robot until this time. `_teller`: the `Peers` that
-    know the places of peers, None without a place. `_ring`: the ring of range sensors, or None.
+    `_problem`: why the last scan is not usable, None if it is. `_peers_due`: the time until which
+    no peer holds the robot. `_hazards_until`: the time until which a hazard holds the robot.
+    `_teller`: the `Peers` object while it knows the place of any peer, else None. `_ring`: the ring
+    of range sensors, None without a ring.
     """
 
     odometry = cython.declare(object, visibility="public")
@@ -83,10 +85,9 @@ class InputAges:
 
     @cython.ccall
     def on_odometry(self, odometry, now: cython.double):
-        """Take in a measured pose and twist.
+        """Take in a measured pose and twist. An invalid reading is ignored.
 
-        A reading with an old stamp does not renew the age of odometry. An invalid reading is
-        ignored.
+        A reading whose stamp is not newer than the last stamp does not renew the age of odometry.
         """
         is_new = self._history.take(odometry, now)
         if is_new is None:
@@ -205,8 +206,8 @@ class InputAges:
     def _longest_age(self) -> cython.double:
         """The age in s since arrival beyond which a scan is stale.
 
-        The platform's limit less the scan delay. A pattern may permit a delay above the platform's
-        bound. Then the limit shrinks by that bound only.
+        This age is the platform's limit less the scan delay. If the pattern permits a delay above
+        the platform's bound, the limit shrinks by that bound only.
         """
         added: cython.double = self._added
         if added <= self.permitted_delay and self._max_delay < added:

@@ -24,10 +24,10 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 
 
 class Latches:
-    """The held latches by id, and the cleared (reset) ids.
+    """The held latches (emergency stops that hold the robot) by id, and the ids that were reset.
 
-    A peer may still report a latch that was reset here; its cleared id keeps that latch away. An
-    estop request with a cleared id latches again: a stop is always obeyed.
+    A peer may still report a latch that was reset on this robot: the reset id keeps that latch
+    away. An estop request with a reset id latches again, since a stop is always obeyed.
     """
 
     def __init__(self, record: LatchRecord | None = None) -> None:

@@ -91,7 +91,7 @@ class _Node(Struct, array_like=True):
 
 
 class _Memory(Struct, array_like=True):
-    """A whole memory; node 0 is the robot.
+    """The serialised state of a robot; node 0 is the robot.
 
     `numbers`: the contents of all arrays and bytes, joined in the order of their nodes.
     """
@@ -137,10 +137,10 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
 
 
 class _Writer:
-    """Writes one memory.
+    """Serialises the state of one robot.
 
-    An object first gets an empty node, and its parts later, since objects may refer to each other
-    in circles. A value cannot: its parts are written at once.
+    An object gets an empty node first, and its parts later, since objects may refer to each other
+    in circles. Values cannot refer in circles: their parts are written at once.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -191,29 +191,38 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of an object or value; adds a missing node."""
-        place = self._places.get(id(value))
-        if place is not None:
-            return place
-        kind = type(value)
-        if value is HANDLERS or kind is RobotSettings:
-            return self._add(value, self._kind("handlers" if value is HANDLERS else "settings"), [])
-        if kind in _TYPES:
-            parts_of, _ = _TYPES[kind]
-            return self._add(value, self._kind(kind.__name__), self._parts(parts_of(value)))
+        """The place (index in `_nodes`, as a tuple of one) of the node of an object or value.
+
+        Adds the node if `value` has none yet. A value is split into its parts at once. An object
+        gets an empty node, and `memory` adds its fields later.
+        """
+        known_place = self._places.get(id(value))
+        if known_place is not None:
+            return known_place
+        cls = type(value)
+        # 1. The two things that the reader supplies by itself: nothing is written of them.
+        if value is HANDLERS:
+            return self._add(value, self._kind("handlers"), [])
+        if cls is RobotSettings:
+            return self._add(value, self._kind("settings"), [])
+        # 2. Built-in containers, arrays, bytes and numpy scalars.
+        if cls in _TYPES:
+            parts_of, _ = _TYPES[cls]
+            return self._add(value, self._kind(cls.__name__), self._parts(parts_of(value)))
         if isinstance(value, np.ndarray) or _is_view(value):
             return self._array(value)
-        if kind is bytes:
+        if cls is bytes:
             self._numbers.append(value)
             return self._add(value, self._kind("bytes"), [len(value)])
         if isinstance(value, np.generic):
             parts = self._parts((value.dtype.str, value.tobytes()))
             return self._add(value, self._kind("scalar"), parts)
-        name, names = self._class_of(kind)
-        if names is not None:
-            parts = self._parts([getattr(value, field) for field in names])
-            return self._add(value, self._kind(name, names), parts)
-        place = self._add(value, 0, [])  # `memory` sets kind and parts of this node
+        # 3. Classes of swarmd: `field_names` is None for a class of objects.
+        class_name, field_names = self._class_of(cls)
+        if field_names is not None:
+            parts = self._parts([getattr(value, name) for name in field_names])
+            return self._add(value, self._kind(class_name, field_names), parts)
+        place = self._add(value, 0, [])
         self._objects.append((self._nodes[-1], value))
         return place
 
@@ -270,31 +279,37 @@ class _Reader:
         self._size = 0
 
     def robot(self) -> Robot:
-        """Make all nodes in three passes and return node 0, the robot.
+        """Make the object or value of each node, and return that of node 0, the robot.
 
-        Empty objects come first, since values may refer to them. Values follow in the order of
-        their nodes, since a value refers only to values before it. The fields of objects are last.
+        ValueError or TypeError for invalid bytes, which may come from an untrusted machine.
         """
-        nodes, kinds = self._memory.nodes, [self._maker(kind) for kind in self._memory.kinds]
+        nodes = self._memory.nodes
+        makers = [self._maker(kind) for kind in self._memory.kinds]  # by index of the kind
+        # 1. Empty objects, since values may refer to any object. Each with the function that sets
+        #    its fields, and the parts of these fields.
         objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
         for place, node in enumerate(nodes):
-            is_object, make = kinds[node.kind]
+            is_object, make = makers[node.kind]
             if is_object:
                 if len(objects) == MAX_OBJECTS:
                     raise ValueError(f"it has more than {MAX_OBJECTS} objects")
-                self._made[place], fill = make(node.parts)
-                self._extents[place] = 0, 0
-                objects.append((self._made[place], fill, node.parts))
+                empty_object, set_fields = make(node.parts)
+                self._made[place], self._extents[place] = empty_object, (0, 0)
+                objects.append((empty_object, set_fields, node.parts))
+        # 2. Values in the order of their nodes: a value refers only to values before it.
         for place, node in enumerate(nodes):
             if self._extents[place] is None:
                 extent = self._extent(node.parts, self._memory.kinds[node.kind].name)
-                self._made[place] = kinds[node.kind][1](self._resolved(node.parts))
+                _, make = makers[node.kind]
+                self._made[place] = make(self._resolved(node.parts))
                 self._extents[place] = extent
-        for obj, fill, parts in objects:
-            fill(obj, self._resolved(parts))
-        for fixed in self._fixed:
-            fixed.flags.writeable = False
-        for obj, *_ in objects:
+        # 3. The fields of the objects.
+        for obj, set_fields, parts in objects:
+            set_fields(obj, self._resolved(parts))
+        # 4. Arrays become read-only, and compiled code gets no index beyond its arrays.
+        for array_ in self._fixed:
+            array_.flags.writeable = False
+        for obj, _, _ in objects:
             if hasattr(obj, "check_indices"):
                 obj.check_indices()
         robot = self._made[0]
@@ -306,9 +321,10 @@ class _Reader:
         return [self._made[part[0]] if type(part) is tuple else part for part in parts]
 
     def _extent(self, parts: list[Any], name: str) -> tuple[int, int]:
-        """The number of a value's parts, nested parts included, and its nesting depth.
+        """The count of a value's parts, nested parts included, and its nesting depth.
 
-        Adds that number to the total. ValueError if a bound of this module is exceeded.
+        `parts`: the parts of the value. `name`: its type. Adds the count to `_size`, the total so
+        far. ValueError if the depth, the total or the size of a dict key exceeds its bound.
         """
         size, depth = 1 + len(parts), 0
         for number, part in enumerate(parts):
@@ -326,10 +342,10 @@ class _Reader:
         return size, depth + 1
 
     def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """Whether `kind` is a class of objects, and the function that makes such a node.
+        """(True if `kind` is a class of objects, the function that makes such a node).
 
-        For a value the function returns the value. For an object it returns the empty object and
-        the function that sets the fields of that object.
+        For a class of values the function returns the value. For a class of objects the function
+        returns the empty object, and a second function that sets the fields of that object.
         """
         if kind.name in self._makers:
             return False, self._makers[kind.name]

@@ -22,9 +22,9 @@ EVENT_PERIOD = 60.0
 
 
 class Outbox:
-    """Passes messages of a pattern on declared channels, within the limits of channel and robot.
+    """Passes messages of the own pattern, within the limits of each channel and of the robot.
 
-    `dropped`: the count of all other messages.
+    `dropped`: the count of messages beyond these limits, or on a channel that is not declared.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Outbox:
 
 
 class EventLimit:
-    """Hands events to the robot's log; counts the events beyond the limit of each kind.
+    """Writes events to the robot's log, and only counts those beyond the limit of each kind.
 
     The log of `swarmctl describe` is short: a repeated event must not displace all other events.
     """

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from msgspec import Struct
 
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded
 from swarmd.core.values import Scalar
-from swarmd.core.verbs import ReloadRequest, ResumeRequest, RunRequest
+from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
 
 
 class Wish(Struct, frozen=True):
     """When and by whom a run was requested. A stop issued before `at` does not end the run.
 
-    A joined goal counts from the time at which the goal was set. A reload with a new run counts
-    from the reload request. A restart after a fault keeps the wish of the failed run.
+    A joined goal (run without a request) counts from the time at which the goal was set. The run
+    after a reload counts from the reload request. A restart after a fault keeps the wish of the
+    failed run.
     """
 
     at: float
@@ -28,12 +30,13 @@ class Wish(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern that is being loaded; the running pattern stays, without steps, until the end.
+    """A pattern that the host is loading; meanwhile the running pattern gets no steps.
 
-    `seconds`: the longest time of the run; None without a limit. `since`: s on the own clock.
-    `request`: answered once the pattern runs. `until`: conditions; the first that holds ends the
-    run. `goal`: the goal of the run. `start_at`: s on the own clock before which the run must not
-    begin. `loaded`: the host's answer, kept until `start_at`.
+    `seconds`: the longest time of the run; None without a limit. `since`: start of the load, s on
+    the own clock. `request`: answered once the pattern runs; None without a request. `until`:
+    conditions; the first that holds ends the run. `goal`: the goal of the run, None without a goal.
+    `start_at`: the run begins not before this time, s on the own clock. `loaded`: the host's
+    answer, kept until `start_at`.
     """
 
     generation: int
@@ -52,6 +55,13 @@ class Loading:
     def is_restart(self) -> bool:
         """True if a failed pattern is loaded again: neither a request nor a goal is behind it."""
         return self.request is None and self.goal is None
+
+
+class PendingParams(NamedTuple):
+    """A parameter request without an answer of the pattern; `since`: s on the own clock."""
+
+    request: ParamRequest
+    since: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -45,10 +45,10 @@ class Running:
     """The running pattern.
 
     `permit`: what the pattern permits protection to do while no hold is present. `period`: s
-    between two steps. `expiry`: s for which a requested command is valid (rule 1). `requested`: the
-    requested command, None to stand. `requested_at`: the start of the step that returned this
-    command. `scan_seq`: the scan which that step used, -1 without a scan. `finish_at`: the end of
-    the run, inf without an end.
+    between two steps. `expiry`: s for which a requested command is valid (rule 1 of the module).
+    `requested`: the last requested command, None to stand. `requested_at`: the start of the step
+    that returned this command. `scan_seq`: the number of the scan which that step used, -1 without
+    a scan. `finish_at`: the end of the run, inf without an end.
     """
 
     generation = cython.declare(object, visibility="readonly")
@@ -206,10 +206,10 @@ class PatternRun:
     @cython.cfunc
     @cython.exceptval(check=False)
     def lifecycle_due_at(self) -> cython.double:
-        """A time before which no deadline passes, the start of a step aside; inf without one.
+        """The next deadline of load and run in s, the next step excepted; inf without a deadline.
 
-        -inf during a load. `restart_at` does not count: a restart is a hold, and the caller checks
-        holds in each tick.
+        During a load: -inf, since a load is checked at each tick. `restart_at` does not count: a
+        restart is a hold, and the caller checks holds at each tick.
         """
         running = self.running
         if self.loading is not None:

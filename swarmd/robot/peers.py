@@ -1,4 +1,4 @@
-"""The peers of one robot: which peers its lidar may miss, and their places by message or by radio.
+"""The peers of one robot: which peers its lidar may miss, and their measured or reported places.
 
 A place comes from one of two sources: range and bearing that the own sensors measure to the peer,
 or the pose that the peer reports in a shared frame. Protection avoids such a place as a disc that
@@ -40,10 +40,10 @@ POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither 
 FASTEST_POSE = 0.1  # s: upper bound of the least delay of own poses, which no clock can measure
 
 
-class _Figure(NamedTuple):
+class _PeerDisc(NamedTuple):
     """A disc around a peer, in m in the base frame at the time `at` (s); valid until `until` (s).
 
-    Of two figures from one source, the figure with the later `until` is newer.
+    Of two discs from one source, the disc with the later `until` is newer.
     """
 
     x: float
@@ -56,8 +56,8 @@ class _Figure(NamedTuple):
 class _OwnPose(NamedTuple):
     """The own pose in a shared frame at the time `at` in s.
 
-    `at` is uncertain by half of FASTEST_POSE. During that time the robot moves by at most `shift`
-    m and turns by at most `turn` rad.
+    `at` is uncertain by half of FASTEST_POSE. During this uncertainty the robot moves by at most
+    `shift` m and turns by at most `turn` rad.
     """
 
     shared: SharedPose
@@ -69,9 +69,10 @@ class _OwnPose(NamedTuple):
 class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
-    A finding is a property of a peer that protection does not assume, such as a body below the
-    scan plane. All times are in s on the robot's monotonic clock and come with each call. With
-    `tells_pose` the robot sends its pose to all peers, else only if a peer may not see this robot.
+    A finding is a property of a peer that protection does not assume, such as a body below the scan
+    plane. All times are in s on the robot's monotonic clock and come with each call. With
+    `tells_pose` the robot sends its pose to its peers always, else only if the lidar of a peer may
+    miss this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -89,24 +90,27 @@ class Peers:
         self._radii: dict[str, float] = {}  # m, of the peers whose places are used
         # m; a peer that the lidar sees may still vanish in the blind zone near the sensor.
         self._blind_within = _blind_within(platform)
-        self._seen: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
+        self._seen_beyond: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
         self._told_within = _told_within(platform)
         # By peer, one dict per source: a false place of one source must not displace a true place.
-        self._sensed: dict[str, _Figure] = {}  # from range and bearing
-        self._located: dict[str, _Figure] = {}  # from poses in the shared frame
+        self._sensed: dict[str, _PeerDisc] = {}  # from range and bearing
+        self._located: dict[str, _PeerDisc] = {}  # from poses in the shared frame
         # Peers that the lidar misses and that `accepts` does not list: each needs a known place.
         self._unseen: tuple[str, ...] = ()
         self._holds_always = False
-        self._due = math.inf  # s, until which each of `_unseen` has a known place
+        self._places_until = math.inf  # s, until which each of `_unseen` has a known place
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
-        """Replace the bodies of all known peers, alive or gone; returns the new findings.
+        """Replace the bodies (size, height, speed) of all known peers, alive or gone.
 
-        A body is None while the peer has not reported it.
+        `bodies`: by robot; None while the peer has not reported its body. Returns the new findings:
+        properties of peers that protection does not assume, such as a body below the scan plane. A
+        finding that `holds` makes the robot stand.
         """
         if bodies == self._bodies:
             return []
-        before = set(self._findings)
+        # 1. Findings of all peers. Without protection no finding holds the robot.
+        earlier_findings = set(self._findings)
         self._bodies = dict(bodies)
         present = [
             finding
@@ -116,58 +120,67 @@ class Peers:
         if self._is_off:
             present = [structs.replace(finding, holds=False) for finding in present]
         self._findings = tuple(present)
-        self._radii = {
-            finding.robot: body.radius
-            for finding in present
-            if finding.kind != "faster" and (body := bodies[finding.robot]) is not None
-        }
+
+        # 2. Peers whose measured or reported places are used, since the lidar may miss them. With a
+        #    blind zone near the sensor: all peers.
+        radii = {robot: body.radius for robot, body in bodies.items() if body is not None}
+        missed = {finding.robot for finding in present if finding.kind != "faster"}
+        self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
         if self._blind_within:
-            known = {robot: body.radius for robot, body in bodies.items() if body is not None}
-            self._seen = frozenset(known) - frozenset(self._radii)
-            self._radii = known
-        others = (body for body in bodies.values() if body is not None)
-        self._is_missed = any(sees(body, self.own) is not True for body in others)
-        for figures in (self._sensed, self._located):
-            for robot in figures.keys() - self._radii.keys():
-                del figures[robot]
-        self._unseen = tuple(f.robot for f in present if f.kind == "unseen" and f.holds)
-        self._holds_always = any(f.kind == "faster" and f.holds for f in present)
-        self._find_due()
-        return [finding for finding in present if finding not in before]
+            self._seen_beyond = frozenset(radii) - frozenset(self._radii)
+            self._radii = radii
+        for discs in (self._sensed, self._located):
+            for robot in discs.keys() - self._radii.keys():
+                del discs[robot]
+
+        # 3. Peers that may miss this robot need its pose. Peers hold this robot with a finding
+        #    `unseen` until their place is known, with a finding `faster` always.
+        reported = [body for body in bodies.values() if body is not None]
+        self._is_missed = any(sees(body, self.own) is not True for body in reported)
+        holding = [finding for finding in present if finding.holds]
+        self._unseen = tuple(finding.robot for finding in holding if finding.kind == "unseen")
+        self._holds_always = any(finding.kind == "faster" for finding in holding)
+        self._update_places_until()
+        return [finding for finding in present if finding not in earlier_findings]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
         """Take in range and bearing of the neighbours that the lidar may miss.
 
-        True if the place of any such neighbour is known.
+        Each such neighbour becomes a disc in the base frame. The disc contains the body of the
+        neighbour and the errors of range and bearing. Skips a neighbour without range or bearing,
+        and numbers that are not finite or too large. Returns True if the place of any neighbour
+        that the lidar may miss is known from range and bearing.
         """
         if not self._radii:
             return False
         for neighbor in neighbors:
-            radius, distance = self._radii.get(neighbor.id), neighbor.distance
-            if radius is None or distance is None or neighbor.bearing is None:
+            body_radius = self._radii.get(neighbor.id)  # None: the lidar sees this neighbour
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if body_radius is None or distance is None or bearing is None:
                 continue
-            if not all(map(math.isfinite, (neighbor.bearing, neighbor.age))):
+            if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):
                 continue
-            if not 0.0 <= distance <= MAX_TOLD_DISTANCE:
+            if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
                 continue
-            at = now - max(neighbor.age, 0.0)
-            error = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * distance, ANGLE_ERROR * distance)
-            figure = _Figure(
-                distance * math.cos(neighbor.bearing),
-                distance * math.sin(neighbor.bearing),
-                radius + error,
-                at,
-                at + TOLD_TIMEOUT,
+            measured_at = now - max(neighbor.age, 0.0)
+            radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
+            error = math.hypot(radial_error, ANGLE_ERROR * distance)
+            disc = _PeerDisc(
+                x=distance * math.cos(bearing),
+                y=distance * math.sin(bearing),
+                radius=body_radius + error,
+                at=measured_at,
+                until=measured_at + TOLD_TIMEOUT,
             )
-            _keep_newer(self._sensed, neighbor.id, figure)
-        self._find_due()
+            _keep_newer(self._sensed, neighbor.id, disc)
+        self._update_places_until()
         return bool(self._sensed)
 
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
-        """Take in the own pose; `twist` is measured, None without fresh odometry.
+        """Take in the own pose in a shared frame; returns the time of the pose in s.
 
-        Returns the time of the pose in s. None if the pose is invalid or not newer than the last
-        pose; such a pose is ignored.
+        `twist`: the measured twist, None without fresh odometry. Returns None, and ignores the
+        pose, if the pose is invalid or its stamp is not newer than the last stamp.
         """
         if not pose.is_valid:
             return None
@@ -196,77 +209,82 @@ class Peers:
         return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None
 
     def on_place(self, place: PeerPlace, now: float) -> bool:
-        """Take in the place that a peer reports; True if the place can be used.
+        """Take in the pose that a peer reports in a shared frame; True if the pose can be used.
 
-        The robot needs a fresh own pose in the same frame. The disc grows by the motion of the peer
-        until the time of the own pose, by the errors of both poses, and by the uncertain time of
-        the own pose.
+        The pose becomes a disc around the peer in the base frame, at the time of the own pose.
+        False without a fresh own pose in the same frame, for an old report, for a peer that is far
+        away, and for a peer that the lidar sees.
         """
-        own, radius = self._own_pose, self._radii.get(place.robot)
+        own, body_radius = self._own_pose, self._radii.get(place.robot)
         body = self._bodies.get(place.robot)
-        if own is None or radius is None or body is None or place.frame != own.shared.frame:
+        if own is None or body_radius is None or body is None:
             return False
-        at = now - place.age
+        if place.frame != own.shared.frame:
+            return False
         if now - own.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT:
             return False
+        reported_at = now - place.age
         pose = own.shared.pose
-        dx, dy = place.x - pose.x, place.y - pose.y
+        dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
         if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
             return False
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        # The disc grows by the errors of both places, by the error of the own yaw over the
+        # distance, and by the motion of the peer until the time of the own pose.
         error = own.shared.error + own.shift + place.error
         error += (own.shared.yaw_error + own.turn) * math.hypot(dx, dy)
-        error += body.surface_speed * max(own.at - at, 0.0)
-        figure = _Figure(
-            cos * dx + sin * dy,
-            cos * dy - sin * dx,
-            radius + error,
-            own.at,
-            min(own.at, at) + TOLD_TIMEOUT,
+        error += body.surface_speed * max(own.at - reported_at, 0.0)
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        disc = _PeerDisc(
+            x=cos * dx + sin * dy,
+            y=cos * dy - sin * dx,
+            radius=body_radius + error,
+            at=own.at,
+            until=min(own.at, reported_at) + TOLD_TIMEOUT,
         )
-        _keep_newer(self._located, place.robot, figure)
-        self._find_due()
+        _keep_newer(self._located, place.robot, disc)
+        self._update_places_until()
         return True
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The places of near peers that the lidar may miss, as obstacles with their ages.
 
-        A peer that the lidar sees is listed only inside the blind zone. A peer with a place from
-        each source is listed twice.
+        A peer that the lidar sees is listed only inside the blind zone near the sensor. A peer
+        whose place is both measured and reported is listed twice.
         """
         if not (self._sensed or self._located):
             return ()
         return tuple(
-            ToldObstacle(figure.x, figure.y, figure.radius, max(now - figure.at, 0.0))
-            for robot, figure in chain(self._sensed.items(), self._located.items())
-            if now <= figure.until
-            and math.hypot(figure.x, figure.y) - figure.radius
-            <= (self._blind_within if robot in self._seen else self._told_within)
+            ToldObstacle(disc.x, disc.y, disc.radius, max(now - disc.at, 0.0))
+            for robot, disc in chain(self._sensed.items(), self._located.items())
+            if now <= disc.until
+            and math.hypot(disc.x, disc.y) - disc.radius
+            <= (self._blind_within if robot in self._seen_beyond else self._told_within)
         )
 
     def holds(self, now: float) -> bool:
-        """True if a peer holds the robot, unless `accepts` lists the peer's platform.
+        """True if a peer makes this robot stand.
 
-        A peer holds the robot if it is faster than assumed, or if the lidar misses the peer and no
-        place of the peer is known.
+        A peer does so if it is faster than protection assumes, or if the lidar misses the peer and
+        no place of the peer is known. A peer whose platform the operator accepted (`accepts`) never
+        does.
         """
-        return self._holds_always or now > self._due
+        return self._holds_always or now > self._places_until
 
     def hold_due_at(self) -> float:
         """The time until which `holds` stays False if nothing arrives; -inf if it is True."""
-        return -math.inf if self._holds_always else self._due
+        return -math.inf if self._holds_always else self._places_until
 
     @property
     def has_places(self) -> bool:
         """True if `told` may return an obstacle."""
         return bool(self._sensed or self._located)
 
-    def _find_due(self) -> None:
-        self._due = min(map(self._told_until, self._unseen), default=math.inf)
+    def _update_places_until(self) -> None:
+        self._places_until = min(map(self._place_known_until, self._unseen), default=math.inf)
 
-    def _told_until(self, robot: str) -> float:
-        figures = (source.get(robot) for source in (self._sensed, self._located))
-        return max((figure.until for figure in figures if figure is not None), default=-math.inf)
+    def _place_known_until(self, robot: str) -> float:
+        discs = (source.get(robot) for source in (self._sensed, self._located))
+        return max((disc.until for disc in discs if disc is not None), default=-math.inf)
 
     def findings(self, now: float) -> tuple[PeerFinding, ...]:
         """The findings at `now`; an unseen peer with a known place does not hold the robot."""
@@ -274,23 +292,23 @@ class Peers:
             return self._findings
         return tuple(
             structs.replace(f, holds=False, text=f"{f.text.partition(';')[0]}; told")
-            if f.kind == "unseen" and f.holds and now <= self._told_until(f.robot)
+            if f.kind == "unseen" and f.holds and now <= self._place_known_until(f.robot)
             else f
             for f in self._findings
         )
 
 
-def _keep_newer(figures: dict[str, _Figure], robot: str, figure: _Figure) -> None:
-    """Store the figure of a peer unless the stored figure is newer."""
-    known = figures.get(robot)
-    if known is None or figure.until >= known.until:
-        figures[robot] = figure
+def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> None:
+    """Store the disc of a peer unless the stored disc is newer."""
+    known = discs.get(robot)
+    if known is None or disc.until >= known.until:
+        discs[robot] = disc
 
 
 def _told_within(platform: Platform) -> float:
-    """The distance in m from axle to disc rim beyond which a disc constrains no command.
+    """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    Holds for the whole time in which the disc is valid. -inf in a mode that ignores such discs.
+    Valid until the disc expires after TOLD_TIMEOUT. -inf in a protection mode without such discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:
@@ -300,9 +318,9 @@ def _told_within(platform: Platform) -> float:
 
 
 def _blind_within(platform: Platform) -> float:
-    """The distance in m from the axle within which the lidar may lose a peer; 0 if it cannot.
+    """The distance in m from the axle within which the lidar may lose a peer; 0 if never.
 
-    A blind zone that ends within BLIND_RING of the outline has no room for a robot.
+    A blind zone that ends within BLIND_RING of the outline has no room for a robot: 0, too.
     """
     scan = platform.scan
     outer = float(np.hypot(*(platform.footprint - scan.offset).T).max())

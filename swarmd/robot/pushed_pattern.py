@@ -38,10 +38,10 @@ class Standing(StrEnum):
 
 
 class Version(Struct, frozen=True, kw_only=True):
-    """A version on this robot: manifest, source and record of its runs.
+    """A version of a pushed pattern on this robot: manifest, source, and a record of its runs.
 
-    `source`: the operator or robot that handed the version over. `ran`: seconds of runs without a
-    fault. `ends`: how often the daemon ended during a run of this version.
+    `source`: the operator or robot that sent the version. `ran`: seconds of runs without a fault.
+    `ends`: how often the daemon ended during a run of this version.
     """
 
     signed: Signed
@@ -60,13 +60,13 @@ class Version(Struct, frozen=True, kw_only=True):
 
 
 class PushedPattern(Struct, frozen=True, kw_only=True):
-    """The versions of one pushed pattern.
+    """The versions of one pattern that operators pushed to one robot.
 
     `before`: the version to which the robot returns if the provisional `current` fails. `failed`:
     the version that failed on this robot, in a run or in its trial, with the reason `fault`.
     `is_running`: a run of the current version has begun and not ended. `is_damaged`: the files of
-    the current version differed from the pushed files; no version is current until a version is
-    accepted.
+    the current version differ from the pushed files; the robot then runs no version until it
+    accepts a new version.
     """
 
     current: Version | None = None
@@ -94,7 +94,7 @@ class PushedPattern(Struct, frozen=True, kw_only=True):
         return not any(v is not None and v.signed.content == entry.content for v in known)
 
     def accept(self, version: Version) -> PushedPattern:
-        """The state after a trial that `version` passed.
+        """The state of the pattern after `version` has passed its trial.
 
         If the code of `version` equals the current code, only the manifest is replaced.
         """

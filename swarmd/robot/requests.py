@@ -37,7 +37,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
-from swarmd.robot.pattern_load import Trial, Wish
+from swarmd.robot.pattern_load import PendingParams, Trial, Wish
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
@@ -53,6 +53,7 @@ _REST_SPEED, _REST_TURN = (
     0.02,
     0.05,
 )  # m/s and rad/s, at most, that odometry shows of a base at rest
+MIN_RUN_TIME = 1e-3  # s: a run for no time is no valid run
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
@@ -77,8 +78,8 @@ class RequestHandler:
         self._heard_by = now + STOP_TIME  # a base may move unheard until this time
         self._executed: dict[str, float] = {}  # by id of a stop: when it was first carried out
         # A robot without a run or load has obeyed all stops that were issued before this time.
-        self._stood = -math.inf
-        self._stopped = -math.inf  # when a stop, an estop or a reset last raised the epoch
+        self._obeyed_until = -math.inf
+        self._epoch_raised_at = -math.inf  # when a stop, an estop or a reset last raised the epoch
         self.reset_at = -math.inf  # the time of the last reset
 
     def answer(self, request: verbs.Request, effects: Effects) -> None:
@@ -105,33 +106,40 @@ class RequestHandler:
     # Requests, by the names of their verbs
 
     def on_stop(self, request: verbs.StopRequest, effects: Effects) -> None:
-        """Stop, unless the present run was requested after the stop (table of the module)."""
+        """Stop; refuse (`overtaken`) if the present run was requested after the stop was issued.
+
+        A stop may arrive late, or as a copy that a robot relays or the operator repeats. A run and
+        a load (the pattern of the next run) each have a `wish`: the time at which that run was
+        requested. Each ends only if its wish is older than the stop.
+        """
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
-        # A copy of an executed stop was issued before that execution, whatever age the copy
-        # states. The age of a refused copy is not kept: a forged copy would make the true stop
-        # look older.
-        issued = min(now - request.age, self._executed.get(request.id, math.inf))
-        detail = f"by {request.operator}"
+        cause, detail = f"{request.operator} (stop)", f"by {request.operator}"
+        # 1. The time of issue. A copy of an executed stop was issued before that execution,
+        #    whatever age the copy states. The age of a refused copy is not kept: a forged copy
+        #    would make the true stop look older.
         is_copy = request.id in self._executed
+        issued_at = min(now - request.age, self._executed.get(request.id, math.inf))
 
-        def is_older(wish: Wish) -> bool:
-            return issued < wish.at or (is_copy and issued == wish.at)
+        def is_older_than(wish: Wish) -> bool:
+            return issued_at < wish.at or (is_copy and issued_at == wish.at)
 
-        if run.wish is not None and is_older(run.wish):
-            # The stop is older than the load, and may still be newer than the run.
-            if run.running is not None and not is_older(run.running.wish):
-                lifecycle.raise_revision(f"{request.operator} (stop)")
+        # 2. A stop that is older than the load, or than the run if there is no load: refused. If
+        #    the stop is newer than the run, the run ends and the load continues.
+        if run.wish is not None and is_older_than(run.wish):
+            if run.running is not None and not is_older_than(run.running.wish):
+                lifecycle.raise_revision(cause)
                 lifecycle.stop(Reason.OPERATOR, detail, effects, keeps_load=True)
             text = f"run again since, by {run.wish.by}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
             return
-        is_known = is_copy or issued <= self._stood
-        self._stood = max(self._stood, issued)
-        # Robots relay a stop for a minute, and operators repeat it. Such a copy must not end a
-        # trial or reset that was requested after the first copy of the stop.
+        # 3. A stop that is newer than run and load ends both. A robot that stands obeys a new stop,
+        #    too. A known stop changes nothing there: robots relay a stop for a minute, and a copy
+        #    must not end a trial or reset that was requested after the first copy.
+        is_known = is_copy or issued_at <= self._obeyed_until
+        self._obeyed_until = max(self._obeyed_until, issued_at)
         if run.wish is not None or not is_known:
-            self._stopped = now
-            lifecycle.raise_revision(f"{request.operator} (stop)")
+            self._epoch_raised_at = now
+            lifecycle.raise_revision(cause)
             lifecycle.stop(Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
         self._answer_stop(request, effects)
@@ -148,7 +156,7 @@ class RequestHandler:
             return
         latch = Latch(issuer=request.operator, scope=request.scope, reason=request.reason)
         self._lifecycle.latch(latch_id, latch, effects)
-        self._stood = self._stopped = effects.now
+        self._obeyed_until = self._epoch_raised_at = effects.now
         self._goals.on_stop(request, effects)
         self._answer_stop(request, effects)
 
@@ -188,11 +196,12 @@ class RequestHandler:
         self._goals.set_labels(request, effects)
 
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
-        """Acknowledge a stop; `is_moving` of the reply: the base is not known to rest yet.
+        """Reply to a stop. `is_moving` of the reply is True while the base is not known to rest.
 
-        After STOP_TIME a base that is not known to rest makes the stop fail (NOT_STOPPED): zero
-        does not reach the base, or the base moves on. A base that the driver has not reached yet
-        may still move by a command of an earlier daemon process.
+        The operator repeats the stop until the base rests. A base that is not known to rest after
+        STOP_TIME makes the stop fail (NOT_STOPPED): zero commands do not reach the base, or the
+        base moves on. A base that the driver has not reached yet may still move by a command of an
+        earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)
@@ -206,10 +215,10 @@ class RequestHandler:
             lifecycle.applied(effects, request, text, is_moving=is_moving)
 
     def _is_at_rest(self, now: float) -> bool:
-        """Whether odometry shows the base at rest.
+        """True if odometry measured the base at rest, after the last command to move took effect.
 
-        Without odometry: True once the robot is older than STOP_TIME; the text of the
-        acknowledgement then says that there is no odometry.
+        Without odometry: True once the robot is older than STOP_TIME. The text of the reply then
+        says that there is no odometry.
         """
         odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
         if odometry is None or age is None:
@@ -252,12 +261,12 @@ class RequestHandler:
     def _wish_of(
         self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
     ) -> Wish:
-        """The time at which the operator issued the request, and the operator.
+        """When (s on the own clock) and by whom the request was issued.
 
-        The request quotes an epoch that began after the last stop. It was issued after that stop,
-        even if its stated age says otherwise.
+        The request quotes an epoch that began with the last stop. The request was therefore issued
+        after that stop, even if its stated age says otherwise.
         """
-        return Wish(max(now - request.age, self._stopped), request.operator)
+        return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
 
     def _refusal_to_run(self, request: verbs.RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused for its conditions, start time or goal; None if it is accepted."""
@@ -272,54 +281,58 @@ class RequestHandler:
         return self._lifecycle.goals.refusal_of(request)
 
     def on_reset(self, request: verbs.ResetRequest, effects: Effects) -> None:
-        """Clear the named latches and findings, and a fault; the robot becomes idle.
+        """Clear the named latches, the named findings and a fault; the robot becomes idle.
 
-        The robot never moves after a reset. The cases, in order: a duplicate id or a run under a
-        finding refuses the reset; a latch that stays refuses it after the named latches are
-        cleared; a running or idle robot stays as it is; any other robot becomes idle.
+        A latch is an emergency stop that holds the robot until a reset names the latch. A finding
+        is a doubt of the assumption monitor, such as brakes that are weaker than declared. A reset
+        never starts motion.
         """
         lifecycle = self._lifecycle
+        state = lifecycle.state_machine.state
+        cause = f"{request.operator} (reset)"
+        # 1. Refusals that change nothing: a second robot with this id, or a run under a finding.
         if lifecycle.duplicate is not None:
             text = f"this id is still held by {lifecycle.duplicate}"
             lifecycle.refuse(effects, request, Refusal.DUPLICATE_ID, text)
             return
-        state = lifecycle.state_machine.state
-        ended = [text for text in self._protection.findings if text in request.findings]
-        if ended and lifecycle.is_running:
+        findings = [text for text in self._protection.findings if text in request.findings]
+        if findings and lifecycle.is_running:
             text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
-        loading = lifecycle.pattern_run.loading
-        # The robot is about to join a goal of a peer, without a request: a reset ends that load.
-        joins = loading is not None and loading.goal is not None and loading.request is None
-        named = [latch_id for latch_id in request.ids if latch_id in lifecycle.latches.held]
-        if named:
-            lifecycle.latches.clear(named)
+        # 2. Clear the named latches. A latch that the request does not name refuses the rest.
+        latches_cleared = [latch for latch in request.ids if latch in lifecycle.latches.held]
+        if latches_cleared:
+            lifecycle.latches.clear(latches_cleared)
             effects.is_latched = True
         if lifecycle.latches.held:
             text = f"still estopped {lifecycle.latch_text()}; look again and reset once more"
-            if named:
-                lifecycle.raise_revision(f"{request.operator} (reset)")
+            if latches_cleared:
+                lifecycle.raise_revision(cause)
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
-        elif state is State.RUNNING:
+            return
+        # 3. A running or idle robot keeps its state, but joins no goal that was set before now.
+        loading = lifecycle.pattern_run.loading
+        is_joining = loading is not None and loading.goal is not None and loading.request is None
+        if state is State.RUNNING:
             lifecycle.goals.bar(effects.now)
             lifecycle.applied(effects, request, "running: nothing to reset")
-        elif state is State.IDLE and not joins:
+        elif state is State.IDLE and not is_joining:
             lifecycle.goals.bar(effects.now)
-            self._stood = self.reset_at = effects.now
-            if ended:
-                lifecycle.raise_revision(f"{request.operator} (reset)")
-                self._stopped = effects.now
-                self._end_findings(ended, request, effects)
-            text = f"{len(ended)} findings ended" if ended else "nothing to reset"
+            self._obeyed_until = self.reset_at = effects.now
+            if findings:
+                lifecycle.raise_revision(cause)
+                self._epoch_raised_at = effects.now
+                self._end_findings(findings, request, effects)
+            text = f"{len(findings)} findings ended" if findings else "nothing to reset"
             lifecycle.applied(effects, request, f"idle: {text}")
+        # 4. Any other robot becomes idle. A load for a joined goal, which no request made, ends.
         else:
-            lifecycle.raise_revision(f"{request.operator} (reset)")
-            self._end_findings(ended, request, effects)
-            detail = request.reason or f"by {request.operator}"
-            lifecycle.reset(detail, effects)
+            lifecycle.raise_revision(cause)
+            self._end_findings(findings, request, effects)
+            lifecycle.reset(request.reason or f"by {request.operator}", effects)
             lifecycle.applied(effects, request, "idle")
-            self._stood = self._stopped = self.reset_at = effects.now
+            self._obeyed_until = self._epoch_raised_at = self.reset_at = effects.now
 
     def _end_findings(
         self, ended: list[str], request: verbs.ResetRequest, effects: Effects
@@ -339,7 +352,7 @@ class RequestHandler:
             lifecycle.refuse(effects, request, Refusal.BUSY, "another change is under way")
         else:
             lifecycle.raise_revision(f"{request.operator} (param set)")
-            lifecycle.params_request = (request, effects.now)
+            lifecycle.params_request = PendingParams(request, effects.now)
             effects.command_host(
                 SetParams(run.running.generation, request.id, dict(request.params))
             )
@@ -360,7 +373,11 @@ class RequestHandler:
         effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
-        """Act on the end of the trial under way; the end of any other trial is ignored."""
+        """Act on the end of the trial of new code that a reload request started.
+
+        `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
+        ignored. After a passed trial the next run of the pattern takes the new code.
+        """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
             return
@@ -369,23 +386,26 @@ class RequestHandler:
             self._goals.join_if_settled(effects)
             return
         lifecycle.trial = None
-        new_code = f"a run of {trial.request.pattern} takes the new code"
-        run, state = lifecycle.pattern_run, lifecycle.state_machine.state
-        running, request = run.running, trial.request
-        is_same = running is not None and running.pattern == request.pattern
-        if is_same and not request.keeps_running:
-            self._replace(trial, effects)
-        elif running is not None:
-            run.is_outdated = True
-            effects.trial = CancelTrial()
-            goes_on = f"{running.pattern} goes on{' with the old code' if is_same else ''}"
-            lifecycle.applied(effects, request, f"{new_code}; {goes_on}")
-        else:
+        request, run = trial.request, lifecycle.pattern_run
+        running = run.running
+        reply_text = f"a run of {request.pattern} takes the new code"
+        if running is None:
+            # No run: the host ends, so that the next load gets a fresh host with the new code.
             effects.command_host(KillHost())
-            lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
+            state = lifecycle.state_machine.state
+            lifecycle.applied(effects, request, f"{reply_text}; {state}, as before")
             if request.keeps_running:  # the code was pushed: a goal may have waited for it
                 self._goals.on_new_code(request.pattern, effects)
             self._goals.join_if_settled(effects)
+        elif running.pattern == request.pattern and not request.keeps_running:
+            self._replace(trial, effects)
+        else:
+            # The run continues, and the next load gets a fresh host.
+            run.is_outdated = True
+            effects.trial = CancelTrial()
+            old_code = " with the old code" if running.pattern == request.pattern else ""
+            text = f"{reply_text}; {running.pattern} goes on{old_code}"
+            lifecycle.applied(effects, request, text)
 
     def advance(self, effects: Effects) -> None:
         """End a trial that takes longer than TRIAL_TIMEOUT."""
@@ -396,27 +416,30 @@ class RequestHandler:
             self._goals.join_if_settled(effects)
 
     def _replace(self, trial: Trial, effects: Effects) -> None:
-        """Stop the running pattern and end its host.
+        """Stop the running pattern, whose new code has passed its trial, and end its host.
 
-        If the request wants a new run (`is_rerun`), run the new code in a fresh host, with the
-        parameters, conditions, goal and remaining seconds of the old run.
+        If the reload request wants a new run (`is_rerun`), a fresh host loads the new code. The new
+        run has the parameters, end conditions, goal and remaining seconds of the stopped run.
         """
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         request, running, goals = trial.request, run.running, lifecycle.goals
         assert running is not None
+        # Read before `stop`, which ends the run of the goal.
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
-        left = None if running.finish_at == math.inf else max(running.finish_at - effects.now, 1e-3)
+        seconds_left: float | None = None
+        if running.finish_at != math.inf:
+            seconds_left = max(running.finish_at - effects.now, MIN_RUN_TIME)
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = math.inf  # the host that owed an answer ends
+        run.awaiting_since = math.inf  # no answer to the present step: its host ends
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,
                 running.params,
                 effects,
                 wish=trial.wish,
-                seconds=left,
+                seconds=seconds_left,
                 until=running.until,
                 request=request,
                 goal=goal,

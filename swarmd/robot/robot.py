@@ -1,4 +1,4 @@
-"""One robot without I/O: it takes inputs and times, and returns `Actions`.
+"""One robot without I/O: `step` takes an input and a time, and returns `Actions`.
 
 Two shells drive a `Robot`: the daemon and the lockstep simulator. Every method is O(1) and never
 waits. `wake_at` returns the next deadline; the shell must then tick the robot, even between two
@@ -57,9 +57,9 @@ else:
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `seed` makes the random choices of patterns repeatable. `instance` identifies this life of the
-    daemon. `now` is in s on a monotonic clock. `earlier`: what earlier instances left. `decision`:
-    the last decision of protection, made at `decided_at`.
+    `seed` makes the random choices of patterns repeatable. `instance` identifies this daemon
+    process. `now` is in s on a monotonic clock. `earlier`: the records of earlier processes on
+    disk. `decision`: the last decision of protection, made at `decided_at` (s).
     """
 
     decision: Decision
@@ -87,19 +87,22 @@ class Robot(Ticker):
         self._last_tick, self._handlers = now, HANDLERS
         self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
         self._protection = Protection(platform, f"{seed}/{id}")
+        # The lifecycle (state, runs, requests) continues the counts of earlier daemon processes, so
+        # that no old request or answer seems new.
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
         self._lifecycle.revision = earlier.revision
         self._lifecycle.pattern_run.generation = earlier.generation
         self._events = EventLimit(self._lifecycle)
+        # Parts of the lifecycle that each tick needs, without a look-up.
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
             id, self._lifecycle, self._goals, self._protection, self._sensors, now
         )
         self._duty = DutyCycle()
-        self._published: tuple[object, ...] = ()
-        self._decide(None, now)
+        self._published: tuple[object, ...] = ()  # the values of the last published status
+        self._decide(None, now)  # the first decision: zero, since no scan has arrived
 
     # Present state
 
@@ -414,9 +417,10 @@ class Robot(Ticker):
             )
 
     def _has_new_status(self, now: float) -> bool:
-        """True if a value that peers act on has changed, or STATUS_PERIOD is over.
+        """True if the status must be published at `now`, which then counts as done.
 
-        Clears `_is_status_due`. If True, counts the status as published at `now`.
+        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. Also
+        clears `_is_status_due`, which asks for this check.
         """
         self._is_status_due = False
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
@@ -424,7 +428,7 @@ class Robot(Ticker):
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
             reason = None  # these two reasons may change with every scan
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
-        current = (
+        current_values = (
             machine.state,
             reason,
             machine.detail,
@@ -436,9 +440,10 @@ class Robot(Ticker):
             self._sensors.is_driver_up,
             self._sensors.hazards.present,
         )
-        if current == self._published and now - self._published_at < STATUS_PERIOD:
+        is_recent = now - self._published_at < STATUS_PERIOD
+        if current_values == self._published and is_recent:
             return False
-        self._published, self._published_at = current, now
+        self._published, self._published_at = current_values, now
         return True
 
 

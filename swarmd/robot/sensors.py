@@ -49,6 +49,7 @@ else:
     InputAges = load_kernel("swarmd.robot.input_ages").InputAges
 
 MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
+SCAN_TIMES = 12  # scans over which the scan rate is measured
 MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
 
 
@@ -79,6 +80,7 @@ class Sensors(InputAges):
         self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
     ) -> None:
         super().__init__()
+        # The lidar: validity of a scan, its delay, and its correction by the motion of the base.
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay
         self._needs_odometry = "odometry" in platform.provides
@@ -88,23 +90,26 @@ class Sensors(InputAges):
         self.scan_delay = ScanDelay(platform.scan)
         self._history = OdometryHistory(self.scan_delay)
         self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
-        ring = platform.ranges
+        self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)  # of arrival, for the scan rate
+        ring = platform.ranges  # single range sensors around the base; None without them
         self._ring = None if ring is None else RangeRing(platform, ring)
-        self._scan_times: deque[float] = deque(maxlen=12)
-        self._given: tuple[Neighbor, ...] = ()
+        # Neighbours and peers.
+        self._given: tuple[Neighbor, ...] = ()  # as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
-        self.hazards = HazardHolds()
+        # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
-        self.readings = {}
+        # All else that the driver reports.
+        self.hazards = HazardHolds()
+        self.readings = {}  # scalar sensors, by name
         self._forget_option_inputs()
         self.pose, self.pose_until = None, -math.inf
-        self.stale_readings: tuple[str, ...] = ()
+        self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
-        self.gets_zero = False
+        self.gets_zero = False  # a base that counts as lost still takes zero commands
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a scan of the driver; True if the scan is new and valid."""
@@ -216,7 +221,7 @@ class Sensors(InputAges):
     def on_readings(self, values: Mapping[str, float]) -> None:
         """Replace all readings (values of scalar sensors by name).
 
-        NaN or inf: the sensor exists and has no fresh value.
+        A value of NaN or inf means that the sensor exists and has no fresh value.
         """
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
@@ -233,9 +238,10 @@ class Sensors(InputAges):
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take in the connection state of the driver; the arguments are as in `Sink.state`.
+        """Take in the connection state of the driver; the arguments are those of `Sink.state`.
 
-        Without a connection all readings become stale, and detections and similar inputs None.
+        Without a connection all readings become stale, and detections and other optional inputs
+        None.
         """
         if not is_up:
             self._forget_option_inputs()

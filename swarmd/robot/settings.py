@@ -17,10 +17,10 @@ from swarmd.robot.latches import LatchRecord
 class RobotSettings:
     """Settings of a robot beside its platform.
 
-    `layers` returns the configured parameters of a pattern by layer, weakest first. `touch`: the
-    granted touch zones by pattern. `accepts`: the platforms beside which the robot may drive
-    although its lidar misses them. `tells_pose`: send the pose in a shared frame to all peers,
-    which find their neighbors by such poses.
+    `layers` returns the configured parameters of a pattern by layer, weakest first. `touch`: by
+    pattern the part of the outline that may touch objects. `accepts`: the platforms beside which
+    the robot may drive although its lidar misses them. `tells_pose`: send the pose in a shared
+    frame to all peers, which compute range and bearing of their neighbors from it.
     """
 
     driver: str
@@ -38,10 +38,10 @@ class RobotSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EarlierLives:
-    """What a robot goes on with after a restart of its daemon.
+    """The records of earlier daemon processes of a robot, from which the next process continues.
 
-    `latches`, `goals`: as their files have them, None without a file. `revision`: of the epoch.
-    `generation`: of the last pattern that was loaded.
+    `latches`, `goals`: the contents of their files, None without a file. `revision`: the last
+    revision of the epoch. `generation`: the number of the last pattern load.
     """
 
     latches: LatchRecord | None = None

@@ -3,11 +3,11 @@
 Each method of `Lifecycle` adds the effects of one event to `Effects`; requests and goals call these
 methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this file:
 
-| trigger     | fired because                                          | reason               |
+| trigger     | cause                                                  | reason               |
 |-------------|--------------------------------------------------------|----------------------|
-| RUN         | the pattern host reports Loaded                        | none: it runs        |
+| RUN         | the pattern host reports Loaded                        | none                 |
 | FINISH      | a step returns `done`; the seconds of the run are over | finished             |
-| STOP        | of a stop request; a reload of the running pattern     | operator, reloaded   |
+| STOP        | a stop request; a reload of the running pattern        | operator, reloaded   |
 |             | the daemon leaves                                      | leaving              |
 |             | a greater goal; a load that peers run is refused       | superseded           |
 |             | the run lease ends                                     | lease_ended          |
@@ -25,9 +25,9 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 |             | the same id                                            | duplicate_id         |
 | RESET       | a reset request after which no latch is held           | reset                |
 
-Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. The requests `run`
-and `resume`, a reload with a new run, a goal with `on_join: run`, and the restart of a failed
-pattern fire it.
+Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. Loads that end in
+RUN come from the requests `run` and `resume`, a reload with a new run, a goal with `on_join: run`,
+and the restart of a failed pattern.
 """
 
 from __future__ import annotations
@@ -59,7 +59,6 @@ from swarmd.core.messages import (
 from swarmd.core.values import Scalar, TouchZone
 from swarmd.core.verbs import (
     MAX_LATE,
-    ParamRequest,
     ReloadRequest,
     Request,
     ResumeRequest,
@@ -72,7 +71,7 @@ from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_load import Loading, Trial, Wish
+from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
@@ -139,7 +138,8 @@ class StateMachine(StateField):
     def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
         """Change state, reason and detail by a trigger.
 
-        Without a change of state the older reason stays, except for the triggers of `_RENEWS`.
+        If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
+        the trigger for this state.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -181,22 +181,22 @@ class Lifecycle:
         self.born = now
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
-        self.latches = Latches(latches)
+        self.latches = Latches(latches)  # emergency stops from the disk and since then
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
-        self.outbox = Outbox()
-        self.revision = 0
+        self.outbox = Outbox()  # limits the messages of the pattern
+        self.revision = 0  # part of the epoch: each change makes earlier requests stale
         self.changed_by = "no one yet"
-        self.duplicate: str | None = None
+        self.duplicate: str | None = None  # the daemon instance that uses the same robot id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
-        self.report: Mapping[str, Scalar] = {}
+        self.report: Mapping[str, Scalar] = {}  # the last report of the pattern
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
-        self.params_request: tuple[ParamRequest, float] | None = None
-        self.trial: Trial | None = None
-        self.hold_since = math.inf
-        self.wrong_type_count = 0
+        self.params_request: PendingParams | None = None  # that the pattern has not answered
+        self.trial: Trial | None = None  # the present trial of new code
+        self.hold_since = math.inf  # s, own clock; inf without a hold
+        self.wrong_type_count = 0  # messages with a value of an undeclared type
         self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
-        self._last_fault = ""
-        self._load: host_messages.Load | None = None
+        self._last_fault_text = ""  # of the pattern
+        self._load_command: host_messages.Load | None = None  # the last one that was sent
         if self.latches.held:
             self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
 
@@ -306,39 +306,49 @@ class Lifecycle:
         self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
 
     def _begin_run(self, event: host_messages.Loaded, effects: Effects) -> None:
+        """Enter state running with the pattern that the host has loaded.
+
+        A restart after a failure continues the failed run; any other load begins a new run. Both
+        get a new permit: what the pattern permits protection to do.
+        """
         now = effects.now
-        loading = self.pattern_run.ready(event, now)
+        loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
+        running = self.pattern_run.running
+        assert running is not None
         self.hold_since = math.inf
         self.state_machine.apply(Trigger.RUN, None, "", now)
         if loading.is_restart:
             self.log(f"{loading.pattern} restarted", now)
         else:
-            effects.is_new_run = True
-            self.report = {}
-            self.goals.on_running(
-                loading.goal,
-                loading.pattern,
-                now - loading.wish.at,
-                now,
-                is_resumed=not isinstance(loading.request, RunRequest),
-            )
-            text = f"runs {loading.pattern}"
-            text = f"{text}; {event.note}" if event.note else text
-            if loading.request is None:
-                self.log(text, now)
-            else:
-                self.applied(effects, loading.request, text)
-        # The touch zone is granted to this generation only, and ends with `pattern_run.running`.
-        running = self.pattern_run.running
-        assert running is not None
+            self._on_new_run(loading, event.note, effects)
+        # A touch zone is the part of the outline that may touch objects, as far as the operator
+        # granted it to this pattern. The grant ends with this generation of the pattern.
         granted = self.identity.settings.touch.get(loading.pattern)
-        zone, text = effective_zone(loading.pattern, event.touches, granted)
+        zone, zone_text = effective_zone(loading.pattern, event.touches, granted)
         running.permit = _permit(event.params, zone, event.scan_delay)
-        if text:
-            self.log(f"{loading.pattern} {text}", effects.now)
+        if zone_text:
+            self.log(f"{loading.pattern} {zone_text}", now)
         if event.scan_delay > 0.0:
-            text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
-            self.log(f"{loading.pattern} {text}", effects.now)
+            delay_text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
+            self.log(f"{loading.pattern} {delay_text}", now)
+
+    def _on_new_run(self, loading: Loading, note: str, effects: Effects) -> None:
+        """Tell the goals of the new run, and answer its request; `note`: remark of the host."""
+        now = effects.now
+        effects.is_new_run = True
+        self.report = {}
+        self.goals.on_running(
+            loading.goal,
+            loading.pattern,
+            now - loading.wish.at,
+            now,
+            is_resumed=not isinstance(loading.request, RunRequest),
+        )
+        text = f"runs {loading.pattern}; {note}" if note else f"runs {loading.pattern}"
+        if loading.request is None:
+            self.log(text, now)
+        else:
+            self.applied(effects, loading.request, text)
 
     def _on_load_refused(self, event: host_messages.LoadRefused, effects: Effects) -> None:
         text = event.text
@@ -355,7 +365,9 @@ class Lifecycle:
             self.goals.on_end(f"not loaded: {text}")
             if self.is_running and loading.goal is not None:
                 self.stop(Reason.SUPERSEDED, f"by {loading.goal.text}", effects)
-        if self._load is not None and self._load.is_fresh:  # the load ended the running host
+        if (
+            self._load_command is not None and self._load_command.is_fresh
+        ):  # the load ended the running host
             self.fault("its host was replaced", effects)
 
     def on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
@@ -383,9 +395,9 @@ class Lifecycle:
             effects.is_routine = True
 
     def _on_params_set(self, event: host_messages.ParamsSet, effects: Effects) -> None:
-        if self.params_request is None or self.params_request[0].id != event.request:
+        if self.params_request is None or self.params_request.request.id != event.request:
             return
-        request, self.params_request = self.params_request[0], None
+        request, self.params_request = self.params_request.request, None
         running = self.pattern_run.running
         if not event.params or running is None:
             refusal = Refusal.INVALID_PARAMETER if event.text else Refusal.NOT_RUNNING
@@ -419,7 +431,7 @@ class Lifecycle:
         if running is None or not self.is_running:
             return
         effects.command_host(host_messages.KillHost())
-        self._last_fault = text
+        self._last_fault_text = text
         self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
             self.fail_load(text, effects)
@@ -464,40 +476,45 @@ class Lifecycle:
     ) -> None:
         """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        A load ends, too, and its request is refused. `keeps_load`: the load of a requested run
-        continues. Trial and parameter request end unless the trigger spares them.
+        A load (of the next run) ends, too. Exception: a load that an operator requested continues
+        if `keeps_load`, or if the trigger ends the run alone. A trial of new code ends unless the
+        trigger spares trials. Requests for what has ended are refused as `overtaken`.
         """
-        loading, keeps_load = self.pattern_run.loading, keeps_load or trigger in _ENDS_RUN_ALONE
-        if keeps_load and loading is not None and loading.request is not None:
+        # 1. The run and the load.
+        loading = self.pattern_run.loading
+        is_requested = loading is not None and loading.request is not None
+        if is_requested and (keeps_load or trigger in _ENDS_RUN_ALONE):
             self.pattern_run.end_running()
         else:
             if loading is not None:
                 effects.command_host(host_messages.KillHost())
                 if loading.request is not None:
-                    text = f"{reason} while it was being loaded" + (detail and f": {detail}")
-                    self.refuse(
-                        effects, loading.request, Refusal.OVERTAKEN, shortened(text, MAX_TEXT)
-                    )
+                    text = f"{reason} while it was being loaded"
+                    text = shortened(f"{text}: {detail}" if detail else text, MAX_TEXT)
+                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
             self.pattern_run.end()
+        # 2. The trial, and a parameter request that the pattern has not answered.
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"
             self.end_trial(Refusal.OVERTAKEN, text, effects)
         if self.params_request is not None:
-            request, self.params_request = self.params_request[0], None
+            request, self.params_request = self.params_request.request, None
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
+        # 3. The state.
         self.hold_since = math.inf
-        before, was_running = self.state_machine.state, self.is_running
+        state_before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
-        text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
+        end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
+        # 4. The goals, the log, and the end of the run as an effect.
         if reason is not Reason.LEAVING:  # after a restart the robot offers its goal again
-            self.goals.on_end(shortened(text, MAX_TEXT))
+            self.goals.on_end(shortened(end_text, MAX_TEXT))
         if reason in _BARS_GOALS:
             self.goals.bar(effects.now)
-        if self.state_machine.state is not before:
-            self.log(text, effects.now)
+        if self.state_machine.state is not state_before:
+            self.log(end_text, effects.now)
         if was_running:
-            effects.ended = shortened(text, MAX_TEXT)
+            effects.ended = shortened(end_text, MAX_TEXT)
 
     def stop(
         self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False
@@ -533,24 +550,36 @@ class Lifecycle:
         start_at: float | None = None,
         is_fresh: bool = False,
     ) -> None:
-        """Load a pattern; it runs once its host reports Loaded, and not before `start_at`.
+        """Command the pattern host to load a pattern; the run begins once the host has loaded it.
 
-        Without `request` and `goal` the load is a restart. `is_fresh`: load in a fresh host.
-        `seconds`: the longest time of the run. `until`: conditions; the first that holds ends the
-        run.
+        `wish`: when and by whom the run was requested. `seconds`: the longest time of the run, None
+        without a limit. `until`: conditions; the first that holds ends the run. `request`: answered
+        when the run begins, or refused. `goal`: the goal of the run. Without `request` and `goal`
+        the load is a restart of a failed pattern. `start_at`: the run does not begin before this
+        time, s on the own clock. `is_fresh`: load in a new host process.
         """
         run = self.pattern_run
         run.generation += 1
-        now = effects.now
         run.loading = Loading(
-            run.generation, pattern, params, seconds, now, request, wish, until, goal, start_at
+            generation=run.generation,
+            pattern=pattern,
+            params=params,
+            seconds=seconds,
+            since=effects.now,
+            request=request,
+            wish=wish,
+            until=until,
+            goal=goal,
+            start_at=start_at,
         )
         run.restart_at = math.inf
-        load = self.load_of(run.generation, pattern, params)
-        is_fresh = is_fresh or run.is_outdated
-        is_restart = run.loading.is_restart
-        self._load = structs.replace(load, is_fresh=is_fresh, until=until, is_restart=is_restart)
-        effects.command_host(self._load)
+        self._load_command = structs.replace(
+            self.load_of(run.generation, pattern, params),
+            is_fresh=is_fresh or run.is_outdated,
+            until=until,
+            is_restart=run.loading.is_restart,
+        )
+        effects.command_host(self._load_command)
         run.is_outdated = False
 
     def outdate_host(self, effects: Effects) -> None:
@@ -591,10 +620,10 @@ class Lifecycle:
         self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:
-        """After a stall of the daemon's loop by `late` s: end the run, make earlier epochs stale.
+        """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
-        An idle robot without a load or trial stays idle: a busy computer stalls most while the
-        daemon starts.
+        Requests that quote an earlier epoch are refused from now on. An idle robot without a load
+        or trial stays idle: a busy computer stalls most while the daemon starts.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
@@ -605,9 +634,10 @@ class Lifecycle:
         self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
-        """After a wheel drop or a lift (a person holds the robot): end the run or load.
+        """After a wheel drop or a lift (a person holds the robot): end the run or the load.
 
-        Earlier epochs become stale, and no goal that was set before starts the robot again.
+        Requests that quote an earlier epoch are refused from now on, and the robot joins no goal
+        that was set before.
         """
         run = self.pattern_run
         if run.running is None and run.loading is None:
@@ -646,35 +676,39 @@ class Lifecycle:
     # Time
 
     def advance(self, hold: Reason | None, effects: Effects, hold_text: str = "") -> Reason | None:
-        """Act on all deadlines that have passed; returns the present hold, None without a hold.
+        """Act on all deadlines that have passed at `effects.now`.
 
-        `hold`: the hold of the sensors. `hold_text`: the detail if this hold ends the run.
+        A hold is a present reason for which a running robot stands. `hold`: the hold of the
+        sensors, None without one. `hold_text`: the detail of this hold, used if the hold ends the
+        run. Returns the hold of the sensors, else of the pattern; None without a hold or a run.
         """
         run, now = self.pattern_run, effects.now
-        # The load: start a loaded pattern at its time, or time out.
+        # 1. The load: start a loaded pattern at its time, or time out.
         loading = run.loading
         if loading is not None and loading.loaded is not None:
             if loading.start_at is None or now >= loading.start_at - ROUNDING:
                 self._on_loaded(loading.loaded, effects)
         elif loading is not None and now - loading.since >= LOAD_TIMEOUT:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
-        # The answers to a step and to a parameter request.
+        # 2. The host's answers to a step and to a parameter request.
         if now - run.awaiting_since >= STEP_TIMEOUT:
             run.awaiting_since = math.inf
             self._end_silent_host(effects)
-        if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
-            request, self.params_request = self.params_request[0], None
+        pending = self.params_request
+        if pending is not None and now - pending.since >= LOAD_TIMEOUT:
+            self.params_request = None
             text = "the pattern did not answer"
-            self.fail(effects, request, Refusal.PATTERN_FAILED, text)
-        # The run: its end, the run lease, and holds that last too long.
+            self.fail(effects, pending.request, Refusal.PATTERN_FAILED, text)
+        # 3. The run: its longest time, its run lease (valid while the operator is heard), and holds
+        #    that last too long.
         running = run.running
         if not self.is_running or running is None:
             return None
         if now >= running.finish_at:
             self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
-        lease_ends, own = self.goals.lease_ends, self.goals.own
-        if lease_ends is not None and own is not None and now >= lease_ends:
+        lease_ends_at, own = self.goals.lease_ends, self.goals.own
+        if lease_ends_at is not None and own is not None and now >= lease_ends_at:
             text = f"{own.goal.issuer} was not heard for {own.goal.lease:g} s"
             self.raise_revision(f"the end of the run lease of {own.goal.issuer}")
             self.stop(Reason.LEASE_ENDED, text, effects)
@@ -684,13 +718,13 @@ class Lifecycle:
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits for this host gets a fresh host."""
         run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
-        if run.loading is None or self._load is None:
+        if run.loading is None or self._load_command is None:
             effects.command_host(host_messages.KillHost())
             self.fault(text, effects)
             return
         self.log(f"the pattern before {run.loading.pattern} {text}", effects.now)
         run.loading = replace(run.loading, since=effects.now)
-        effects.command_host(structs.replace(self._load, is_fresh=True))
+        effects.command_host(structs.replace(self._load_command, is_fresh=True))
 
     def _present_hold(self, hold: Reason | None, effects: Effects, hold_text: str) -> Reason | None:
         """The hold of the sensors, else of the pattern. Ends the run after MAX_HOLD_TIME."""
@@ -706,7 +740,7 @@ class Lifecycle:
         elif effects.now - self.hold_since >= MAX_HOLD_TIME:
             text = hold_text or f"for {MAX_HOLD_TIME:.0f} s"
             if hold is Reason.PATTERN_RESTARTING:
-                text += f", last: {self._last_fault}"
+                text += f", last: {self._last_fault_text}"
             self._end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold

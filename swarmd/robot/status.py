@@ -41,15 +41,24 @@ def make_status(
     now: float,
     protection: Protection,
 ) -> Status:
-    """The status at `now`; the daemon adds the health of its own loop."""
+    """The status that a robot publishes, in the bounds of the message: long texts are cut.
+
+    `duty`: counts the ticks with active protection. `now` and all times of the lifecycle are in s
+    on the own clock; the status contains durations in s. The daemon adds the health of its own
+    loop.
+    """
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
+    # The detail says what a load waits for, else which hazard holds the run.
     reason, detail = status_reason(lifecycle, decision), machine.detail
-    if reason is Reason.HAZARD and lifecycle.is_running:
+    if loading is not None:
+        detail = _loading_text(loading, now)
+    elif reason is Reason.HAZARD and lifecycle.is_running:
         detail = sensors.hazard_text(now)[:MAX_VALUE]
-    values = {} if running is None else running.values
-    dropped = {
+    param_sources = {} if running is None else running.values
+    params = {name: Param(value=value, source=src) for name, (value, src) in param_sources.items()}
+    dropped_messages = {
         "msg:inbox_full": sensors.overflowed,
         "msg:not_a_neighbor": sensors.rejected,
         "msg:wrong_type": lifecycle.wrong_type_count,
@@ -65,7 +74,7 @@ def make_status(
         is_secured=settings.is_secured,
         state=machine.state,
         reason=reason,
-        detail=detail if loading is None else _loading_text(loading, now),
+        detail=detail,
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
         since=max(now - machine.since, 0.0),
@@ -73,7 +82,7 @@ def make_status(
         changed_by=lifecycle.changed_by,
         latches=dict(lifecycle.latches.held),
         labels=lifecycle.goals.labels,
-        params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
+        params=params,
         report=_clean(lifecycle.report),
         decision=decision_summary(decision, duty, sensors, now),
         health=Health(
@@ -81,7 +90,7 @@ def make_status(
             host_restarts=lifecycle.pattern_run.restarts,
             driver=sensors.driver_text[:MAX_VALUE],
             driver_up=sensors.is_driver_up,
-            dropped={kind: count for kind, count in dropped.items() if count},
+            dropped={kind: count for kind, count in dropped_messages.items() if count},
         ),
         uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),

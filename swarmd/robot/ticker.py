@@ -64,14 +64,14 @@ class DutyCycle:
 
 @cython.cclass
 class Ticker:
-    """Handles the inputs of one robot: lets each change the robot, then settles the actions.
+    """Handles the inputs of one robot: each input changes the robot, then becomes `Actions`.
 
-    A quiet tick only decides: no deadline has passed since the last event.
+    A quiet tick only decides (computes the safe command), since no deadline has passed:
 
     1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
     2. Each event except a quiet tick resets `_quiet_until`.
     3. An event that may change the lifecycle also resets `_due_at`.
-    4. Odometry, neighbours, readings and messages reset neither.
+    4. Odometry, neighbours, readings and messages reset neither `_quiet_until` nor `_due_at`.
     """
 
     decision = cython.declare(object, visibility="public")
@@ -135,9 +135,9 @@ class Ticker:
 
     @cython.cfunc
     def _tick(self, now: cython.double):
-        """Check all deadlines. The shell ticks at 20 Hz, at rest at 10 Hz, and at `wake_at`.
+        """Check all deadlines; the shell calls this at 20 Hz, at rest at 10 Hz, and at `wake_at`.
 
-        Returns the actions; None after a quiet tick, which only decides.
+        Returns the actions; None after a quiet tick, which only computes the safe command.
         """
         if now >= self._quiet_until:
             self._look_ahead()
@@ -155,58 +155,63 @@ class Ticker:
         return self._settled_after(effects)
 
     def _settle(self, effects: Effects) -> Actions:
-        """Check holds and deadlines after an event, decide, and return the actions."""
         return self._settled_after(effects)
 
     @cython.cfunc
     def _settled_after(self, effects: Effects):
+        """Check holds and deadlines after an event, decide, and return the actions of the shell.
+
+        A hold is a present reason for which a running robot stands.
+        """
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
-        # The hold of the sensors, and the hazard that ends a run.
+        # 1. The hold of the sensors, and the hazard that ends a run.
         running = run.running
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
-        detail = ""
+        hazard_text = ""
         if hold is HAZARD or sensors._ends_run:
-            detail = sensors.hazard_text(now)
+            hazard_text = sensors.hazard_text(now)
         if sensors._ends_run:
-            lifecycle.on_hazard(detail, effects)
-        # Deadlines: checked under a hold, when due, and after an event that changed the lifecycle.
+            lifecycle.on_hazard(hazard_text, effects)
+        # 2. Deadlines: checked under a hold, when due, and after an event that changed the
+        #    lifecycle.
         if hold is not None or now >= self._due_at or not is_routine:
             self._requests.advance(effects)
-            hold = lifecycle.advance(hold, effects, detail if hold is HAZARD else "")
+            hold = lifecycle.advance(hold, effects, hazard_text if hold is HAZARD else "")
             self._is_status_due, self._due_at = True, -INFINITY
         self._quiet_until, self._hold = -INFINITY, hold
+        # 3. The decision of protection, whose safe command goes to the driver.
         decision = Ticker._decide(self, hold, now)
-        # The pattern: its restart after a fault, or its next step.
-        machine = self._machine
+        # 4. The pattern: its restart after a fault, or its next step.
         if run.restart_at < INFINITY:
             self._restart(effects)
-        state = machine.state
-        host = effects.host
-        if host is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
+        state = self._machine.state
+        host_command = effects.host
+        if host_command is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
             inputs = InputAges.inputs(sensors, now, run.stepping(now))
-            host = _Step(run.running.generation, inputs)
-        # A status is published only at a tick, or after a latch: replies must not wait for it.
+            host_command = _Step(run.running.generation, inputs)
+        # 5. A status is published only at a tick, or after a latch: replies must not wait for it.
         is_latched: cython.bint = effects.is_latched
         has_status: cython.bint = effects.is_tick or is_latched
         if has_status:
             has_status = (
                 self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING
             ) and self._has_new_status(now)
+        # 6. The actions. By position, since keywords cost time in each tick.
         running = run.running
         actions = self._settled = _Actions(
-            decision.safe,
+            decision.safe,  # twist
             decision,
-            -1 if running is None else running.scan_seq,
-            sensors.is_driver_up and state is _IDLE,
-            state is not _IDLE and state is not _RUNNING,
-            False,
-            lifecycle.latches.record() if is_latched else None,
-            self._kept_goals.take_record() if self._kept_goals.is_changed else None,
+            -1 if running is None else running.scan_seq,  # requested_scan_seq
+            sensors.is_driver_up and state is _IDLE,  # is_idle
+            state is not _IDLE and state is not _RUNNING,  # is_stopped
+            False,  # is_quiet
+            lifecycle.latches.record() if is_latched else None,  # latches
+            self._kept_goals.take_record() if self._kept_goals.is_changed else None,  # goals
             effects.trial,
-            host,
+            host_command,
             effects.messages,
             has_status,
             effects.replies,
@@ -307,10 +312,10 @@ class Ticker:
         return decision
 
     def wake_at(self, now: cython.double) -> float | None:
-        """The next deadline for which the shell must wake the robot between ticks; None without.
+        """The next deadline in s for a tick between two regular ticks; None without a deadline.
 
         Counts the deadlines of the pattern run, the run lease, the scans and the longest hold. All
-        further deadlines wait for the next tick.
+        other deadlines wait for the next regular tick.
         """
         soonest: cython.double = self._run.next_deadline(now)
         if self._machine.state is _RUNNING:
@@ -330,8 +335,8 @@ def tick_many(
 ) -> list[tuple[int, Actions]]:
     """Tick many robots; returns (index in `robots`, actions) of each tick that is not quiet.
 
-    `rows`: by robot, its row in `commands`. A quiet tick writes its safe command into that row:
-    linear (m/s), angular (rad/s), lateral (m/s).
+    A quiet tick only computes the safe command, and writes it into `commands`: a row of linear
+    (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of `robots[i]`.
     """
     found: list = []
     robot: Ticker
