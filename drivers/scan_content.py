@@ -64,7 +64,11 @@ class ScanContent:
 
     @property
     def fault(self) -> str:
-        """What is wrong with the scans, and the next step; empty if nothing is."""
+        """Why the scans cannot be right, and the next step; empty without a fault.
+
+        The first that applies: all ranges of the last scan are 0; no ray has a return; the last
+        scans repeat each other although the sensor has noise.
+        """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):
             return ""
@@ -90,6 +94,7 @@ class ScanContent:
         return ""
 
     def _sees_much(self, scan: Scan) -> bool:
+        """True if the sensor would have a return in an ordinary room."""
         return self.spec.range_max >= _FAR_SENSOR and len(scan.ranges) >= _MANY_RAYS
 
     def _distances(self, scan: Scan) -> Array:
@@ -98,7 +103,7 @@ class ScanContent:
         return ranges[(ranges > 0.0) & (ranges <= self.spec.range_max)]
 
     def _returns(self, scan: Scan) -> int:
-        """How many rays have a return, measured or too close to measure."""
+        """The number of rays with a return, measured or too close to measure."""
         is_close = scan.ranges == -np.inf
         if self.spec.zero == "too_close":
             is_close |= scan.ranges == 0.0

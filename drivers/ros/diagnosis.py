@@ -79,64 +79,72 @@ class Graph:
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers of a topic in the driver's domain."""
-        return [end for end in self._here(is_publisher=True) if end.topic == topic]
+        return [end for end in self._in_domain(is_publisher=True) if end.topic == topic]
 
     def subscribers(self, topic: str) -> list[Endpoint]:
         """The subscribers of a topic in the driver's domain."""
-        return [end for end in self._here(is_publisher=False) if end.topic == topic]
+        return [end for end in self._in_domain(is_publisher=False) if end.topic == topic]
 
     def bases(self, topic: str) -> list[Endpoint]:
         """The subscribers of a topic of commands that may be bases; listeners are left out."""
         return [end for end in self.subscribers(topic) if not self._is_listener(end)]
 
     def silence(self, stats: TopicStats) -> str:
-        """Why no message arrives on a topic."""
+        """Why no message arrives on a topic, and the next step; `stats`: of the topic.
+
+        The first reason that applies: the node is silent; the topic has another type; the hub does
+        not route the topic; the topic is in another ROS domain; no node publishes the topic.
+        """
         middleware, topic = self.middleware, stats.topic
-        wanted = middleware.type_name(stats.message_type)
-        announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
-        here = self._here(is_publisher=True)
-        types = sorted({end.type for end in here if end.topic == topic})
-        if wanted in types and stats.is_never_stale:
+        wanted_type = middleware.type_name(stats.message_type)
+        publishers = self._in_domain(is_publisher=True)
+        types = sorted({end.type for end in publishers if end.topic == topic})
+        if wanted_type in types and stats.is_never_stale:
             return f"{topic} is announced and not latched: no value before its next change"
-        if wanted in types:
+        if wanted_type in types:
             return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
         if types:
             option = f"driver_options.{stats.option}"
-            return f"{topic} carries {', '.join(types)}; expected {wanted}: correct {option}"
+            return f"{topic} carries {', '.join(types)}; expected {wanted_type}: correct {option}"
         if unrouted := self._unrouted(topic, is_publisher=True):
             return unrouted
-        domains = _domains(end for end in announced if (end.topic, end.type) == (topic, wanted))
-        if here and not domains:
-            return self._missing(stats, here)
+        # Another domain: one with this topic, or any one if this domain has no topics at all.
+        announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
+        wanted = (topic, wanted_type)
+        domains = _domains(end for end in announced if (end.topic, end.type) == wanted)
+        if publishers and not domains:
+            return self._missing(stats, publishers)
         domains = domains or _domains(announced)
         if domains:
-            what = topic if here else "topic"
+            missing = topic if publishers else "topic"
             return (
-                f"no {what} in domain {middleware.domain}, but in {listed(map(str, domains))};"
+                f"no {missing} in domain {middleware.domain}, but in {listed(map(str, domains))};"
                 " correct driver_options.domain"
             )
         return f"no {topic}, and {middleware.hub} {middleware.silent}"
 
-    def _missing(self, stats: TopicStats, here: Collection[Endpoint]) -> str:
-        """Why no node publishes the topic; `here`: the publishers of other topics."""
+    def _missing(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
+        """Why no node publishes the topic; `publishers`: of all other topics of the domain."""
         topic, option = stats.topic, f"driver_options.{stats.option}"
         if stats.count:
             return f"no {topic} any more, which was heard before; start its node again"
-        wanted = self.middleware.type_name(stats.message_type)
+        wanted_type = self.middleware.type_name(stats.message_type)
         spaces = self._namespaces()
-        found = spaces.candidates({end.topic for end in here if end.type == wanted})
-        if found.topics:
+        candidates = spaces.candidates({end.topic for end in publishers if end.type == wanted_type})
+        if candidates.topics:
             return (
-                f"no {topic}, but {listed(_nearest_first(topic, found.topics))} of that type;"
+                f"no {topic}, but {listed(_nearest_first(topic, candidates.topics))} of that type;"
                 f" correct driver_options.namespace or {option}"
             )
-        if found.namespaces:
-            return f"no {topic}; {self._which(spaces, found, option)}"
-        names = sorted({end.topic for end in here if not spaces.is_of_another_robot(end.topic)})
+        if candidates.namespaces:
+            return f"no {topic}; {self._namespace_request(spaces, candidates, option)}"
+        names = sorted(
+            {end.topic for end in publishers if not spaces.is_of_another_robot(end.topic)}
+        )
         among = f" among {listed(names)}" if names else ""
         return f"no {topic}{among}; start the sensor, or correct {option}"
 
-    def _which(self, spaces: Namespaces, found: Candidates, option: str) -> str:
+    def _namespace_request(self, spaces: Namespaces, found: Candidates, option: str) -> str:
         """The request to set this robot's namespace: several are in use, or its own is not."""
         names = listed(found.namespaces)
         if spaces.own:
@@ -156,7 +164,7 @@ class Graph:
             return self.silence(stats)
         return (
             f"{stats.topic}: {stats.fault}; correct driver_options.{stats.option}, or look at what"
-            f" publishes it: {self._info(stats.topic)}"
+            f" publishes it: {self._info_command(stats.topic)}"
         )
 
     def unreliable(self, stats: TopicStats, spec: ScanSpec) -> str:
@@ -166,7 +174,7 @@ class Graph:
         if stats.is_needed and stats.standstill() > longest:
             return (
                 f"{topic}: several messages in a row have one stamp, of which the first counts: too"
-                f" few; look at what stamps them: {self._info(topic)}"
+                f" few; look at what stamps them: {self._info_command(topic)}"
             )
         if not stats.stamps_advance():
             return (
@@ -207,7 +215,7 @@ class Graph:
         bases = self._several_nodes(
             self.bases(self.command_topic), f"take {self.command_topic}", is_alive=is_alive
         )
-        if bases := bases or self._stray():
+        if bases := bases or self._stray_text():
             bases += "; name those that only listen in driver_options.cmd_vel_listeners"
             return Conflict(Reason.BASE_CONFLICT, bases)
         for stats in needed:
@@ -217,16 +225,18 @@ class Graph:
         return None
 
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
-        """Why more than one node seems to publish a needed topic.
+        """Why more than one node seems to publish a needed topic; empty if only one does.
 
         The signs, in this order: several nodes or bridges are announced; the stamps go back; the
-        messages come too often. The last two are no sign if a single node is announced.
+        messages come too often for `spec.rate`. The stamps and the rate are no sign if exactly one
+        node is announced.
         """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
-        fast, bridges = too_fast(stats, spec), {end.zid for end in publishers}
-        if several := self._several_nodes(publishers, f"publish {topic}", is_alive=bool(fast)):
+        is_too_fast = bool(too_fast(stats, spec))
+        bridges = {end.zid for end in publishers}
+        if several := self._several_nodes(publishers, f"publish {topic}", is_alive=is_too_fast):
             return several
         if len(bridges) > 1:
             return (
@@ -237,19 +247,19 @@ class Graph:
         if stats.stamps_go_back() and not has_one_node:
             return (
                 f"the stamps of {topic} go back again and again: two publish it, or a clock was"
-                f" set; look at {self._info(topic)}"
+                f" set; look at {self._info_command(topic)}"
             )
-        if fast and not has_one_node:
+        if is_too_fast and not has_one_node:
             return (  # without the rate: a text that varies would be news again and again
                 f"{topic} comes more than {MAX_RATE:g} times as often as the platform's scan.rate"
                 f" of {spec.rate:g} Hz: two publish it, or correct scan.rate; look at"
-                f" {self._info(topic)}"
+                f" {self._info_command(topic)}"
             )
         return ""
 
     def qualities(self, topic: str, *, is_publisher: bool) -> list[str]:
         """The different qualities of service (QoS) that the ends of a topic announce, sorted."""
-        ends = self._here(is_publisher=is_publisher)
+        ends = self._in_domain(is_publisher=is_publisher)
         return sorted({end.quality for end in ends if end.topic == topic and end.quality})
 
     def is_reliable(self, topic: str) -> bool:
@@ -270,29 +280,32 @@ class Graph:
         return wanted_type(allowed, types, self.middleware.type_name)
 
     def no_subscriber(self, topic: str, allowed: Sequence[type], *, has_subscriber: bool) -> str:
-        """Why no base receives the commands; empty if one does.
+        """Why no base receives the commands on `topic`; empty if a base receives them.
 
-        `allowed`: the classes of messages that the options allow. `has_subscriber`: whether any
-        node subscribes to the commands, announced or not.
+        `allowed`: the message classes that the options allow for commands. `has_subscriber`: a node
+        subscribes to the commands, whether or not an announcement names the node.
         """
-        names = [self.middleware.type_name(kind) for kind in allowed]
+        allowed_names = [self.middleware.type_name(kind) for kind in allowed]
         bases = self.bases(topic)
-        types = sorted({end.type for end in bases})
-        if types and not set(names) & set(types):
-            option = _COMMAND_OPTIONS.get(_short(types[0]), "cmd_vel, or cmd_vel_type")
+        base_types = sorted({end.type for end in bases})
+        # 1. Announced bases want a type that the options do not allow.
+        if base_types and not set(allowed_names) & set(base_types):
+            option = _COMMAND_OPTIONS.get(_short(base_types[0]), "cmd_vel, or cmd_vel_type")
             return (
-                f"{topic} wants {listed(types)}, not {' or '.join(names)}; set"
+                f"{topic} wants {listed(base_types)}, not {' or '.join(allowed_names)}; set"
                 f" driver_options.{option}"
             )
-        if not types and (listening := [end.owner for end in self.subscribers(topic)]):
+        # 2. No base is announced, but listeners such as a recorder, or nodes that are not routed.
+        if not base_types and (listening := [end.owner for end in self.subscribers(topic)]):
             only = listed(sorted(set(listening)))
             return f"only {only} takes {topic}, which moves nothing; start the base"
         unrouted = self._unrouted(topic, is_publisher=False)
-        if unrouted and not types:
+        if unrouted and not base_types:
             return unrouted
-        if self.command_type(topic, allowed) is not None and (types or has_subscriber):
+        # 3. The type is clear, and there is a subscriber: no fault.
+        if self.command_type(topic, allowed) is not None and (base_types or has_subscriber):
             return ""
-        if types:
+        if base_types:
             wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
             return (
                 f"the type of commands on {topic} is not clear: {wants}; end one of them, or set"
@@ -307,7 +320,7 @@ class Graph:
 
     def _no_base(self, topic: str) -> str:
         """The text for a topic of commands without a subscriber, with proposals of other topics."""
-        here = self._here(is_publisher=False)
+        here = self._in_domain(is_publisher=False)
         spaces, option = self._namespaces(), "driver_options.cmd_vel"
         found = spaces.candidates(
             {end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS}
@@ -318,7 +331,9 @@ class Graph:
                 f" driver_options.namespace or {option}"
             )
         if found.namespaces:
-            return f"no node subscribes to {topic}; {self._which(spaces, found, option)}"
+            return (
+                f"no node subscribes to {topic}; {self._namespace_request(spaces, found, option)}"
+            )
         return f"no node subscribes to {topic}; start the base, or correct {option}"
 
     @property
@@ -334,7 +349,7 @@ class Graph:
     def _strays(self) -> list[Endpoint]:
         return [end for end in self.strays if end.topic == self.command_topic]
 
-    def _stray(self) -> str:
+    def _stray_text(self) -> str:
         """The text for DDS readers of the commands that are no ROS nodes and no listeners."""
         names = sorted({end.owner for end in self._strays() if not self._is_listener(end)})
         if not names:
@@ -396,7 +411,7 @@ class Graph:
         ends = (end for end in self.endpoints if end.domain == domain and end.is_routed)
         return Namespaces(self.options, ends, self.heard)
 
-    def _here(self, *, is_publisher: bool) -> list[Endpoint]:
+    def _in_domain(self, *, is_publisher: bool) -> list[Endpoint]:
         domain = self.middleware.domain
         return [
             end
@@ -404,7 +419,7 @@ class Graph:
             if end.is_publisher is is_publisher and end.domain == domain and end.is_routed
         ]
 
-    def _info(self, topic: str) -> str:
+    def _info_command(self, topic: str) -> str:
         return f"{self.middleware.topic_info} {topic}"
 
 
@@ -552,9 +567,10 @@ class DriverCheck:
         return tuple(self._findings())
 
     def _findings(self) -> Iterator[Finding]:
-        middleware = self.graph.middleware
+        # 1. The hub and the topics. Entries of the options that share a topic have its finding.
+        middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
-        for stats in self.subscriptions.topics.values():
+        for stats in topics.values():
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
             if stats.is_needed or stats.count or stats.faults or is_named:
                 yield self._topic(stats)
@@ -563,17 +579,20 @@ class DriverCheck:
         ring = self.subscriptions.contents.get("ranges")
         if ring is not None and ring.last is not None:
             yield Finding("ranges", not ring.fault, ring.fault or ring.text)
-        fault = self.graph.no_subscriber(
-            self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
-        )
-        conflict = self.graph.conflict(self.subscriptions.topics.values(), self.spec)
-        if conflict is not None and conflict.reason is Reason.BASE_CONFLICT:
-            fault = fault or conflict.text
         yield self._scan_delay()
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
-        fault = fault or self.unpassed.get(self.cmd_vel, "")
+        # 2. The commands: the first of a missing base, a second base, and a route that fails.
+        conflict = self.graph.conflict(topics.values(), self.spec)
+        is_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
+        fault = (
+            self.graph.no_subscriber(
+                self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
+            )
+            or (conflict.text if conflict is not None and is_second_base else "")
+            or self.unpassed.get(self.cmd_vel, "")
+        )
         yield Finding("cmd_vel", not fault, fault or self._subscriber())
         if self.unlisted:
             yield Finding("nodes", True, self.unlisted, is_measured=False)
@@ -596,18 +615,20 @@ class DriverCheck:
             is_fault = stats.is_needed or goes_stale or stats.count or stats.faults
             text = fault if is_fault else f"no message, and not needed to drive: {fault}"
             return Finding(stats.name, not is_fault, text)
-        by_stamp, by_clock = stats.elapsed()
-        kind = self.graph.middleware.type_name(stats.message_type)
-        rate = f"{stats.rate():.1f} Hz" if stats.rate() else ""
-        clock = f"stamps advanced by {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
         age = self.now - stats.last_arrival()
         if goes_stale and age > stats.stale_after:
             text = f"{stats.topic}: the last message is {age:.1f} s old, stale after"
             return Finding(stats.name, False, f"{text} {stats.stale_after:g} s; look at the sensor")
-        clock = f"{age:.1f} s ago" if goes_stale else clock
+        by_stamp, by_clock = stats.elapsed()
+        rate = f"{stats.rate():.1f} Hz" if stats.rate() else ""
+        if goes_stale:
+            clock = f"{age:.1f} s ago"
+        else:
+            clock = f"stamps advanced by {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
         content = self.subscriptions.contents["scan"].text if stats.name == "scan" else ""
         details = ", ".join(part for part in (rate, content, stats.summary, clock) if part)
-        kind = ", ".join((kind, *self.graph.qualities(stats.topic, is_publisher=True)))
+        type_name = self.graph.middleware.type_name(stats.message_type)
+        kind = ", ".join((type_name, *self.graph.qualities(stats.topic, is_publisher=True)))
         return Finding(stats.name, True, f"{stats.topic} ({kind}): {details}".rstrip(": "))
 
     def _fault(self, stats: TopicStats) -> str:
@@ -640,32 +661,34 @@ class DriverCheck:
         return f"{self.cmd_vel} ({details}) has a subscriber{names and ': '}{names}{beside}"
 
     def _last_word(self) -> Finding:
-        """The finding on other nodes that may command the base, and on a multiplexer."""
-        topic, names = self.cmd_vel, sorted(self.foreign_publishers)
+        """The finding on other nodes that may command the base, and on a multiplexer.
+
+        A fault if another node commands the base now, or may while `is_exclusive`. Else the text
+        names the silent publishers, and a multiplexer (a subscriber with `mux` in its name) that
+        decides between them and this driver.
+        """
+        command_topic, publishers = self.cmd_vel, sorted(self.foreign_publishers)
         fault = self._heard()
         if fault:
             return Finding("last_word", False, fault)
-        if names and self.is_exclusive:
-            return Finding("last_word", False, driven_by_others(topic, names, is_heard=False))
-        nodes = {end.node for end in self.graph.subscribers(topic)}
-        mux = listed(sorted(node for node in nodes if "mux" in node))
-        how = f": give swarmd the highest priority there ({LAST_WORD})" if mux else ""
+        if publishers and self.is_exclusive:
+            text = driven_by_others(command_topic, publishers, is_heard=False)
+            return Finding("last_word", False, text)
+        nodes = {end.node for end in self.graph.subscribers(command_topic)}
+        multiplexer = listed(sorted(node for node in nodes if "mux" in node))
+        mux_text = f"{multiplexer} takes {command_topic}: give swarmd the highest priority there"
+        mux_text = f"{mux_text} ({LAST_WORD})" if multiplexer else ""
         # Other publishers of commands that are silent now, by topic.
-        silent = {topic: names}
-        silent |= {further: self._owners(further) for further in self.foreign.topics[1:]}
-        silent = {command_topic: owners for command_topic, owners in silent.items() if owners}
-        if silent:
-            how = how or f"; then it has the last word, not swarmd ({LAST_WORD})"
-            text = ", ".join(
-                f"{listed(owners)} may publish {command_topic}"
-                for command_topic, owners in silent.items()
-            )
-            text = f"{text} too, but does not now"
-            text = f"{text}; {mux} takes {topic}{how}" if mux else text + how
-        elif mux:
-            text = f"{mux} takes {topic}{how}"
+        silent = {command_topic: publishers}
+        silent |= {topic: self._owners(topic) for topic in self.foreign.topics[1:]}
+        silent_texts = [
+            f"{listed(owners)} may publish {topic}" for topic, owners in silent.items() if owners
+        ]
+        if silent_texts:
+            text = f"{', '.join(silent_texts)} too, but does not now; "
+            text += mux_text or f"then it has the last word, not swarmd ({LAST_WORD})"
         else:
-            text = f"no other node publishes {listed(self.foreign.topics)}"
+            text = mux_text or f"no other node publishes {listed(self.foreign.topics)}"
         return Finding("last_word", True, text + self._actions())
 
     def _heard(self) -> str:

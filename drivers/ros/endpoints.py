@@ -53,25 +53,29 @@ def with_nodes(
 ) -> list[Endpoint]:
     """The announced endpoints, each replaced by the nodes that its bridge lists for the topic.
 
-    A bridge announces a topic once, whatever the number of nodes, with the type of the first node.
+    A Zenoh bridge announces a topic once, with the type of the first node, whatever the number of
+    nodes with the topic. Its admin space lists all nodes; `listed_at`: s, the time of the list.
 
-    1. An endpoint without a listed node is returned unchanged, and so is an endpoint that was
-       announced after `listed_at`, the time of the list, whose nodes may have left since.
+    1. An announced endpoint without a listed node stays as announced. An endpoint that was
+       announced after `listed_at` stays, too: its listed nodes may have left.
     2. Listed nodes whose topic is not announced are not routed.
-    3. If no listed node has the announced type, none of them is routed.
+    3. If no listed node has the announced type, none of these nodes is routed.
     """
-    nodes = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
+    # By bridge, direction and topic.
+    nodes_of_topic = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
     for end in listed:
-        nodes[end.zid, end.is_publisher, end.topic].append(end)
+        nodes_of_topic[end.zid, end.is_publisher, end.topic].append(end)
     merged: list[Endpoint] = []
     for end in announced:
         key = end.zid, end.is_publisher, end.topic
-        behind = [] if end.node else nodes.pop(key, [])
-        behind = behind if end.since <= listed_at else []
-        is_routed = any(node.type == end.type for node in behind)
-        nodes_of_end = [replace(node, quality=end.quality, is_routed=is_routed) for node in behind]
-        merged += nodes_of_end or [end]
-    merged += [replace(end, is_routed=False) for ends in nodes.values() for end in ends]
+        nodes = [] if end.node else nodes_of_topic.pop(key, [])
+        if not nodes or end.since > listed_at:
+            merged.append(end)
+            continue
+        is_routed = any(node.type == end.type for node in nodes)
+        merged += [replace(node, quality=end.quality, is_routed=is_routed) for node in nodes]
+    # What is left in the map was not announced.
+    merged += [replace(end, is_routed=False) for ends in nodes_of_topic.values() for end in ends]
     return merged
 
 

@@ -47,10 +47,10 @@ def scan_of(
 ) -> Scan:
     """The scan of a LaserScan, with bearings in the base frame.
 
-    `yaw`: rad to which the sensor's zero points; an upside-down sensor turns the other way. The
-    ages of the rays follow from the platform's `scan.sweep`. If the robot measures the sweep, they
-    follow from `time_increment` unless its value is impossible. Raises CodecError if the angles
-    span more than one turn.
+    `yaw`: rad to which the sensor's zero points. An upside-down sensor turns clockwise. The ages of
+    the rays are None, so that they follow from the platform's `scan.sweep`. If the robot measures
+    the sweep, the ages follow from `time_increment`, unless its value is impossible. Raises
+    CodecError if the angles span more than one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -58,22 +58,17 @@ def scan_of(
         raise CodecError(f"{count} rays; expected at most {MAX_RAYS}")
     if not (abs(first) <= _MAX_FIRST_ANGLE and abs(span) <= _MAX_SPAN):  # false for NaN too
         raise CodecError(f"rays from {first:g} rad over {span:g} rad; expected one turn at most")
-    side = -1.0 if is_upside_down else 1.0
+    turn_sign = -1.0 if is_upside_down else 1.0
+    bearings = _bearings(yaw + turn_sign * first, turn_sign * step, count)
     with np.errstate(invalid="ignore"):  # numpy warns of a signalling NaN
         ranges = message.ranges.astype(np.float64)
-    return Scan(
-        seq,
-        stamp_of(message.header.stamp),
-        ranges,
-        _bearings(yaw + side * first, side * step, count),
-        spec.range_min,
-        spec.range_max,
-        # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
-        # sllidar_ros2 give a positive value for rays in falling order of time, and
-        # hls_lfcd_lds_driver gives a value 18 times too short. The platform's file counts before
-        # it, or the core measures the order.
-        _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None,
-    )
+    # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
+    # sllidar_ros2 give a positive value for rays in falling order of time, and hls_lfcd_lds_driver
+    # gives a value 18 times too short. The platform's file counts before it, or the core measures
+    # the order.
+    ages = _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None
+    stamp = stamp_of(message.header.stamp)
+    return Scan(seq, stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
 
 
 def header_fault(message: ros.LaserScan) -> str:
@@ -102,32 +97,43 @@ def header_fault(message: ros.LaserScan) -> str:
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
     """The finding on the order in time of a scan's rays (the sweep).
 
-    It compares `time_increment` of the message with the platform's `scan.sweep`.
+    It compares `time_increment` of the message with the platform's `scan.sweep`. Only an impossible
+    `time_increment` is a fault, and only if the platform gives no sweep.
     """
     step, count = message.time_increment, len(message.ranges)
-    seconds = abs(step) * count
-    is_told = _ages(step, count, 1.0 / spec.rate) is not None
+    message_s = abs(step) * count  # duration of the sweep by the message
+    is_possible = _ages(step, count, 1.0 / spec.rate) is not None
     is_rising = (step > 0.0) == (message.angle_increment > 0.0) != is_upside_down
-    told = f"time_increment says {seconds:.3g} s a scan, {_TURNS[is_rising]}"
+    if is_possible:
+        message_text = f"time_increment says {message_s:.3g} s a scan, {_TURNS[is_rising]}"
+    elif step == 0.0:
+        message_text = "time_increment is 0"
+    else:
+        message_text = f"time_increment of {step:g} s is impossible at {spec.rate:g} Hz"
+    is_good = is_possible or step == 0.0
     sweep = spec.sweep
-    if not is_told:
-        told = f"time_increment of {step:g} s is impossible at {spec.rate:g} Hz"
-        told = "time_increment is 0" if step == 0.0 else told
     if spec.measures_sweep:
-        doubt = ", but many drivers reverse their rays" if is_told else ""
-        text = f"direction not known: {told}{doubt}; the robot measures it while it turns, and each"
-        text += " ray counts as old as the oldest until then; or give the platform's scan.sweep"
-        return Finding("scan sweep", is_told or step == 0.0, text, is_measured=False)
+        doubt = ", but many drivers reverse their rays" if is_possible else ""
+        text = (
+            f"direction not known: {message_text}{doubt}; the robot measures it while it turns, and"
+            " each ray counts as old as the oldest until then; or give the platform's scan.sweep"
+        )
+        return Finding("scan sweep", is_good, text, is_measured=False)
     if sweep is None:
-        text = f"the platform's scan.sweep is null: all rays count as of one instant; {told}"
-        return Finding("scan sweep", is_told or step == 0.0, text)
-    own = f"the platform's scan.sweep is {sweep.duration:.3g} s, {_TURNS[sweep.direction > 0.0]}"
+        text = (
+            f"the platform's scan.sweep is null: all rays count as of one instant; {message_text}"
+        )
+        return Finding("scan sweep", is_good, text)
+    text = f"the platform's scan.sweep is {sweep.duration:.3g} s, {_TURNS[sweep.direction > 0.0]}"
+    error_s = abs(message_s - sweep.duration)
+    has_same_duration = is_possible and error_s < _MAX_SWEEP_ERROR * sweep.duration
     if step == 0.0:
-        return Finding("scan sweep", True, f"{own}; time_increment is 0")
-    agrees = is_told and abs(seconds - sweep.duration) < _MAX_SWEEP_ERROR * sweep.duration
-    if agrees and is_rising == (sweep.direction > 0.0):
-        return Finding("scan sweep", True, f"{own}, as time_increment says")
-    return Finding("scan sweep", True, f"{own}, and counts; {told}")
+        text += "; time_increment is 0"
+    elif has_same_duration and is_rising == (sweep.direction > 0.0):
+        text += ", as time_increment says"
+    else:
+        text += f", and counts; {message_text}"
+    return Finding("scan sweep", True, text)
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
@@ -148,32 +154,33 @@ def shared_pose_of(
 ) -> SharedPose:
     """The pose in a shared frame, with errors of at least `error` m and `yaw_error` rad.
 
-    A covariance gives three standard deviations: of the worst direction in the plane, and of yaw.
-    CodecError if the pose, its covariance or the name of its frame makes no sense.
+    If the message has a covariance, the errors are three standard deviations, if these are larger:
+    of the worst direction in the plane, and of yaw. CodecError if the pose or its covariance is not
+    finite or impossible, or the name of its frame is not proper.
     """
     pose: Any = message.pose
     if hasattr(pose, "covariance"):
-        covariance, pose = np.reshape(pose.covariance, (6, 6)), pose.pose
-        plane, yaw = covariance[:2, :2], float(covariance[5, 5])
-        if not (np.isfinite(plane).all() and 0.0 <= yaw < math.inf):
+        covariance, pose = np.reshape(pose.covariance, (6, 6)), pose.pose  # x y z roll pitch yaw
+        plane, yaw_variance = covariance[:2, :2], float(covariance[5, 5])
+        if not (np.isfinite(plane).all() and 0.0 <= yaw_variance < math.inf):
             raise CodecError("the covariance is not finite, or negative")
         least, most = np.linalg.eigvalsh(0.5 * (plane + plane.T)).tolist()
         if least < -_ROUNDING * max(most, 1.0):
             raise CodecError("the covariance is negative")
         error = max(error, 3.0 * math.sqrt(max(most, 0.0)))
-        yaw_error = max(yaw_error, min(3.0 * math.sqrt(yaw), math.pi))
-    shared = SharedPose(
+        yaw_error = max(yaw_error, min(3.0 * math.sqrt(yaw_variance), math.pi))
+    shared_pose = SharedPose(
         stamp_of(message.header.stamp),
         Pose(pose.position.x, pose.position.y, yaw_of(pose.orientation)),
         error,
         yaw_error,
         message.header.frame_id.lstrip("/"),
     )
-    if not shared.is_valid:
+    if not shared_pose.is_valid:
         raise CodecError(
             "the pose is not finite, too far or too inaccurate, or its frame has no proper name"
         )
-    return shared
+    return shared_pose
 
 
 def yaw_of(q: ros.Quaternion) -> float:

@@ -249,6 +249,7 @@ def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
+    """The texts of the faults of single options, and of names that are wrong or used twice."""
     if isinstance(options, Ros1Options) and _MASTER.fullmatch(options.master_uri) is None:
         yield (
             f"master is {options.master_uri!r}; expected a value such as {DEFAULT_MASTER}"
@@ -267,7 +268,14 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             f"battery_volts is [{empty:g}, {full:g}]; expected the volts of an empty and of a full"
             f" pack, such as [11.0, 12.6], up to {MAX_VOLTS:g}"
         )
-    entries = tuple(_entries(options))
+    yield from _name_faults(options)
+
+
+def _name_faults(options: TopicOptions) -> Iterator[str]:
+    """The texts for options whose value is no ROS name, and for two options with one topic.
+
+    Several entries, such as `readings.light`, may read one topic if they have one message type.
+    """
     names = {
         "namespace": options.namespace.strip("/") or None,
         "scan": options.scan if options.ranges else options.scan_topic,
@@ -277,11 +285,11 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
-        **{option: topic for option, topic, _ in entries},
+        **{option: topic for option, topic, _ in _entries(options)},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
     }
-    owners: dict[str, str] = {}
+    first_options: dict[str, str] = {}  # by topic
     types = _types(options)
     for option, name in names.items():
         if name is None:
@@ -296,14 +304,14 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         if option.startswith("other_actions"):
             continue  # an action and a topic may have one name
         topic = options.topic(name)
-        owner = owners.setdefault(topic, option)
-        if owner == option:
+        first = first_options.setdefault(topic, option)
+        if first == option:
             continue
-        if owner not in types or option.partition(".")[0] not in ENTRY_KINDS:
-            yield f"{owner} and {option} are both {topic}; expected a topic each"
-        elif types[owner] != types[option]:
-            kinds = f"{types[owner]} and {types[option]}"
-            yield f"{owner} and {option} are both {topic}, as {kinds}; expected one type"
+        if first not in types or option.partition(".")[0] not in ENTRY_KINDS:
+            yield f"{first} and {option} are both {topic}; expected a topic each"
+        elif types[first] != types[option]:
+            kinds = f"{types[first]} and {types[option]}"
+            yield f"{first} and {option} are both {topic}, as {kinds}; expected one type"
 
 
 def _types(options: TopicOptions) -> dict[str, str]:

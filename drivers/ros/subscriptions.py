@@ -45,23 +45,30 @@ class Subscriptions:
     def __init__(
         self, options: TopicOptions, platform: Platform, decode: Decode = cdr.decode
     ) -> None:
-        """Nothing received yet."""
+        """Start without a message; `decode` reads the bytes of a message of a class."""
         self._decode, self._spec = decode, platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
         self._battery = options.battery_volts, options.battery_percentage
         self._scan_seq = 0
-        ring_spec, section = platform.ranges, "ranges"
+        self._laser: messages.LaserScan | None = None  # the last
+        self.last_arrival = -math.inf
+        # Without a section `ranges` of the platform the ring of range sensors replaces the lidar.
+        ring_spec, ring_section = platform.ranges, "ranges"
         if ring_spec is None:
-            ring_spec, section = platform.scan, "scan"
+            ring_spec, ring_section = platform.scan, "scan"
         self.contents: dict[str, ScanContent] = {}
         if platform.ranges is not None or not options.ranges:
             self.contents["scan"] = ScanContent(platform.scan)
         if options.ranges:
-            self.contents["ranges"] = ScanContent(ring_spec, section)
-        self._laser: messages.LaserScan | None = None
-        self.last_arrival = -math.inf
+            self.contents["ranges"] = ScanContent(ring_spec, ring_section)
+        ring = options.ring()  # name, bearing in rad and distance in m of each sensor
+        self._ring = from_ros.RangeRingDecoder(
+            [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
+        )
+        self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
+        # The entries of the options `readings`, `hazards` and `detections`, also by topic.
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -70,11 +77,6 @@ class Subscriptions:
         for option, inputs in self._inputs.items():
             for entry in entries[option].values():
                 self._entries_of.setdefault(entry.topic, []).append((inputs, entry))
-        ring = options.ring()
-        self._ring = from_ros.RangeRingDecoder(
-            [bearing for _, bearing, _ in ring], [away for _, _, away in ring], ring_spec
-        )
-        self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
         self.topics: Mapping[str, TopicStats] = {
             stats.name: stats for stats in _topics(options, platform, "scan" in self.contents)
         }
@@ -176,25 +178,18 @@ class Subscriptions:
         return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
 
     def _value(self, stats: TopicStats, message: Any, now: float) -> tuple[Deliver, str]:
-        """How to deliver the value of a message of a standard topic, and its text for a check."""
+        """How to deliver the value of a message to a sink, and the value as text for a check.
+
+        For the messages of the standard topics: scan, ranges, odometry, shared pose, imu, battery.
+        """
         if stats.message_type is messages.LaserScan:
-            self._scan_seq += 1
-            self._laser = message
-            scan = from_ros.scan_of(
-                message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
-            )
-            content = self.contents["scan"]
-            content.take(scan)
-            unmeasured = "" if content.has_measured else content.fault
-            stats.record_doubt(unmeasured or from_ros.header_fault(message))
-            return partial(_deliver, () if unmeasured else (ScanInput(scan),)), ""
+            return self._scan_value(stats, message), ""
         if stats.message_type is messages.Range:
-            whole = self._ring.take(self._ring_index[stats.name], message)
-            if whole is not None:
-                self.contents["ranges"].take(whole)
-            is_scan = "scan" not in self.contents
-            kind = ScanInput if is_scan else RangesInput
-            inputs = () if whole is None else (kind(whole),)
+            ring_scan = self._ring.take(self._ring_index[stats.name], message)
+            if ring_scan is not None:
+                self.contents["ranges"].take(ring_scan)
+            kind = RangesInput if "scan" in self.contents else ScanInput
+            inputs = () if ring_scan is None else (kind(ring_scan),)
             return partial(_deliver, inputs), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
@@ -205,16 +200,29 @@ class Subscriptions:
         readings = self._inputs["readings"]
         assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
-            names, lacks = IMU, from_ros.no_yaw(message)
+            names, missing = IMU, from_ros.no_yaw(message)
             readings.take_own(names, {})  # no yaw if `imu_readings` raises CodecError
             values = from_ros.imu_readings(message)
         else:
             names = BATTERY
             values = from_ros.battery_readings(message, *self._battery)
-            lacks = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
+            missing = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
         readings.take_own(names, values)
         texts = [f"{name} {value:.3g}" for name, value in values.items()]
-        return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*texts, lacks)))
+        return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*texts, missing)))
+
+    def _scan_value(self, stats: TopicStats, message: messages.LaserScan) -> Deliver:
+        """How to deliver a LaserScan; nothing is delivered while the sensor has not measured."""
+        self._scan_seq += 1
+        self._laser = message
+        scan = from_ros.scan_of(
+            message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
+        )
+        content = self.contents["scan"]
+        content.take(scan)
+        unmeasured = "" if content.has_measured else content.fault
+        stats.record_doubt(unmeasured or from_ros.header_fault(message))
+        return partial(_deliver, () if unmeasured else (ScanInput(scan),))
 
 
 def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
@@ -228,36 +236,39 @@ def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
 
 
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
+    """The statistics of each topic that the options name: one for each full name of a topic.
+
+    An entry of `readings`, `hazards` or `detections` may share a topic with another option.
+    """
     topic = options.topic
-    found = [
+    topics = [
         TopicStats(_range_name(name), "ranges", topic(name), messages.Range, is_needed=True)
         for name in options.ranges
     ]
     if has_lidar:
-        scan = TopicStats(
-            "scan", "scan", topic(options.scan_topic), messages.LaserScan, is_needed=True
-        )
-        found.insert(0, scan)
+        scan_topic = topic(options.scan_topic)
+        scan = TopicStats("scan", "scan", scan_topic, messages.LaserScan, is_needed=True)
+        topics.insert(0, scan)
     needs_odometry = "odometry" in platform.provides
-    found.append(
-        TopicStats(
-            "odometry", "odometry", topic(options.odometry), messages.Odometry, needs_odometry
-        )
+    odometry_topic = topic(options.odometry)
+    topics.append(
+        TopicStats("odometry", "odometry", odometry_topic, messages.Odometry, needs_odometry)
     )
-    for name, given, message_type in (
+    for option, name, message_type in (
         ("imu", options.imu, messages.Imu),
         ("battery", options.battery, messages.BatteryState),
         ("shared_pose", options.shared_pose, options.pose_type),
     ):
-        if given is not None:
-            found.append(TopicStats(name, name, topic(given), message_type))
-    by_topic = {stats.topic: stats for stats in found}
+        if name is not None:
+            topics.append(TopicStats(option, option, topic(name), message_type))
+    by_topic = {stats.topic: stats for stats in topics}
     entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
-    for name, extra in {entry.option: entry for entry in entries}.items():
-        own = TopicStats(name, name, extra.topic, extra.message_type, goes_stale=True)
-        stats = by_topic.setdefault(extra.topic, own)  # one subscription a topic
-        stats.further += [] if stats is own else [name]
-        stats.stale_after = min(stats.stale_after, extra.stale_after)
+    for option, entry in {entry.option: entry for entry in entries}.items():
+        new = TopicStats(option, option, entry.topic, entry.message_type, goes_stale=True)
+        stats = by_topic.setdefault(entry.topic, new)  # one subscription a topic
+        if stats is not new:
+            stats.further.append(option)
+        stats.stale_after = min(stats.stale_after, entry.stale_after)
     return list(by_topic.values())
 
 

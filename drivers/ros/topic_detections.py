@@ -193,33 +193,43 @@ def _focal(width: float, view_deg: float) -> float:
 def topic_detections(
     name: str, options: DetectionOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicDetections]:
-    """The reader of the entry `name`; ConfigError names the key that is wrong.
+    """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    `full`: returns the full name of a topic.
+    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
+    the key that is wrong.
     """
-    where = f"detections.{name}"
-    plain = options.type.replace("/msg/", "/")
-    if plain not in _LAYOUTS:
-        raise ConfigError(f"{where}.type is {options.type!r}; expected {', '.join(_LAYOUTS)}")
-    layout = _LAYOUTS[plain]
+    option = f"detections.{name}"
+    type_name = options.type.replace("/msg/", "/")
+    if type_name not in _LAYOUTS:
+        raise ConfigError(f"{option}.type is {options.type!r}; expected {', '.join(_LAYOUTS)}")
+    layout = _LAYOUTS[type_name]
     try:
         kind = types.kind(options.type)
+        # `detections` is a list of messages: rosbags' node is (sequence, ((name, type), ...)).
         _, (_, (item, *_)) = path_of(types, kind, "detections")
         item_type = types.kind(item[1])
         place = _first(types, item_type, layout.place)
         if place is None:
             raise ConfigError(f"its definition has no {layout.place[0]}")
     except ConfigError as error:
-        raise ConfigError(f"{where}.type: {error}") from None
+        raise ConfigError(f"{option}.type: {error}") from None
     if layout.is_image:
         for key in ("image_width", "field_of_view_deg"):
             if getattr(options, key) is None:
-                raise ConfigError(f"{where}.{key} is missing; expected that of the images")
-    fields = (layout.kind, layout.id, layout.height, layout.corners)
-    paths = (_first(types, item_type, some) for some in fields)
-    topic, is_image = full(options.topic), layout.is_image
+                raise ConfigError(f"{option}.{key} is missing; expected that of the images")
     entry = TopicDetections(
-        name, where, topic, kind, options.stale_after, options, is_image, place, *paths
+        name=name,
+        option=option,
+        topic=full(options.topic),
+        message_type=kind,
+        stale_after=options.stale_after,
+        options=options,
+        is_image=layout.is_image,
+        place=place,
+        kind=_first(types, item_type, layout.kind),
+        id=_first(types, item_type, layout.id),
+        height=_first(types, item_type, layout.height),
+        corners=_first(types, item_type, layout.corners),
     )
     return (entry,)
 

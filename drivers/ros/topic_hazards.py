@@ -121,11 +121,12 @@ class TopicHazard(TopicEntry):
 def topic_hazard(
     name: str, options: HazardOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicHazard]:
-    """The reader of the entry `name`; ConfigError names the key that is wrong.
+    """The reader of the entry `name` of option `hazards`, as a tuple of one.
 
-    `full`: returns the full name of a topic.
+    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
+    the key that is wrong.
     """
-    where, key = f"hazards.{name}", ""
+    option, key = f"hazards.{name}", ""  # `key`: the key that is read, for an error
     try:
         key = ".type"
         kind = item_type = types.kind(options.type)
@@ -147,12 +148,20 @@ def topic_hazard(
         if low > high:
             raise ConfigError(f"expected at most .above, which is {high:g}")
     except ConfigError as error:
-        raise ConfigError(f"{where}{key}: {error}") from None
+        raise ConfigError(f"{option}{key}: {error}") from None
     is_limited = options.above is not None or options.below is not None
-    limits = (low, high) if is_limited else _NO_LIMITS
-    topic, stale_after = full(options.topic), seconds(options.stale_after)
     entry = TopicHazard(
-        name, where, topic, kind, stale_after, items, options.field, number, place, means, limits
+        name=name,
+        option=option,
+        topic=full(options.topic),
+        message_type=kind,
+        stale_after=seconds(options.stale_after),
+        items=items,
+        field=options.field,
+        number=number,
+        place=place,
+        means=means,
+        limits=(low, high) if is_limited else _NO_LIMITS,
     )
     return (entry,)
 

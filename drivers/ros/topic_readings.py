@@ -96,47 +96,52 @@ class TopicReading(TopicEntry):
 def topic_readings(
     name: str, options: ReadingOptions, full: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicReading, ...]:
-    """The readings of the entry `name`; ConfigError names the key that is wrong.
+    """The readings of the entry `name` of option `readings`: one for each sensor of the entry.
 
-    `full`: returns the full name of a topic.
+    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
+    the key that is wrong.
     """
-    where = f"{READING}{name}"
+    option = f"{READING}{name}"
+    # 1. The name, and the type of the messages.
     if not name.isidentifier() or len(name) > 63:
-        raise ConfigError(f"{where}: expected a name of at most 63 letters, digits and _")
+        raise ConfigError(f"{option}: expected a name of at most 63 letters, digits and _")
     if name in _OWN:
-        raise ConfigError(f"{where}: options imu and battery give {', '.join(_OWN)}; rename it")
+        raise ConfigError(f"{option}: options imu and battery give {', '.join(_OWN)}; rename it")
     try:
         kind = types.kind(options.type)
     except ConfigError as error:
-        raise ConfigError(f"{where}.type: {error}") from None
-    if (options.count is not None) != (_ANY in options.field.split(".")):
+        raise ConfigError(f"{option}.type: {error}") from None
+    # 2. The fields of a message: `count` items of a list, or a single field.
+    has_any_index = _ANY in options.field.split(".")
+    if (options.count is not None) != has_any_index:
         text = "is missing beside" if options.count is None else "needs"
         raise ConfigError(
-            f"{where}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
+            f"{option}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
         )
     try:
         fields = [options.field.replace(_ANY, str(index)) for index in range(options.count or 1)]
-        paths = [(field, number_path(types, kind, field)) for field in fields]
+        paths = {field: number_path(types, kind, field) for field in fields}
     except ConfigError as error:
-        raise ConfigError(f"{where}.field is {options.field!r}: {error}") from None
+        raise ConfigError(f"{option}.field is {options.field!r}: {error}") from None
+    # 3. A sensor for each topic and field. Several sensors are numbered, and have a mean.
     topics = options.topics(name)
-    places = [(option, full(topic), *path) for option, topic in topics.items() for path in paths]
-    is_one = options.count is None and len(topics) == 1
-    names = (name,) if is_one else sensor_names(name, len(places))[1:]
+    sensors = [(topic_option, field) for topic_option in topics for field in paths]
+    is_single = options.count is None and len(topics) == 1
+    names = (name,) if is_single else sensor_names(name, len(sensors))[1:]
     stale_after = seconds(options.stale_after)
     return tuple(
         TopicReading(
-            name=own,
-            option=option,
-            topic=topic,
+            name=sensor_name,
+            option=topic_option,
+            topic=full(topics[topic_option]),
             message_type=kind,
             stale_after=stale_after,
-            mean_of="" if is_one else name,
+            mean_of="" if is_single else name,
             field=field,
-            path=path,
+            path=paths[field],
             unit=options.unit,
         )
-        for own, (option, topic, field, path) in zip(names, places, strict=True)
+        for sensor_name, (topic_option, field) in zip(names, sensors, strict=True)
     )
 
 

@@ -105,25 +105,31 @@ class AdapterProcess:
         environ: Mapping[str, str],
         listener: AdapterListener,
     ) -> None:
-        """Start the process. Raises DriverError if it cannot start. Needs a running loop."""
+        """Start the process, and watch its socket and error output in the running loop.
+
+        `script`: the path of `adapter_process.py`. `python`: an interpreter that has rospy.
+        `config` is passed as JSON. Raises DriverError if the process cannot start.
+        """
         self._listener, self._kept = listener, frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         self._alive_at = self._loop.time() + START_TIMEOUT - ALIVE_TIMEOUT
-        self._lines: deque[str] = deque(maxlen=_MAX_LINES)
+        self._error_lines: deque[str] = deque(maxlen=_MAX_LINES)
         self._buffer = memoryview(bytearray(_MAX_FRAME))
+        # 1. A pair of connected sockets; the child's end is its standard input.
         try:
-            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            self._socket, child_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except OSError as error:
             raise DriverError(
                 f"driver ros1: no socket to an adapter: {error.strerror}; is the machine full?"
             ) from None
+        # 2. The process.
         try:
-            for end in (self._socket, theirs):
+            for end in (self._socket, child_socket):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
             self._process = subprocess.Popen(
                 [python, script, json.dumps(config)],
-                stdin=theirs.fileno(),
+                stdin=child_socket.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
                 env=environ,
@@ -137,13 +143,14 @@ class AdapterProcess:
                 " driver_options.python to a Python that has rospy"
             ) from None
         finally:
-            theirs.close()
+            child_socket.close()
+        # 3. Readers in the loop.
         assert self._process.stderr is not None
-        self._errors = self._process.stderr.fileno()
-        os.set_blocking(self._errors, False)
+        self._error_pipe = self._process.stderr.fileno()
+        os.set_blocking(self._error_pipe, False)
         self._socket.setblocking(False)
         self._loop.add_reader(self._socket, self._on_readable)
-        self._loop.add_reader(self._errors, self._on_error_output)
+        self._loop.add_reader(self._error_pipe, self._on_error_output)
 
     @property
     def pid(self) -> int:
@@ -167,7 +174,7 @@ class AdapterProcess:
         except TimeoutError:
             self._on_readable()  # packets that came while this process was frozen
             if self._loop.time() - self._alive_at > ALIVE_TIMEOUT and not self._ended.is_set():
-                self._lines.append(f"did not answer for {ALIVE_TIMEOUT:g} s")
+                self._error_lines.append(f"did not answer for {ALIVE_TIMEOUT:g} s")
                 self._process.kill()
                 self._hang_up()
         return self._ended.is_set()
@@ -190,10 +197,10 @@ class AdapterProcess:
                 self._process.kill()
                 self._process.wait()
             self._on_error_output()
-            self._loop.remove_reader(self._errors)
+            self._loop.remove_reader(self._error_pipe)
             assert self._process.stderr is not None
             self._process.stderr.close()
-        last = self._lines[-1] if self._lines else ""
+        last = self._error_lines[-1] if self._error_lines else ""
         return how_it_ended(self._process.returncode) + (f": {last}" if last else "")
 
     async def _wait(self, seconds: float) -> None:
@@ -245,14 +252,14 @@ class AdapterProcess:
 
     def _on_error_output(self) -> None:
         try:
-            text = os.read(self._errors, 65536)
+            text = os.read(self._error_pipe, 65536)
         except BlockingIOError:
             return
         if not text:
-            self._loop.remove_reader(self._errors)
+            self._loop.remove_reader(self._error_pipe)
         for line in text.decode(errors="replace").splitlines():
             if line.strip():
-                self._lines.append(line.strip()[:300])
+                self._error_lines.append(line.strip()[:300])
 
     def _hang_up(self) -> None:
         """Close the socket, and note the end of the process."""

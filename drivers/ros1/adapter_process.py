@@ -326,45 +326,59 @@ class Adapter:
         Ends the adapter if the master lacks this node's subscriptions in two polls in a row: the
         master was restarted.
         """
+        # 1. The nodes by topic.
         master = self._master
         publishers, subscribers, _ = master.call("getSystemState")
-        publishes, subscribes = dict(publishers), dict(subscribers)
+        publishers_of, subscribers_of = dict(publishers), dict(subscribers)
         topics = self._config["topics"]
-        command, *others_too = self._config["command_topics"]
-        is_listed = all(master.caller in subscribes.get(topic, ()) for topic in topics)
+        command_topic, *further_command_topics = self._config["command_topics"]
+        is_listed = all(master.caller in subscribers_of.get(topic, ()) for topic in topics)
         self._misses = 0 if is_listed else self._misses + 1
         if self._misses >= 2:
             self.end(0.0, "the ROS master has been restarted", "restart")
+        # 2. The topic of commands: other publishers, bases that listen, and their types.
         types = dict(master.call("getTopicTypes"))
-        others = [n for n in publishes.get(command, ()) if n != master.caller]
+        other_publishers = [
+            node for node in publishers_of.get(command_topic, ()) if node != master.caller
+        ]
         listeners = [
-            n for n in subscribes.get(command, ()) if not _is_adapter(n) and master.is_alive(n)
+            node
+            for node in subscribers_of.get(command_topic, ())
+            if not _is_adapter(node) and master.is_alive(node)
         ]
         connected = 0 if self._publisher is None else self._bases()
         wants = {}
         if connected < len(listeners):
-            wants = {node: master.wants(node, command) for node in listeners}
+            wants = {node: master.wants(node, command_topic) for node in listeners}
         self._follow_type(wants.values(), connected)
+        # 3. Topics that the driver may propose for a topic that is missing.
+        candidates = {
+            kind: sorted(
+                topic
+                for topic, type_ in types.items()
+                if type_ == kind and publishers_of.get(topic)
+            )
+            for kind in self._config["types"]
+        }
+        taken_topics = {
+            kind: sorted(
+                topic
+                for topic, nodes in subscribers_of.items()
+                if types.get(topic) == kind and not all(map(_is_adapter, nodes))
+            )
+            for kind in self._config["command_types"]
+        }
+        heard_topics = [*topics, *further_command_topics]
         return {
             "event": "state",
             "master": True,
             "publishers": {
-                topic: self._alive(publishes.get(topic, [])) for topic in [*topics, *others_too]
+                topic: self._alive(publishers_of.get(topic, [])) for topic in heard_topics
             },
             "types": {topic: types.get(topic, "") for topic in topics},
-            "candidates": {
-                kind: sorted(t for t, k in types.items() if k == kind and publishes.get(t))
-                for kind in self._config["types"]
-            },
-            "taken_topics": {
-                kind: sorted(
-                    topic
-                    for topic, nodes in subscribes.items()
-                    if types.get(topic) == kind and not all(map(_is_adapter, nodes))
-                )
-                for kind in self._config["command_types"]
-            },
-            "others": [n for n in others if master.is_alive(n)],
+            "candidates": candidates,
+            "taken_topics": taken_topics,
+            "others": [node for node in other_publishers if master.is_alive(node)],
             "listeners": listeners,
             "connected": connected,
             "wants": wants,

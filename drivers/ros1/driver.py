@@ -208,29 +208,39 @@ class Ros1Driver:
         self._gate.cut()
 
     def _config(self, is_check: bool) -> dict[str, Any]:
-        options, foreign = self._options, self._foreign
-        topics = [
-            *((stats.topic, stats.message_type) for stats in self._subscriptions.topics.values()),
+        """The configuration of an adapter process, as JSON values.
+
+        Topics are named by their index in `topics`: first those of the subscriptions, then the
+        states of actions. `definitions`: md5sum and definition of each message class of commands.
+        `kept_topics`: indices of topics whose last message counts until the next one. `holds`: an
+        earlier adapter has driven the robot, so that this adapter begins with zeros.
+        """
+        options, foreign, subscriptions = self._options, self._foreign, self._subscriptions
+        types_by_topic = [
+            *((stats.topic, stats.message_type) for stats in subscriptions.topics.values()),
             *((topic, foreign.protocol.message_type) for topic in foreign.actions),
         ]
         definitions = {
             serialization.type_name(kind): serialization.definition(kind)[::-1]
             for kind in (TwistMessage, TwistStamped)
         }
+        kept_topics = [
+            index
+            for index, (topic, _) in enumerate(types_by_topic)
+            if topic in subscriptions.kept_topics
+        ]
         return {
             "master": options.master_uri,
             "name": self._node,
-            "topics": [topic for topic, _ in topics],
-            "types": [serialization.type_name(kind) for _, kind in topics],
-            "md5sums": [serialization.definition(kind)[1] for _, kind in topics],
+            "topics": [topic for topic, _ in types_by_topic],
+            "types": [serialization.type_name(kind) for _, kind in types_by_topic],
+            "md5sums": [serialization.definition(kind)[1] for _, kind in types_by_topic],
             "command_topics": foreign.topics,
             "command_types": [serialization.type_name(kind) for kind in options.command_types],
             "definitions": definitions,
             "frame_id": options.cmd_vel_frame,
             "is_check": is_check,
-            "kept_topics": [
-                i for i, (topic, _) in enumerate(topics) if topic in self._subscriptions.kept_topics
-            ],
+            "kept_topics": kept_topics,
             "holds": not is_check and self._gate.has_sent,
         }
 

@@ -72,12 +72,13 @@ class MasterGraph:
         return bool(self.state and self.state.others) and not self._options.shared_cmd_vel
 
     def graph(self) -> Graph:
-        """The endpoints of other nodes."""
+        """The publishers and subscribers of other nodes, from the last state of the master."""
         state, ends = self.state or MasterState(master=False), list[Endpoint]()
+        # 1. Publishers: of the driver's topics with their nodes, and of topics of the same types.
         for topic, nodes in state.publishers.items():
             for node in nodes:
-                known = state.types.get(topic, "")
-                kind = self._foreign_types.get((topic, node), self._type_of(topic, known))
+                master_type = self._type_of(topic, state.types.get(topic, ""))
+                kind = self._foreign_types.get((topic, node), master_type)
                 ends.append(Endpoint(True, topic, kind, node=node))
         ends += [
             Endpoint(True, topic, kind)
@@ -85,6 +86,7 @@ class MasterGraph:
             for topic in topics
             if topic not in state.publishers
         ]
+        # 2. Subscribers: of the commands with their nodes, and of other topics of command types.
         for node in state.listeners:
             kind = state.wants.get(node, "").strip("*") or self.command_type
             if kind:

@@ -84,9 +84,10 @@ class AdminSpaces:
         self._root, self._on_answer = root, on_answer
         self._sensed, self._cmd_vel = tuple(sensed), cmd_vel
         self.asked_at = -math.inf
-        self._begun = self._watched = -math.inf
-        self._query: object | None = None
-        self._readers: Collection[str] = ()
+        # s on the loop's clock: begin of the last whole query, and of the last query of readers.
+        self._queried_at = self._watched_at = -math.inf
+        self._query: object | None = None  # of the query that has not ended
+        self._readers: Collection[str] = ()  # keys of DDS readers in the last whole answer
         self.nodes = NodeList()
 
     def is_awaited(self, announcing: Collection[str]) -> bool:
@@ -99,15 +100,17 @@ class AdminSpaces:
 
     def renew(self) -> None:
         """Let the next call of `query` make a whole query, without waiting for the period."""
-        self._begun = -math.inf
+        self._queried_at = -math.inf
 
     def query(
         self, session: zenoh.Session, announcing: Collection[str], loop: asyncio.AbstractEventLoop
     ) -> None:
-        """Make the query that is due, unless the last one has no end yet.
+        """Make the query that is due, unless the last query has no end yet. Returns at once.
 
-        A whole query each PERIOD, and more often while `is_awaited`. Between whole queries, a query
-        of the readers of the commands each WATCH_PERIOD.
+        A whole query lists the nodes of each bridge, and all DDS readers and writers. It is due
+        each PERIOD, and more often while the first complete lists, or names of nodes, may come.
+        Between whole queries, a query of the readers of the commands is due each WATCH_PERIOD.
+        `announcing`: the ids of the sessions that announce topics of this robot.
         """
         now, bridges = loop.time(), self.nodes.namespaces
         if self.nodes.is_naming:
@@ -118,24 +121,25 @@ class AdminSpaces:
             period = PERIOD
         if not self._root or self._query is not None:
             return
-        if now - self._begun >= period:
-            self._begun = self._watched = now
+        if now - self._queried_at >= period:
+            self._queried_at = self._watched_at = now
             # Until a bridge is known, query all: a bridge may list nodes and announce no topic.
             zids = {*announcing, *bridges} or {_ANY}
-            asked = [(zid, selector) for zid in zids for selector in self._everything(zid)]
-            self._ask(session, asked, loop, partial(self._take, announcing, loop, now))
-        elif now - self._watched >= WATCH_PERIOD and bridges:
-            self._watched = now
-            asked = [(zid, self._ends(zid, "reader", self._cmd_vel)) for zid in bridges]
-            self._ask(session, asked, loop, self._compare)
+            selectors = [(zid, selector) for zid in zids for selector in self._selectors(zid)]
+            self._ask(session, selectors, loop, partial(self._take, announcing, loop, now))
+        elif now - self._watched_at >= WATCH_PERIOD and bridges:
+            self._watched_at = now
+            selectors = [(zid, self._dds_selector(zid, "reader", self._cmd_vel)) for zid in bridges]
+            self._ask(session, selectors, loop, self._compare)
 
-    def _everything(self, zid: str) -> Iterator[str]:
+    def _selectors(self, zid: str) -> Iterator[str]:
+        """The selectors of a whole query of the bridge `zid`; `*`: of all bridges."""
         root = self._root.replace(_ANY, zid, 1)
         yield from (f"{root}/config", f"{root}/node/**", f"{root}/dds/*")
-        yield self._ends(zid, "reader", self._cmd_vel)
-        yield from {self._ends(zid, "writer", topic) for topic in self._sensed}
+        yield self._dds_selector(zid, "reader", self._cmd_vel)
+        yield from {self._dds_selector(zid, "writer", topic) for topic in self._sensed}
 
-    def _ends(self, zid: str, kind: str, topic: str) -> str:
+    def _dds_selector(self, zid: str, kind: str, topic: str) -> str:
         """The selector of the DDS readers or writers (`kind`) of a topic at one bridge.
 
         DDS topics lack the bridge's namespace. While it is not known, any prefix matches.
@@ -148,32 +152,38 @@ class AdminSpaces:
     def _ask(
         self,
         session: zenoh.Session,
-        asked: Collection[tuple[str, str]],
+        selectors: Collection[tuple[str, str]],
         loop: asyncio.AbstractEventLoop,
         take: Callable[[Mapping[str, bytes], Collection[str]], None],
     ) -> None:
-        """Query each bridge's selectors; `take` gets all answers, and the ids of late bridges."""
-        query, answers, late, left = object(), dict[str, bytes](), set[str](), [*asked]
+        """Send queries, and call `take` in the loop once all have ended.
+
+        `selectors`: each with the id of its bridge. `take` gets the payload of each answer by its
+        key, and the ids of the bridges that had an error or did not answer in time. `on_reply` and
+        `on_end` run in a thread of Zenoh.
+        """
+        query, answers, late_bridges = object(), dict[str, bytes](), set[str]()
+        pending = [*selectors]
         self._query = query
 
         def on_reply(zid: str, reply: zenoh.Reply) -> None:
             sample = reply.ok
             if sample is None:
-                late.add(zid)
+                late_bridges.add(zid)
             elif len(answers) < _MAX_ANSWERS and len(sample.payload) <= _MAX_PAYLOAD:
                 answers[str(sample.key_expr)] = sample.payload.to_bytes()
 
         def on_end() -> None:
-            left.pop()
-            if not left:
-                hand_over(loop, end)
+            pending.pop()  # only the number of items counts
+            if not pending:
+                hand_over(loop, finish)
 
-        def end() -> None:
+        def finish() -> None:
             if query is self._query:  # otherwise the query is of an earlier start of the hub
                 self._query = None
-                take(answers, late)
+                take(answers, late_bridges)
 
-        for zid, selector in asked:
+        for zid, selector in selectors:
             receive = Callback(partial(on_reply, zid), on_end)
             session.get(selector, receive, timeout=_QUERY_TIMEOUT)
 
@@ -261,11 +271,13 @@ class NodeList:
         self._answers: Mapping[str, bytes] = {}  # the last answers
         self._read: Mapping[str, _Answer] = {}  # the same, decoded
         self._by_bridge: Mapping[str, _Answer] = {}
+        # Times in s: first heard, by process and node; first without a name, by process and topic;
+        # last complete answer, by bridge.
         self._since: Mapping[tuple[str, str], float] = {}
-        self._unnamed: Mapping[tuple[str, str], float] = {}
+        self._unnamed_since: Mapping[tuple[str, str], float] = {}
         self._heard_at: Mapping[str, float] = {}
-        self._tries: Mapping[str, int] = {}
-        self._settled: frozenset[str] = frozenset()
+        self._tries: Mapping[str, int] = {}  # whole queries, by announcing session
+        self._settled: frozenset[str] = frozenset()  # bridges with two equal answers in a row
         self.endpoints: tuple[Endpoint, ...] = ()
         self.dds: tuple[Endpoint, ...] = ()
         self.strays: tuple[Endpoint, ...] = ()
@@ -285,43 +297,46 @@ class NodeList:
         """Take all answers to a whole query: payload by key; None if all timed out.
 
         Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
-        `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the sessions
-        that announce topics. `late`: bridges whose answers are not complete; their earlier answers
-        count for MAX_AGE.
+        `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the ids of the
+        sessions that announce topics. `late`: the ids of bridges whose answers are not complete;
+        their earlier answers count for MAX_AGE.
         """
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
+        # 1. The complete answers of this query, by bridge.
         before = self._by_bridge
         late = {*before} if answers is None else late
         if answers is not None and answers != self._answers:
             self._answers, self._read = dict(answers), dict(_by_bridge(answers))
         read = {} if answers is None else self._read
-        whole = {zid: answer for zid, answer in read.items() if zid not in late}
-        unchanged = {zid for zid, answer in whole.items() if before.get(zid) == answer}
+        complete = {zid: answer for zid, answer in read.items() if zid not in late}
+        unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
+        # 2. Earlier answers of late bridges.
         kept = {
             zid: answer
             for zid, answer in before.items()
             if zid in late and now - self._heard_at[zid] <= MAX_AGE
         }
-        self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(whole, now)
-        if kept | whole != before:  # decoding and comparing 2000 endpoints takes 40 ms
-            self._replace(kept | whole, now)
-        # A reader without a node counts as stray at once if its process is no ROS process, else
+        self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(complete, now)
+        if kept | complete != before:  # decoding and comparing 2000 endpoints takes 40 ms
+            self._replace(kept | complete, now)
+        # 3. A reader without a node counts as stray at once if its process is no ROS process, else
         # after NAMING_TIME.
         by_bridge = self._by_bridge.values()
         unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
-        self._unnamed = {key: self._unnamed.get(key, now) for key in unnamed}
-        others = {process for answer in by_bridge for process in answer.others}
+        self._unnamed_since = {key: self._unnamed_since.get(key, now) for key in unnamed}
+        not_ros = {process for answer in by_bridge for process in answer.others}
         self.strays = tuple(
             end
             for key, end in unnamed.items()
-            if end.process in others or now - self._unnamed[key] >= NAMING_TIME
+            if end.process in not_ros or now - self._unnamed_since[key] >= NAMING_TIME
         )
+        # 4. A bridge's list is settled, thus complete, if two answers in a row were equal.
         self._settled = frozenset(unchanged | (self._settled & self._by_bridge.keys()))
 
     @property
     def is_naming(self) -> bool:
         """True while a DDS reader may still get the name of its node."""
-        return len(self.strays) < len(self._unnamed)
+        return len(self.strays) < len(self._unnamed_since)
 
     def is_awaited(self, announcing: Collection[str]) -> bool:
         """True while the complete list of an announcing session, or a node's name, may come."""
@@ -362,31 +377,40 @@ def _readers(answers: Iterable[str]) -> Collection[str]:
 
 
 def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
-    """The decoded answer of each bridge, by its id; a bridge without a `config` is left out."""
+    """The decoded answer of each bridge, by the bridge's id; `answers`: payload by key.
+
+    A bridge without the answer `config` is left out.
+    """
+    # 1. Sort the payloads by bridge. Keys are `@/<zid>/ros2/<kind>/<rest>`.
     configs = dict[str, _Config]()
     nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
-        if parts[3:] == ["config"] and (config := _decoded(_configs, payload)):
-            configs[parts[1]] = config
-        elif parts[3] in ("node", "dds") and len(parts) == 5:
-            (nodes if parts[3] == "node" else in_dds)[parts[1]][parts[4]] = payload
-    bridges = {_BRIDGE, *(config.nodename for config in configs.values())}
+        zid, kind, rest = parts[1], parts[3], "".join(parts[4:])
+        if kind == "config" and not rest and (config := _decoded(_configs, payload)):
+            configs[zid] = config
+        elif kind == "node" and rest:
+            nodes[zid][rest] = payload
+        elif kind == "dds" and rest:
+            in_dds[zid][rest] = payload
+    bridge_names = {_BRIDGE, *(config.nodename for config in configs.values())}
+    # 2. The endpoints of each bridge. A stray is a DDS reader that belongs to no listed node, or to
+    # another bridge.
     for zid, config in configs.items():
         prefix = config.namespace.rstrip("/")
         ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
-        named = [end for end in ends if end.node.rpartition("/")[2] not in bridges]
-        dds, processes, others = _ends_in_dds(zid, prefix, in_dds[zid])
-        processes |= {end.process: end.node for end in ends if end not in named}
-        taking = {(end.process, end.topic) for end in named if not end.is_publisher}
+        of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
+        dds_ends, processes, not_ros = _ends_in_dds(zid, prefix, in_dds[zid])
+        processes |= {end.process: end.node for end in ends if end not in of_nodes}
+        node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
         strays = (
             replace(end, node=processes.get(end.process, _NAMELESS))
-            for end in dds
-            if not end.is_publisher and (end.process, end.topic) not in taking
+            for end in dds_ends
+            if not end.is_publisher and (end.process, end.topic) not in node_readers
         )
-        yield zid, _Answer(prefix, frozenset(named), dds, frozenset(strays), others)
+        yield zid, _Answer(prefix, frozenset(of_nodes), dds_ends, frozenset(strays), not_ros)
 
 
 def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:

@@ -213,6 +213,7 @@ class RosDriver:
         self._was_incomplete = False
 
     async def _run(self, sink: Sink, *, is_check: bool) -> None:
+        """Connect, and feed the sink until cancelled; `is_check`: announce and publish nothing."""
         loop = asyncio.get_running_loop()
         self._subscriptions = Subscriptions(self._options, self._platform)
         self._report_state(sink, False, f"no message yet from {self._options.endpoint}")
@@ -222,16 +223,16 @@ class RosDriver:
             self._session, self._was_linked = session, True
             for key in self._zero_by_key:
                 self._publishers[key] = command_publisher(session, key)
-            self._listen(session, inbox, loop)
+            self._subscribe(session, inbox, loop)
             if not is_check:
                 self._state.open(session)
-            opened = loop.time()
+            opened_at = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
-                self._watch(sink, session, loop.time(), opened)
+                self._watch(sink, session, loop.time(), opened_at)
                 self._state.publish()
-        finally:
+        finally:  # in any case a last zero to a base that was driven, and no open session
             inbox.close()
             self._state.close()
             try:
@@ -252,22 +253,28 @@ class RosDriver:
             within = MAX_OPEN_TIME
             self._report_state(sink, False, self._unreachable())
 
-    def _listen(
+    def _subscribe(
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
     ) -> None:
+        """Declare all subscribers of a new session; their samples go to the inbox.
+
+        Announcements of endpoints are liveliness tokens; they go to `_on_token` in the loop.
+        """
+        # For the query of the last message of a kept topic, from its publisher's cache.
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
         }
 
         def on_token(sample: zenoh.Sample) -> None:
-            is_there = sample.kind == zenoh.SampleKind.PUT
-            hand_over(loop, self._on_token, str(sample.key_expr), is_there)
+            is_declared = sample.kind == zenoh.SampleKind.PUT
+            hand_over(loop, self._on_token, str(sample.key_expr), is_declared)
 
         session.liveliness().declare_subscriber(
             self._scheme.announcements, Callback(on_token, indirect=False), history=True
         )
         self._query_graph(session, loop)
+        # Sensors; then commands and action states of other nodes, without this driver's own.
         for stats in self._subscriptions.topics.values():
             session.declare_subscriber(
                 self._scheme.subscription_key(stats.topic),
@@ -316,42 +323,43 @@ class RosDriver:
         else:
             self._query_graph(self._session, loop)
 
-    def _on_token(self, token: str, is_there: bool) -> None:
-        """Take the announcement of an endpoint, or its withdrawal (not `is_there`).
+    def _on_token(self, token: str, is_declared: bool) -> None:
+        """Take the announcement of an endpoint (`is_declared`), or its withdrawal.
 
-        1. Keep or drop the endpoint.
-        2. The server of an action has left: its goals have ended.
-        3. A base has come or left: the command type may be another, and zero goes first.
-        4. A publisher of a kept topic has come or left: ask for its last message, or drop it.
+        A token with unprintable characters, or of another form, is ignored.
         """
         if len(token) > _MAX_TOKEN or not token.isprintable():
             return
         end = self._scheme.parse_token(token)
         if end is None:
             return
+        # 1. Keep or drop the endpoint. The topics of this robot may fill as much again, so that
+        # other topics do not shut them out.
         now, self._foreign_ends = asyncio.get_running_loop().time(), None
-        # The topics of this robot may fill as much again, so that others do not shut them out.
-        most = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
-        if is_there and len(self._endpoints) < most:
+        max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
+        if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))
-        elif not is_there:
+        elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
+        # 2. The server of an action may have left without ending its goals.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
-            if not self._is_published(end.topic):  # the server has left without ending its goals
+            if not self._is_published(end.topic):
                 self._ended_servers.add(end.topic)
                 self._foreign.end_goals(end.topic, now)
+        # 3. A base has come or left: the command type may be another, and zero goes first.
         if not end.is_publisher and end.topic == self._cmd_vel:
-            if not is_there:
+            if not is_declared:
                 self._gate.require_zero()
             self._command_type = self._wanted_type()
             self._bridges.renew()
+        # 4. A publisher of a kept topic has come or left: query its last message, or drop it.
+        # Without a publisher no query: a bridge's cache outlives its DDS writer.
         if end.is_publisher and end.topic in self._kept and self._session:
-            if not is_there:
+            if not is_declared:
                 self._subscriptions.forget(end.topic)
-            # Without a publisher no query: a bridge's cache outlives its DDS writer.
-            if is_there or self._is_published(end.topic):
+            if is_declared or self._is_published(end.topic):
                 key = self._scheme.subscription_key(end.topic)
                 query_kept(self._session, key, self._kept[end.topic])
 
@@ -477,14 +485,18 @@ class RosDriver:
         self._opened_type = self._command_type
 
     def _announce(self, command_type: type | None) -> None:
-        """Declare this node's tokens, and declare them again when its commands change type."""
+        """Declare the liveliness tokens by which other nodes see this driver as a ROS node.
+
+        The tokens name its subscriptions, its publishers of the robot's state, and its publisher of
+        commands. They are declared again when the commands change their type.
+        """
         if self._session is None or command_type is None:
             return
         if self._tokens and command_type is self._opened_type:
             return
         undeclare(*self._tokens)
         graph = self._foreign_graph()
-        ends = [
+        subscribed = [
             TopicEnd(
                 stats.topic,
                 stats.message_type,
@@ -494,14 +506,15 @@ class RosDriver:
             )
             for stats in self._subscriptions.topics.values()
         ]
+        state_ends = self._state.ends
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        state_ends = self._state.ends
-        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, *state_ends, command])
+        zid = str(self._session.info.zid())
         # The tokens of the ends come last, in the order of the ends.
-        *_, self._command_token = tokens
-        state_tokens = tokens[-1 - len(state_ends) : -1]
+        tokens = self._scheme.tokens(zid, [*subscribed, *state_ends, command])
+        *earlier_tokens, self._command_token = tokens
+        state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]
         topics = (end.topic for end in state_ends)
         self._state.announced(dict(zip(topics, state_tokens, strict=True)))
         self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
@@ -512,49 +525,51 @@ class RosDriver:
             self._put(ZERO, frame="")
         self._report_state(sink, False, text)
 
-    def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
-        """Detect changes of hub, topics and base, each _PERIOD; `opened`: s of the session's begin.
+    def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened_at: float) -> None:
+        """Detect changes of hub, topics and base, each _PERIOD; times in s of the loop's clock.
 
-        Only the first change of this order is acted on. These close the gate: hub gone, hub started
-        again, silent topics, a fault of the commands, another command type. These are only
-        reported: a conflict, a change of the link. Otherwise a zero that is due after a loss is
-        repeated.
+        A hub is the Zenoh router or bridge that the session is linked to. The gate lets commands
+        pass; while it is closed the base counts as lost.
         """
-        hubs, before = linked_hubs(session), self._hubs
-        self._hubs = hubs or before
-        silent = now - self._subscriptions.last_arrival
-        if hubs and (not self._was_linked or hubs != before):
+        # 1. The hub: linked, started again (another id), or gone.
+        hubs, last_hubs = linked_hubs(session), self._hubs
+        self._hubs = hubs or last_hubs
+        was_linked, self._was_linked = self._was_linked, bool(hubs)
+        if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)
-            if before:
+            if last_hubs:
                 self._query_graph(session, asyncio.get_running_loop())
-        if not hubs and self._was_linked:
+        if not hubs and was_linked:
             self._subscriptions.forget()
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
-        was_linked, self._was_linked = self._was_linked, bool(hubs)
-        conflict, self._conflict = self._conflict, self._find_conflict()
-        if self._gate.is_open and not hubs:
+        # 2. The first change that applies: it closes the gate, or is only reported.
+        silence_s = now - self._subscriptions.last_arrival
+        last_conflict, self._conflict = self._conflict, self._find_conflict()
+        is_open = self._gate.is_open
+        if is_open and not hubs:
             self._close_gate(sink, self._unreachable())
-        elif self._gate.is_open and before and hubs != before:
+        elif is_open and last_hubs and hubs != last_hubs:
             self._close_gate(sink, f"{self._place()} was started again")
-        elif self._gate.is_open and silent > self._sensor_timeout:
+        elif is_open and silence_s > self._sensor_timeout:
             self._close_gate(
-                sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s"
+                sink, f"no scan and no odometry from {self._place()} for {silence_s:.1f} s"
             )
-        elif self._gate.is_open and (fault := self._command_fault(now)):
+        elif is_open and (fault := self._command_fault(now)):
             self._close_gate(sink, fault)
-        elif self._gate.is_open and self._command_type is not self._opened_type:
+        elif is_open and self._command_type is not self._opened_type:
             self._close_gate(
                 sink, f"the base wants another type of commands on {self._cmd_vel} now"
             )
-        elif self._gate.is_open and conflict != self._conflict:
+        elif is_open and last_conflict != self._conflict:
             self._report_state(sink, True, self._connected_text())
         elif self._reported is not None and was_linked != self._was_linked:
             # Report the same state again: `gets_zero` has changed with the link.
             self._report_state(sink, *self._reported[:2])
         elif self._gate.repeats_zero(now) and not self._foreign.source(now):
             self._put(ZERO, frame="")
-        if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened >= _EXPLAIN_PERIOD:
+        # 3. Why the base is lost, or what is missing, from time to time.
+        if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened_at >= _EXPLAIN_PERIOD:
             self._explain(sink, now, is_linked=bool(hubs))
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:

@@ -60,27 +60,32 @@ class EmulatedRobots:
         endpoint: str,
         on_command: OnCommand,
     ) -> None:
-        """Subscribe to all commands. Raises as `EmulatorFactory` does."""
-        self.dropped = 0
+        """Open the hub at `endpoint`, announce the robots' topics, and subscribe to all commands.
+
+        `robots`: the platform of each robot by its id. `driver_options`: the options with which the
+        robots' drivers find the hub. Raises as `EmulatorFactory` does.
+        """
+        self.dropped = 0  # commands that could not be read
         self._lock = threading.Lock()
         self._on_command = on_command
-        read = {robot: _options(spec, robot, robots[robot]) for robot in robots}
-        _check_distinct(spec, read)
-        _check_tags(spec, read)
+        options_of = {robot: _options(spec, robot, platform) for robot, platform in robots.items()}
+        _check_distinct(spec, options_of)
+        _check_tags(spec, options_of)
         cdr.warm(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
         self._hub, self.endpoint = open_listening(endpoint, _OPTIONS, f"the robots' {spec.driver}")
-        kinds = {platform.name: platform for platform in robots.values()}
-        readings = {name for kind in kinds.values() for name in emulated_readings(kind)}
+        platforms = {platform.name: platform for platform in robots.values()}
+        readings = {name for each in platforms.values() for name in emulated_readings(each)}
         self.driver_options: Mapping[str, Value] = {
             "endpoint": self.endpoint,
             "namespace": NAMESPACE,
             "readings": {name: _reading(name) for name in sorted(readings)},
         }
+        self._robots: dict[str, _Robot] = {}
         try:
-            self._robots = {
-                robot: self._start(robot, platform, read[robot], spec.scheme(read[robot], index))
-                for index, (robot, platform) in enumerate(robots.items())
-            }
+            for index, (robot, platform) in enumerate(robots.items()):
+                options = options_of[robot]
+                scheme = spec.scheme(options, index)
+                self._robots[robot] = self._start(robot, platform, options, scheme)
         except BaseException:
             self._hub.close()
             raise
@@ -126,18 +131,23 @@ class _Robot:
         scheme: KeyScheme,
         command: TopicEnd,
     ) -> None:
+        """Declare a publisher for each topic of each sensor, and announce these topics.
+
+        `command`: the subscription of commands, which is announced too.
+        """
         self._scheme, self._stamp = scheme, 0.0
         published: list[TopicEnd] = []
-        # By kind of input, each encoder with the number of its first publisher.
+        # By kind of input, each encoder with the index of its first publisher.
         self._encoders: dict[type[SensorInput], list[tuple[int, InputEncoder]]] = {}
-        for kind, listed in encoders(options, platform).items():
+        for kind, kind_encoders in encoders(options, platform).items():
             self._encoders[kind] = []
-            for encoder in listed:
+            for encoder in kind_encoders:
                 self._encoders[kind].append((len(published), encoder))
                 published += [
                     TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
                     for topic, message_type in encoder.topics
                 ]
+        # The tokens of the topics come last, in the order of the topics.
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]
@@ -179,10 +189,10 @@ def _options(spec: EmulatorSpec, robot: str, platform: Platform) -> RosOptions:
     return read_options(spec.options, {**own, "namespace": NAMESPACE}, spec.driver, robot)
 
 
-def _check_distinct(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
-    """Raise ConfigError if two robots would use one topic."""
+def _check_distinct(spec: EmulatorSpec, options_of: Mapping[str, RosOptions]) -> None:
+    """Raise ConfigError if two robots would use one topic; `options_of`: by robot."""
     owners: dict[str, str] = {}
-    for robot, options in read.items():
+    for robot, options in options_of.items():
         for name in (options.cmd_vel, options.odometry, *(options.ranges or (options.scan_topic,))):
             topic = options.topic(name)
             owner = owners.setdefault(topic, robot)
@@ -193,9 +203,9 @@ def _check_distinct(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
                 )
 
 
-def _check_tags(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
+def _check_tags(spec: EmulatorSpec, options_of: Mapping[str, RosOptions]) -> None:
     """Raise ConfigError if the number of a robot's tag stands for another kind of object."""
-    for robot, options in read.items():
+    for robot, options in options_of.items():
         for encoder in tag_encoders(options):
             kind = encoder.taken_for(_ROBOTS, robot)
             if kind != _ROBOTS:

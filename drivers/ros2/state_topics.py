@@ -82,11 +82,12 @@ class StateTopics:
         pose: ShownPose | None,
         odometry_age: float,
     ) -> None:
-        """Keep the newest state of the robot.
+        """Keep the newest state of the robot, for the next `publish`.
 
-        `status` None: the last status still holds. `pose`: in a shared frame, None if not known.
-        `motion`: the pose by odometry, measured `odometry_age` s ago; used without `pose`, unless
-        older than MAX_AGE. The stamp of a message is the time of the measurement.
+        `status` None: the last status still holds. `pose`: in a shared frame; None: not known.
+        Without `pose`, the pose of `motion` by odometry counts, unless `odometry_age`, the age of
+        its measurement in s, is above MAX_AGE. With neither, no pose is published. The stamp of a
+        message is the time of the measurement.
         """
         if status is not None:
             self._status = status
@@ -164,12 +165,16 @@ class StateTopics:
 
 
 def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> ros.MarkerArray:
-    """Markers for RViz: the robot's outline, heading and text, in the colour of its state."""
+    """Markers for RViz: the robot's outline, heading and text, in the colour of its state.
+
+    `footprint`: (n, 2) m, the corners of the outline in the base frame. `pose`: in the frame of
+    `head`.
+    """
     is_held = status.state is State.RUNNING and status.reason is not None
     red, green, blue = colour_of(status.state, is_held=is_held)
     length = float(abs(footprint[:, 0]).max())
     outline = [ros.Point(x=float(x), y=float(y), z=0.0) for x, y in (*footprint, footprint[0])]
-    ahead = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]
+    heading = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]
     reason = "" if status.reason is None else f"\n{status.reason.value}"
     text = f"{status.robot}: {status.state.value}{reason}"
     marker = ros.Marker
@@ -181,6 +186,7 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
         pose=pose_message(pose),
         color=ros.ColorRGBA(r=red, g=green, b=blue, a=1.0),
         lifetime=ros.Duration(sec=_LIFETIME, nanosec=0),
+        # These fields have no meaning here, but a message needs a value for each of its fields.
         frame_locked=False,
         colors=[],
         texture_resource="",
@@ -193,22 +199,27 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
     return ros.MarkerArray(
         markers=[
             make(id=0, type=marker.LINE_STRIP, scale=_scale(0.02), points=outline, text=""),
-            make(id=1, type=marker.ARROW, scale=_scale(0.02, 0.05), points=ahead, text=""),
+            make(id=1, type=marker.ARROW, scale=_scale(0.02, 0.05), points=heading, text=""),
             make(id=2, type=marker.TEXT_VIEW_FACING, scale=_scale(0.1), points=[], text=text),
         ]
     )
 
 
 def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
-    """The robot's state, reason, hold and speed limit by protection, as a diagnostic status."""
+    """The robot's state, reason, hold and speed limit by protection, as a diagnostic status.
+
+    `stamp`: s of the message. The level is ERROR for a robot that is stopped or has a fault, and
+    WARN for a robot that is held, has findings or has lost its base.
+    """
     decision, reason = status.decision, "" if status.reason is None else status.reason.value
     is_held = status.state is State.RUNNING and bool(reason)
+    # The strongest speed limit of protection: in m/s towards an obstacle.
     limit = ""
     if decision.rows:
-        nearest = decision.rows[0]
+        constraint = decision.rows[0]
         limit = (
-            f"{nearest.cap:.2f} m/s towards {math.degrees(nearest.bearing):.0f} deg,"
-            f" gap {nearest.gap:.2f} m"
+            f"{constraint.cap:.2f} m/s towards {math.degrees(constraint.bearing):.0f} deg,"
+            f" gap {constraint.gap:.2f} m"
         )
     values = {
         "state": status.state.value,
@@ -225,16 +236,18 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
         "emergency_stops": str(len(status.latches)),
     }
     kind = ros.DiagnosticStatus
-    level = kind.OK
-    lost = "" if status.health.driver_up else "base lost"
-    if is_held or status.findings or lost:
-        level = kind.WARN
+    base_text = "" if status.health.driver_up else "base lost"
     if status.state in (State.ESTOPPED, State.FAULTED):
         level = kind.ERROR
+    elif is_held or status.findings or base_text:
+        level = kind.WARN
+    else:
+        level = kind.OK
+    texts = (status.state.value, reason, status.detail, base_text)
     diagnostic = kind(
         level=level,
         name=f"swarmd: {status.robot}",
-        message=": ".join(filter(None, (status.state.value, reason, status.detail, lost))),
+        message=": ".join(filter(None, texts)),
         hardware_id=status.robot,
         values=[ros.KeyValue(key=key, value=value) for key, value in values.items()],
     )

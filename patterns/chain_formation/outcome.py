@@ -42,27 +42,33 @@ class Chain:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
-    """All outcomes: for each seed a run with the defaults; `has_more`: also with fixed chains."""
+    """Measure how often a chain of robots joins the nest to the goal, and how well it holds.
+
+    A swarm of points makes one run for each seed with the default parameters. `has_more`: also
+    runs with chains that align but do not turn about the nest (`sweep` 0), and with chains that
+    no member leaves either (`leave` 0).
+    """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
-    done = [one for one in runs if one.at <= SECONDS]
-    joined = share_of(map(_is_joined, runs))
-    found = [
-        at_least(NAME, "share of runs in which a chain joins both", 0.9, joined, _PATH),
-        at_most(NAME, "longest gap of it / distance", 1.6, [one.gap for one in done], "ours"),
-        at_least(NAME, "share of 30 s after it for which it holds", 0.9, _held(done), "ours"),
+    joined_runs = [chain for chain in runs if _is_joined(chain)]
+    gaps = [chain.gap for chain in joined_runs]
+    held_shares = [chain.held for chain in joined_runs]
+    joined_share = share_of(map(_is_joined, runs))
+    default_outcomes = [
+        at_least(NAME, "share of runs in which a chain joins both", 0.9, joined_share, _PATH),
+        at_most(NAME, "longest gap of it / distance", 1.6, gaps, "ours"),
+        at_least(NAME, "share of 30 s after it for which it holds", 0.9, held_shares, "ours"),
     ]
     if not has_more:
-        return found
-    aligning = each(run, [(seed, ALIGNING) for seed in seeds], jobs)
-    static = each(run, [(seed, STATIC) for seed in seeds], jobs)
-    what = "the same share, less than with the defaults by"
-    fewer, fewest = (
-        difference_of(map(_is_joined, runs), map(_is_joined, some)) for some in (aligning, static)
-    )
+        return default_outcomes
+    aligning_runs = each(run, [(seed, ALIGNING) for seed in seeds], jobs)
+    static_runs = each(run, [(seed, STATIC) for seed in seeds], jobs)
+    loss_aligning = difference_of(map(_is_joined, runs), map(_is_joined, aligning_runs))
+    loss_static = difference_of(map(_is_joined, runs), map(_is_joined, static_runs))
+    label = "the same share, less than with the defaults by"
     return [
-        *found,
-        at_least(NAME, f"sweep 0: {what}", 0.1, fewer, _MOTION),
-        at_least(NAME, f"sweep 0, leave 0: {what}", 0.3, fewest, _MOTION),
+        *default_outcomes,
+        at_least(NAME, f"sweep 0: {label}", 0.1, loss_aligning, _MOTION),
+        at_least(NAME, f"sweep 0, leave 0: {label}", 0.3, loss_static, _MOTION),
     ]
 
 
@@ -70,35 +76,36 @@ def _is_joined(chain: Chain) -> bool:
     return chain.at <= SECONDS
 
 
-def _held(runs: Sequence[Chain]) -> list[float]:
-    return [one.held for one in runs]
-
-
 def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
-    """One run: robot 0 is the nest, robot 1 the goal, the others begin at random around the nest.
+    """Simulate point robots, and return when a chain joined nest and goal, and how well.
 
-    The run ends `HELD` samples after the nest learned of the goal.
+    `given`: the seed, and parameters of all robots. Robot 0 is the nest, robot 1 the goal `FAR` m
+    away; the other robots begin at random around the nest. The run ends `HELD` samples after the
+    nest learned of the goal, or after `SECONDS`. The chain's time is inf if the nest never learned.
     """
     seed, params = given
     rng = np.random.default_rng(seed)
-    to_goal = float(rng.uniform(-math.pi, math.pi))
-    around = np.column_stack([rng.uniform(-1.2, 1.2, (ROBOTS, 2)), rng.uniform(-3.0, 3.0, ROBOTS)])
-    ends = [[0.0, 0.0, 0.0], [FAR * math.cos(to_goal), FAR * math.sin(to_goal), 0.0]]
-    own: Mapping[int, Mapping[str, Value]] = {0: {"role": "nest"}, 1: {"role": "goal"}}
-    free, left = scan_of(load_platform("burger")), [HELD]
+    goal_bearing = float(rng.uniform(-math.pi, math.pi))
+    robots = np.column_stack([rng.uniform(-1.2, 1.2, (ROBOTS, 2)), rng.uniform(-3.0, 3.0, ROBOTS)])
+    nest = [0.0, 0.0, 0.0]
+    goal = [FAR * math.cos(goal_bearing), FAR * math.sin(goal_bearing), 0.0]
+    roles: Mapping[int, Mapping[str, Value]] = {0: {"role": "nest"}, 1: {"role": "goal"}}
+    free_scan, samples_left = scan_of(load_platform("burger")), HELD
 
     def see(_: int, __: Array) -> Scan:
-        return free
+        return free_scan
 
     def is_over(reports: Sequence[Mapping[str, Scalar]]) -> bool:
-        left[0] -= left[0] < HELD or bool(reports[0].get("leads"))
-        return left[0] < 0
+        # The countdown starts when the nest reports `leads`, and then goes on at each sample.
+        nonlocal samples_left
+        if samples_left < HELD or reports[0].get("leads"):
+            samples_left -= 1
+        return samples_left < 0
 
-    swarm = PointSwarm(
-        NAME, np.vstack([ends, around]), seed=seed, params=params, own=own, reach=REACH, see=see
-    )
+    poses = np.vstack([[nest, goal], robots])
+    swarm = PointSwarm(NAME, poses, seed=seed, params=params, own=roles, reach=REACH, see=see)
     track = swarm.run(SECONDS, EVERY, is_over)
-    leads = track.reported("leads", 0.0)[:, 0] > 0.0
+    leads = track.reported("leads", 0.0)[:, 0] > 0.0  # (T,) of the nest
     if not leads.any():
         return Chain(math.inf, math.nan, math.nan)
     first = int(leads.argmax())
@@ -106,15 +113,16 @@ def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
 
 
 def _longest_gap(track: Track, row: int) -> float:
-    """The longest gap on the way from nest to goal over members, over the distance of members.
+    """The longest gap on the path from nest to goal over members, in multiples of DISTANCE.
 
-    The way is the one whose longest gap is least.
+    `row`: the sample. Of all paths over members the function takes the path whose longest gap is
+    least (minimax path).
     """
     places = track.pose[row, :, :2]
-    states = [one.get("state") for one in track.reports[row]]
-    members = [k for k, one in enumerate(states) if one in ("nest", "goal", "chain")]
+    states = [report.get("state") for report in track.reports[row]]
+    members = [robot for robot, state in enumerate(states) if state in ("nest", "goal", "chain")]
     x, y = places[members].T
-    apart = np.asarray(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)))
-    for k in range(len(members)):  # minimax paths by the algorithm of Floyd and Warshall
-        apart = np.minimum(apart, np.maximum(apart[:, k : k + 1], apart[k : k + 1, :]))
-    return float(apart[0, 1] / DISTANCE)
+    gaps = np.asarray(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)))
+    for via in range(len(members)):  # minimax paths by the algorithm of Floyd and Warshall
+        gaps = np.minimum(gaps, np.maximum(gaps[:, via : via + 1], gaps[via : via + 1, :]))
+    return float(gaps[0, 1] / DISTANCE)

@@ -43,9 +43,14 @@ from swarmd.api import (
 
 _CHANNEL, _WALK = "chain", "walk"
 _MAX_HOPS, _GOAL = 10_000, -1
-_NEAR, _FAR = 0.8, 1.3  # of the distance: explorers join from here, and pass a member up to here
-_LANE, _SLACK = 0.6, 0.2  # of the distance: explorers keep right, and members rest within
-_KEEP = 1.2  # of the sight: a member that has seen the goal sees it up to here
+# In multiples of the distance of members: a member that is nearer than _MIN_GAP is too near, and
+# an explorer that is within _ARRIVAL of a member is at the member.
+_MIN_GAP, _ARRIVAL = 0.8, 1.3
+# In multiples of the same distance: explorers drive _LANE to the right of the chain, and a member
+# within _SLACK of its place rests.
+_LANE, _SLACK = 0.6, 0.2
+# In multiples of `sight`: a member that has seen the goal counts it as seen up to this distance.
+_SIGHT_HYSTERESIS = 1.2
 Vector = tuple[float, float]
 
 
@@ -53,7 +58,7 @@ class _Member(NamedTuple):
     hops: int  # to the nest; _GOAL: the robot is the goal
     before: str  # id of the next robot on the way to the nest
     leads: bool  # its chain has the goal in sight
-    at: float
+    heard_at: float  # time of the message
 
 
 class ChainFormationParams(Params, frozen=True, kw_only=True):
@@ -134,10 +139,12 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         super().__init__(params, context)
         self._heard: dict[str, _Member] = {}
         self._places: dict[str, Vector] = {}  # of members that are heard and sensed
-        self._own: _Member | None = None  # as a member
-        self._by = ""  # the member that an explorer is at, or on its way to
-        self._is_homeward = self._starts = False
-        self._side, self._share_at = 1.0, 0.0
+        self._membership: _Member | None = None  # None: not a member of a chain
+        self._waypoint = ""  # id of the member that an explorer is at, or drives to
+        self._is_homeward = False  # drives back to the nest
+        self._starts_chain = False  # circles the nest, to start a new chain
+        self._turn_sign = 1.0  # of the circle around the nest; 1: clockwise
+        self._share_at = 0.0
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The search."""
@@ -147,53 +154,68 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         }
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command of the state, and the message of a member."""
+        """Drive by the robot's state; a member of a chain also sends its message.
+
+        Nest and goal stand. A robot with a place in a chain holds it, a robot that senses a member
+        explores, and all other robots search by a random walk. Nothing is sent without a scan.
+        """
         now, params = inputs.now, self.params
         self._hear(inputs)
+        # 1. The command, the membership and the state to report.
         state: str = params.role
         if params.role != "robot":
             twist = ZERO
             hops = 0 if params.role == "nest" else _GOAL
-            self._own = _Member(hops, "", self._leads(), now)
+            self._membership = _Member(hops, "", self._leads(), now)
         elif inputs.scan is None:
             return Outputs()
-        elif self._own is not None:
-            twist = self._hold(inputs, self._own)
-            state = "home" if self._own is None else "chain"
+        elif self._membership is not None:
+            twist = self._hold(inputs, self._membership)
+            state = "home" if self._membership is None else "chain"
         elif self._places:
             twist = self._explore(inputs)
-            moving = "home" if self._is_homeward else "explore"
-            state = "chain" if self._own is not None else "rest" if twist == ZERO else moving
+            if self._membership is not None:
+                state = "chain"
+            elif twist == ZERO:
+                state = "rest"
+            else:
+                state = "home" if self._is_homeward else "explore"
         else:
-            self._by, self._is_homeward = "", False
+            self._waypoint, self._is_homeward = "", False
             twist, state = self.step_part(_WALK, inputs).twist or ZERO, "search"
-        own, sent = self._own, dict[str, Value]()
-        if own is not None and now >= self._share_at:
+        # 2. The message of a member, every `share_period`, and the report.
+        member, messages = self._membership, dict[str, Value]()
+        if member is not None and now >= self._share_at:
             self._share_at = now + params.share_period
-            sent[_CHANNEL] = [own.hops, own.before, own.leads]
+            messages[_CHANNEL] = [member.hops, member.before, member.leads]
         report: dict[str, Scalar] = {"state": state, "hops": _GOAL, "leads": False}
-        if own is not None:
-            report.update(hops=own.hops, leads=own.leads)
-        return Outputs(twist, sent, report)
+        if member is not None:
+            report.update(hops=member.hops, leads=member.leads)
+        return Outputs(twist, messages, report)
 
     def _hear(self, inputs: Inputs) -> None:
-        """Keep the latest messages of members, and the places of the members that are sensed."""
+        """Keep the latest messages of members, and the places of the members that are sensed.
+
+        Sets `_heard`, `_places` and `_goal_distance` (m; inf if the goal is not sensed).
+        """
         now = inputs.now
         for message in inputs.messages:
             match (message.channel == _CHANNEL) and message.value:
                 case [int(hops), str(before), bool(leads)] if _GOAL <= hops < _MAX_HOPS:
-                    at = now - message.age
-                    self._heard[message.sender] = _Member(int(hops), before[:64], leads, at)
-        since = now - self.params.lease
-        self._heard = {name: member for name, member in self._heard.items() if member.at >= since}
-        self._goal, self._places = math.inf, {}
+                    heard_at = now - message.age
+                    self._heard[message.sender] = _Member(int(hops), before[:64], leads, heard_at)
+        oldest = now - self.params.lease
+        self._heard = {
+            name: member for name, member in self._heard.items() if member.heard_at >= oldest
+        }
+        self._goal_distance, self._places = math.inf, {}
         for neighbor in inputs.neighbors:
             member = self._heard.get(neighbor.id)
             distance, bearing = neighbor.distance, neighbor.bearing
             if member is None or distance is None or bearing is None:
                 continue
             if member.hops == _GOAL:
-                self._goal = min(self._goal, distance)
+                self._goal_distance = min(self._goal_distance, distance)
                 continue
             self._places[neighbor.id] = distance * math.cos(bearing), distance * math.sin(bearing)
 
@@ -203,108 +225,135 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
     def _leads(self) -> bool:
         """Whether this robot sees the goal, or a member behind it leads to the goal."""
-        keep = _KEEP if self._own is not None and self._own.leads else 1.0
-        return self._goal <= keep * self.params.sight or any(
+        has_led = self._membership is not None and self._membership.leads
+        hysteresis = _SIGHT_HYSTERESIS if has_led else 1.0
+        return self._goal_distance <= hysteresis * self.params.sight or any(
             self._heard[name].leads for name in self._after(self.context.robot)
         )
 
-    def _hold(self, inputs: Inputs, own: _Member) -> Twist:
-        """The command of a member: keep the place in the chain, or leave the chain (zero)."""
+    def _hold(self, inputs: Inputs, member: _Member) -> Twist:
+        """The command that keeps this robot's place in its chain; zero if the robot leaves it.
+
+        `member`: the robot's own membership: hops to the nest, id of the member before it, and
+        whether the chain leads to the goal. The robot leaves (`_membership` is None, and the robot
+        drives home) in three cases: the member before it is lost; another member has the same
+        place; the robot is the tail of a chain without the goal, at the rate `leave`.
+        """
         params = self.params
         robot = self.context.robot
-        before = self._places.get(own.before)
-        near = _NEAR * params.distance
+        before_place = self._places.get(member.before)  # m, in the base frame
         leads = self._leads()
         is_tail = not self._after(robot)
-        # If two near members are behind the same member, one leaves. The member that stays leads to
-        # the goal, else has a chain behind it, else has the lower id.
+        # 1. Two members at one place: the member stays that leads to the goal, else the member that
+        # has a chain behind it, else the lower id.
+        own_rank = (not leads, is_tail, robot)
         is_double = any(
-            (not self._heard[name].leads, not self._after(name), name) < (not leads, is_tail, robot)
-            and math.hypot(*self._places[name]) < near
-            for name in self._after(own.before)
+            (not self._heard[rival].leads, not self._after(rival), rival) < own_rank
+            and math.hypot(*self._places[rival]) < _MIN_GAP * params.distance
+            for rival in self._after(member.before)
         )
-        is_loose = is_tail and not leads
-        is_over = is_loose and float(self.context.rng.random()) < params.leave * inputs.dt
-        if before is None or is_double or is_over:
-            self._own = None
-            self._by = own.before
+        # 2. Leave the chain. Only such a tail draws a random number.
+        may_leave = is_tail and not leads
+        leaves = may_leave and float(self.context.rng.random()) < params.leave * inputs.dt
+        if before_place is None or is_double or leaves:
+            self._membership = None
+            self._waypoint = member.before
             self._is_homeward = True
             return ZERO
-        self._own = _Member(self._heard[own.before].hops + 1, own.before, leads, inputs.now)
+        hops = self._heard[member.before].hops + 1
+        self._membership = _Member(hops, member.before, leads, inputs.now)
+        # 3. Keep the place. A chain that leads to the goal stands. The first member of a chain also
+        # turns about the nest, and the chain with it.
         if leads:
             return ZERO
-        x, y = self._beyond(own.before)
+        x, y = self._beyond(member.before)
         if math.hypot(x, y) <= _SLACK * params.distance:
             x = y = 0.0
-        if self._own.hops == 1:
-            x, y = x + params.sweep * before[1], y - params.sweep * before[0]
+        if hops == 1:
+            x, y = x + params.sweep * before_place[1], y - params.sweep * before_place[0]
         if not (x or y):
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn)
 
     def _beyond(self, name: str) -> Vector:
-        """The place `distance` m behind the member `name`, in line with the member before it."""
+        """The place `distance` m behind the member `name`, in line with the member before it.
+
+        In m in the base frame. If that member before it is not sensed, the line is that from this
+        robot to `name`.
+        """
         x, y = self._places[name]
-        far_x, far_y = self._places.get(self._heard[name].before, (2.0 * x, 2.0 * y))
-        way = math.hypot(x - far_x, y - far_y) or 1.0
-        share = self.params.distance / way
-        return x + share * (x - far_x), y + share * (y - far_y)
+        before_x, before_y = self._places.get(self._heard[name].before, (2.0 * x, 2.0 * y))
+        spacing = math.hypot(x - before_x, y - before_y) or 1.0
+        scale = self.params.distance / spacing
+        return x + scale * (x - before_x), y + scale * (y - before_y)
 
     def _explore(self, inputs: Inputs) -> Twist:
-        """The command of an explorer: along the chain to its tail, or home to the nest.
+        """The command of an explorer: along a chain to its tail, or home to the nest.
 
-        At the tail, or at the nest if a new chain may start, the robot may join. At the tail of a
-        chain that leads to the goal the robot rests.
+        The waypoint is the member that the robot drives to. At a tail, or at the nest if the robot
+        starts a new chain, the robot joins at the rate `join`: zero, and `_membership` is set. At
+        the tail of a chain that leads to the goal the robot rests: zero.
         """
         params, places = self.params, self._places
-        if self._by not in places:
-            self._by = min(places, key=lambda name: math.hypot(*places[name]))
-            self._starts = False
-        by, is_near = self._by, math.hypot(*places[self._by]) <= _FAR * params.distance
-        if is_near:
-            self._by = self._next(by)
-        is_end = is_near and self._by == by  # of a chain, or the nest, where another may start
-        if is_end and self._heard[by].leads and not self._starts and not self._is_homeward:
+        # 1. The waypoint. A member that is reached is replaced by the next member.
+        if self._waypoint not in places:
+            self._waypoint = min(places, key=lambda name: math.hypot(*places[name]))
+            self._starts_chain = False
+        reached = self._waypoint
+        has_arrived = math.hypot(*places[reached]) <= _ARRIVAL * params.distance
+        if has_arrived:
+            self._waypoint = self._next_waypoint(reached)
+        is_at_end = has_arrived and self._waypoint == reached  # no member comes next
+        # 2. Rest or join, neither on the way home.
+        is_outward_end = is_at_end and not self._is_homeward
+        if is_outward_end and self._heard[reached].leads and not self._starts_chain:
             return ZERO
-        nearest = min(math.hypot(*place) for place in places.values())
-        may_join = is_end and not self._is_homeward and nearest >= _NEAR * params.distance
+        nearest_m = min(math.hypot(*place) for place in places.values())
+        may_join = is_outward_end and nearest_m >= _MIN_GAP * params.distance
         if may_join and float(self.context.rng.random()) < params.join * inputs.dt:
-            self._own = _Member(self._heard[by].hops + 1, by, False, inputs.now)
+            self._membership = _Member(self._heard[reached].hops + 1, reached, False, inputs.now)
             return ZERO
-        x, y = places[self._by]
-        away = math.hypot(x, y) or 1.0
-        if is_end and self._starts:  # around the nest
-            pull = (away - params.distance) / params.distance
-            x, y = pull * x / away + self._side * y / away, pull * y / away - self._side * x / away
-        elif is_end:
-            x, y = self._beyond(self._by)
-        else:
-            lane = _LANE * params.distance / away
+        # 3. The direction of motion (x, y) in the base frame.
+        x, y = places[self._waypoint]
+        range_m = math.hypot(x, y) or 1.0
+        if is_at_end and self._starts_chain:  # circle the nest at `distance`
+            sign = self._turn_sign
+            error = (range_m - params.distance) / params.distance
+            x, y = (
+                error * x / range_m + sign * y / range_m,
+                error * y / range_m - sign * x / range_m,
+            )
+        elif is_at_end:
+            x, y = self._beyond(self._waypoint)
+        else:  # to the right of the chain, to pass robots that come back
+            lane = _LANE * params.distance / range_m
             x, y = x + lane * y, y - lane * x
+        # 4. Full speed from 0.25 m on, slower when nearer.
         length = math.hypot(x, y)
-        share = min(1.0, 4.0 * length) / length if length > 1e-6 else 0.0
-        x, y = share * x, share * y
+        scale = min(1.0, 4.0 * length) / length if length > 1e-6 else 0.0
+        x, y = scale * x, scale * y
         return NearPoints(()).steer(x, y, params.speed, params.turn, spacing=0.0, brake=1.0)
 
-    def _next(self, by: str) -> str:
-        """The member to go to from `by`.
+    def _next_waypoint(self, reached: str) -> str:
+        """The id of the member to drive to next from the member `reached`.
 
-        1. At the nest, on arrival: a chain that leads to the goal if there is one. Else any chain,
-           or seldom none, which starts a chain: long chains find the goal.
-        2. At the nest with a chain to start, or without a member to go to: `by` itself.
-        3. Homeward: the member before. Else the member after, and at a tail `by` itself.
+        1. The nest on arrival: a chain that leads to the goal, if any. Without such a chain: any
+           chain, or seldom no chain, so that the robot starts a chain.
+        2. The nest while the robot starts a chain: `reached`.
+        3. On the way home: the member before `reached`. On the way out: the member after it.
+        4. No member to drive to: `reached`.
         """
-        here, after = self._heard[by], self._after(by)
-        if here.hops == 0:
+        member, after = self._heard[reached], self._after(reached)
+        if member.hops == 0:
             leading = [name for name in after if self._heard[name].leads]
-            if self._is_homeward or leading or not self._starts:
+            if self._is_homeward or leading or not self._starts_chain:
                 self._is_homeward = False
                 choices = leading or [*after, *after, ""]
                 chosen = choices[int(self.context.rng.integers(len(choices)))]
-                self._starts = not chosen
-                self._side = float(self.context.rng.choice((-1.0, 1.0)))
-                return chosen or by
-            return by
+                self._starts_chain = not chosen
+                self._turn_sign = float(self.context.rng.choice((-1.0, 1.0)))
+                return chosen or reached
+            return reached
         if self._is_homeward:
-            return here.before if here.before in self._places else by
-        return after[0] if after else by
+            return member.before if member.before in self._places else reached
+        return after[0] if after else reached

@@ -75,26 +75,31 @@ def outcomes(
     shares: Sequence[float] = (SHARES[0], *SHARES[2:]),
     has_bodies: bool = True,
 ) -> list[Outcome]:
-    """All outcomes: for each seed points by each rule, and `has_bodies` Burgers by majority."""
-    found = agreements(seeds, jobs, shares)
+    """Measure how often the robots agree that the floor is mostly black, and how fast.
+
+    For each seed a swarm of points runs with each rule on floors with these shares of black tiles.
+    `has_bodies`: simulated Burgers also run, with the majority rule.
+    """
+    runs = agreements(seeds, jobs, shares)
     low, high = min(shares), max(shares)
-    points = []
+    clear_shares = sorted((share for share in shares if share >= SURE), reverse=True)
+    point_outcomes = []
     for rule in RULES:
-        for share in sorted((one for one in shares if one >= SURE), reverse=True):
-            what = f"{rule}, {100.0 * share:.0f} % black: share of runs that agree on black"
-            points.append(at_least(NAME, what, RIGHT, won(found[rule, share]), "ours"))
+        for share in clear_shares:
+            label = f"{rule}, {100.0 * share:.0f} % black: share of runs that agree on black"
+            point_outcomes.append(at_least(NAME, label, RIGHT, won(runs[rule, share]), "ours"))
         if low < high:
-            ratio = ratio_of(taken(found[rule, low]), taken(found[rule, high]))
-            what = f"{rule}: mean time at {100.0 * low:.0f} % / at {100.0 * high:.0f} % black"
-            points.append(at_least(NAME, what, 1.0, ratio, "ours: the nearer, the later"))
+            ratio = ratio_of(taken(runs[rule, low]), taken(runs[rule, high]))
+            label = f"{rule}: mean time at {100.0 * low:.0f} % / at {100.0 * high:.0f} % black"
+            point_outcomes.append(at_least(NAME, label, 1.0, ratio, "ours: the nearer, the later"))
     if not has_bodies:
-        return points
-    fields = [{"kind": "floor", "name": "ground", "patches": [to_builtins(tiles(SHARES[-1], 1))]}]
-    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": DURATION, "fields": fields})
-    what = f"Burgers, majority, {100.0 * SHARES[-1]:.0f} % black: share that agree on black"
+        return point_outcomes
+    floor = {"kind": "floor", "name": "ground", "patches": [to_builtins(tiles(SHARES[-1], 1))]}
+    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": DURATION, "fields": [floor]})
+    label = f"Burgers, majority, {100.0 * SHARES[-1]:.0f} % black: share that agree on black"
     return [
-        *points,
-        at_least(NAME, what, RIGHT, right(burgers), "ours"),
+        *point_outcomes,
+        at_least(NAME, label, RIGHT, right(burgers), "ours"),
         no_contacts(NAME, burgers),
     ]
 
@@ -125,16 +130,22 @@ def right(results: Results) -> Joined:
 
 
 def run(setting: _Setting) -> Agreement:
-    """Points that begin as two halves at random places; each seed has a floor of its own."""
+    """Simulate points on a tiled floor until they agree, and return the opinion and the time.
+
+    Half of the points begin with each opinion, at random places of the room. The seed also draws
+    the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time is
+    that of the first of these samples. Without agreement within SECONDS: (None, inf).
+    """
     rng = np.random.default_rng(setting.seed)
-    half = 0.5 * SIDE - 0.2
-    places = rng.uniform(-half, half, (ROBOTS, 2))
+    half_side = 0.5 * SIDE - 0.2
+    places = rng.uniform(-half_side, half_side, (ROBOTS, 2))
     poses = np.column_stack([places, rng.uniform(-math.pi, math.pi, ROBOTS)])
-    platform, number = load_platform("burger"), count()
+    platform, scan_numbers = load_platform("burger"), count()
     ground = FloorField(name="ground", patches=(tiles(setting.share, setting.seed),))
 
     def see(row: int, now: Array) -> Scan:
-        return scan_of(platform, room=SIDE, pose=Pose(*now[row].tolist()), seq=next(number))
+        pose = Pose(*now[row].tolist())
+        return scan_of(platform, room=SIDE, pose=pose, seq=next(scan_numbers))
 
     def sense(now: float, row: int, poses: Array) -> Mapping[str, float]:
         return {"ground": float(ground.at(poses[row : row + 1, :2])[0])}
@@ -151,17 +162,17 @@ def run(setting: _Setting) -> Agreement:
         sense=sense,
         see=see,
     )
-    last: deque[set[Scalar]] = deque(maxlen=AGREED)
+    recent_opinions: deque[set[Scalar]] = deque(maxlen=AGREED)  # a set for each sample
 
     def have_agreed(reports: Sequence[Mapping[str, Scalar]]) -> bool:
-        last.append({report.get("opinion", NONE) for report in reports})
-        return len(last) == AGREED and len(set().union(*last)) == 1
+        recent_opinions.append({report.get("opinion", NONE) for report in reports})
+        return len(recent_opinions) == AGREED and len(set().union(*recent_opinions)) == 1
 
     track = swarm.run(SECONDS, every=1.0, until=have_agreed)
-    held = set[Scalar]().union(*last)
-    if len(held) > 1:
+    opinions = set[Scalar]().union(*recent_opinions)
+    if len(opinions) > 1:
         return Agreement(None, math.inf)
-    return Agreement(int(held.pop()), float(track.t[-AGREED]))
+    return Agreement(int(opinions.pop()), float(track.t[-AGREED]))
 
 
 def tiles(share: float, seed: int) -> Patch:

@@ -112,9 +112,10 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
         self.opinion = int(context.rng.integers(2)) if first is None else first
         self.quality = 1.0
         self._is_exploring = False
-        self._until = self._tell_at = 0.0
-        self._begun = False
-        self._looked = self._matched = 0.0
+        self._phase_end = self._tell_at = 0.0
+        self._has_begun = False
+        self._measured_s = 0.0  # time of this exploration
+        self._matched_s = 0.0  # of this time: on a floor of the opinion's colour
         self._heard: dict[str, tuple[float, int, float]] = {}  # time, opinion and quality
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
@@ -124,46 +125,50 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
         return {_WALK: walk}
 
     def step(self, inputs: Inputs) -> Outputs:
-        """Walk and measure; at the end of a phase begin the next."""
+        """Walk; measure the floor and send the opinion by turns, and decide after each sending.
+
+        Without a scan or a reading of the floor: no command, and only the opinion in the report.
+        """
         for message in inputs.messages:
             self._hear(message, inputs.now)
         if inputs.scan is None or "ground" not in inputs.readings:
             return Outputs(report={"opinion": self.opinion})
-        if not self._begun:
-            self._begun = True
+        # 1. The next phase, if this phase is over.
+        if not self._has_begun:
+            self._has_begun = True
             self._explore(inputs.now)
-        elif inputs.now >= self._until:
+        elif inputs.now >= self._phase_end:
             if self._is_exploring:
                 self._tell(inputs.now)
             else:
                 self._decide(inputs.now)
                 self._explore(inputs.now)
-        sent: dict[str, Value] = {}
+        # 2. Measure, or send the opinion and its quality every `share_period`.
+        messages: dict[str, Value] = {}
         if self._is_exploring:
             colour = BLACK if inputs.readings["ground"] < self.params.black else WHITE
-            self._looked += inputs.dt
-            self._matched += inputs.dt * (colour == self.opinion)
+            self._measured_s += inputs.dt
+            self._matched_s += inputs.dt * (colour == self.opinion)
         elif inputs.now >= self._tell_at:
-            sent[OPINION] = [self.opinion, self.quality]
+            messages[OPINION] = [self.opinion, self.quality]
             self._tell_at = inputs.now + self.params.share_period
-        phase = "explore" if self._is_exploring else "tell"
         report: dict[str, Scalar] = {
             "opinion": self.opinion,
             "quality": round(self.quality, 3),
-            "phase": phase,
+            "phase": "explore" if self._is_exploring else "tell",
         }
-        return Outputs(self.step_part(_WALK, inputs).twist, sent, report)
+        return Outputs(self.step_part(_WALK, inputs).twist, messages, report)
 
     def _explore(self, now: float) -> None:
         self._is_exploring = True
-        self._looked = self._matched = 0.0
-        self._until = now + float(self.context.rng.exponential(self.params.explore))
+        self._measured_s = self._matched_s = 0.0
+        self._phase_end = now + float(self.context.rng.exponential(self.params.explore))
 
     def _tell(self, now: float) -> None:
         self._is_exploring, self._tell_at = False, now
-        self.quality = self._matched / self._looked if self._looked > 0.0 else 0.0
+        self.quality = self._matched_s / self._measured_s if self._measured_s > 0.0 else 0.0
         weight = 1.0 if self.params.rule == "comparison" else self.quality
-        self._until = now + float(self.context.rng.exponential(self.params.tell * weight))
+        self._phase_end = now + float(self.context.rng.exponential(self.params.tell * weight))
 
     def _decide(self, now: float) -> None:
         """Adopt an opinion by the rule; the own one stays if nothing was heard."""

@@ -32,23 +32,25 @@ def outcomes(
     shapes: Sequence[tuple[float, float]] = SHAPES,
     duration: float = DURATION,
 ) -> list[Outcome]:
-    """All outcomes: for each seed and shape a run of six robots, and one run of a robot alone."""
-    sides = {"arena.boxes.0.size": [list(shape) for shape in shapes]}
+    """Measure whether six robots bring the box to the lamp, by which way, and one robot does not.
+
+    `shapes`: sides of the box in m. Six robots run `duration` s for each seed and shape; a single
+    robot runs once.
+    """
+    sweep = {"arena.boxes.0.size": [list(shape) for shape in shapes]}
     changes = {"duration": duration, "trace_rate": 2.0}
-    results = simulate(NAME, seeds, jobs=jobs, set=changes, sweep=sides)
-    found = [way(trace) for trace in results.traces]
-    single = {"duration": LONE, "groups.tb3.count": 1}
-    (alone,) = simulate(NAME, seeds[:1], set=single).traces
-    arrived = [one for one in found if not np.isnan(one)]
-    moved = float(np.hypot(*(box(alone)[-1] - box(alone)[0])))
+    results = simulate(NAME, seeds, jobs=jobs, set=changes, sweep=sweep)
+    path_ratios = [way(trace) for trace in results.traces]
+    has_arrived = [not np.isnan(ratio) for ratio in path_ratios]
+    arrived_ratios = [ratio for ratio in path_ratios if not np.isnan(ratio)]
+    (lone_trace,) = simulate(NAME, seeds[:1], set={"duration": LONE, "groups.tb3.count": 1}).traces
+    lone_m = float(np.hypot(*(box(lone_trace)[-1] - box(lone_trace)[0])))
+    paper = "Chen et al. 2015: 43 of 45, with e-pucks"
     return [
-        at_least(
-            NAME, "share of runs in which the box arrives", SHARE,
-            share_of(not np.isnan(one) for one in found),
-            "Chen et al. 2015: 43 of 45, with e-pucks",
-        ),
-        at_most(NAME, "way of the box that arrives / straight way", WAY, arrived, "ours"),
-        at_most(NAME, "one robot alone moves the box [m]", ALONE, [moved], "friction of the box"),
+        at_least(NAME, "share of runs in which the box arrives", SHARE,
+                 share_of(has_arrived), paper),
+        at_most(NAME, "way of the box that arrives / straight way", WAY, arrived_ratios, "ours"),
+        at_most(NAME, "one robot alone moves the box [m]", ALONE, [lone_m], "friction of the box"),
         no_contacts(NAME, results),
     ]  # fmt: skip
 
@@ -60,11 +62,12 @@ def box(trace: Trace) -> Array:
 
 
 def way(trace: Trace) -> float:
-    """The way of the box until it arrives by the straight one; NaN: never."""
+    """The length of the box's path until arrival, over the straight distance; NaN: no arrival."""
     places = box(trace)
-    away = np.hypot(*(places - LAMP).T)
-    there = np.flatnonzero(away < ARRIVED)
-    if not len(there):
+    to_lamp_m = np.hypot(*(places - LAMP).T)
+    arrivals = np.flatnonzero(to_lamp_m < ARRIVED)
+    if not len(arrivals):
         return float("nan")
-    steps = np.hypot(*np.diff(places[: there[0] + 1], axis=0).T)
-    return float(steps.sum() / (away[0] - away[there[0]]))
+    first = arrivals[0]
+    steps_m = np.hypot(*np.diff(places[: first + 1], axis=0).T)
+    return float(steps_m.sum() / (to_lamp_m[0] - to_lamp_m[first]))

@@ -31,36 +31,45 @@ _JOINED = 8.0
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Outcome]:
-    """All outcomes, of one run for each seed; `seconds` is the duration of a run."""
-    larger = {"arena.size": list(LARGER), "duration": seconds}
-    courses = [judged(t) for t in simulate("paper_exp2", seeds, set=larger, jobs=jobs).traces]
-    # An eighth robot joins while the others disperse, after 3 s already, so that a run is short.
+    """Compare the vote and the dispersion of seven robots with experiment 2 of the paper.
+
+    The robots vote on a distance, agree within 20 s, spread to it and stand. For each seed there
+    is a run of `seconds` s, and a short run in which an eighth robot with another opinion joins.
+    """
+    # 1. Seven robots in the larger arena.
+    changes = {"arena.size": list(LARGER), "duration": seconds}
+    courses = [judged(t) for t in simulate("paper_exp2", seeds, set=changes, jobs=jobs).traces]
+    over = [course.least - course.wanted for course in courses]
+    # 2. An eighth robot joins while the others disperse, after 3 s already, so that a run is short.
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},
         {"at": _JOINED, "run": _NAME, "targets": robot},
     ]
-    some = {f"parameters.{_NAME}.discuss": 3.0, "events": events, "duration": _JOINED + 12.0}
-    results = simulate("paper_exp2_late", seeds, set=some, jobs=jobs)
-    late = [joined(trace, _JOINED) for trace in results.traces]
-    over = [course.least - course.wanted for course in courses]
-    least, that = "least range from 40 s on, over f(opinion) [m]", "the same, of that opinion [m]"
+    late_changes = {
+        f"parameters.{_NAME}.discuss": 3.0, "events": events, "duration": _JOINED + 12.0
+    }  # fmt: skip
+    late_results = simulate("paper_exp2_late", seeds, set=late_changes, jobs=jobs)
+    late_robots = [joined(trace, _JOINED) for trace in late_results.traces]
+    # 3. The bounds. STRAYED and MOVING bound the motion of robots that should stand.
+    least_label = "least range from 40 s on, over f(opinion) [m]"
     stand = "ours: the robots stand, but for corrections"
     paper = "paper: they go on voting, so that the swarm can change its opinion when robots join"
     return [
         at_least(_NAME, "all hold one opinion from 20 s on", 1.0,
                  [float(course.opinion >= 0) for course in courses], _PAPER),
-        at_most(_NAME, "farthest before 20 s [m]", 0.02, [c.moved for c in courses], _PAPER),
-        at_least(_NAME, least, -TOLERANCE, over, _PAPER),
-        at_most(_NAME, that, FARTHER, over, _OURS),
+        at_most(_NAME, "farthest before 20 s [m]", 0.02,
+                [course.moved for course in courses], _PAPER),
+        at_least(_NAME, least_label, -TOLERANCE, over, _PAPER),
+        at_most(_NAME, "the same, of that opinion [m]", FARTHER, over, _OURS),
         at_most(_NAME, "farthest from 40 to 70 s [m]", STRAYED,
                 [course.strayed for course in courses], stand),
         at_most(_NAME, "share of that time in which one moves", MOVING,
                 [course.moving for course in courses], stand),
-        at_most(_NAME, "contacts", 0.0, [float(c.contacts) for c in courses], _PAPER),
+        at_most(_NAME, "contacts", 0.0, [float(course.contacts) for course in courses], _PAPER),
         at_most(_NAME, "time until a late robot holds the opinion of the seven [s]", 11.0,
-                [one.adopted for one in late], f"{paper}; 11 s are two windows"),
+                [late.adopted for late in late_robots], f"{paper}; 11 s are two windows"),
         at_most(_NAME, "runs in which it changes another's opinion", 0.0,
-                [float(one.is_swayed) for one in late],
+                [float(late.is_swayed) for late in late_robots],
                 "ours: it is one of six neighbours that are counted"),
     ]  # fmt: skip

@@ -211,10 +211,11 @@ class Flocking(MovementPattern[FlockingParams]):
     def __init__(self, params: FlockingParams, context: Context) -> None:
         super().__init__(params, context)
         self._state = ""
-        self._goes_on = False
-        self._seq: int | None = None  # of the scan that the last command follows
+        self._drives_on = False  # law "paper": the robot also drives while it turns
+        self._scan_seq: int | None = None  # of the scan that `_requested` follows
         self._requested = ZERO
-        self._seen: deque[tuple[float, Sequence[complex]]] = deque()
+        # Time in s, and places of robots in m in the frame of the odometry, x + i y.
+        self._robots_seen: deque[tuple[float, Sequence[complex]]] = deque()
 
     def report(self) -> Mapping[str, Scalar]:
         """The state: `flock` or `alone`; with `law: paper` `straight`, `left` or `right`."""
@@ -226,57 +227,66 @@ class Flocking(MovementPattern[FlockingParams]):
             return ZERO
         if self.params.law == "paper":
             return self._follow_states(inputs.scan, inputs.is_new_scan)
-        if inputs.scan.seq != self._seq:
-            self._seq, self._requested = inputs.scan.seq, self._follow(inputs.scan, inputs)
+        if inputs.scan.seq != self._scan_seq:
+            self._scan_seq = inputs.scan.seq
+            self._requested = self._follow(inputs.scan, inputs)
         return self._requested
 
     def update(self, params: FlockingParams) -> None:
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
-        self._seq = None
+        self._scan_seq = None
 
     def _follow(self, scan: Scan, inputs: Inputs) -> Twist:
+        """The command of law "elastic": springs to robots, walls, and the motion of the robots."""
         params = self.params
-        robots, walls = self._look(scan)
+        robots, walls = self._robots_and_walls(scan)
         force = self._springs(robots) - self._push(walls)
         self._state = "flock" if robots else "alone"
-        share = min(max(params.cruise + params.surge * force.real, -_MAX_REVERSE_SHARE), 1.0)
-        aside = self._motion(robots, inputs).imag / params.speed if params.speed else 0.0
-        turn = params.swing * force.imag + params.align * min(max(aside, -1.0), 1.0)
-        return Twist(linear=share * params.speed, angular=min(max(turn, -params.turn), params.turn))
+        speed = min(max(params.cruise + params.surge * force.real, -_MAX_REVERSE_SHARE), 1.0)
+        sideways = self._motion(robots, inputs).imag / params.speed if params.speed else 0.0
+        turn = params.swing * force.imag + params.align * min(max(sideways, -1.0), 1.0)
+        return Twist(linear=speed * params.speed, angular=min(max(turn, -params.turn), params.turn))
 
     def _motion(self, robots: Sequence[Polar], inputs: Inputs) -> complex:
-        """The mean velocity in m/s of the robots in sight: forward + i left.
+        """The mean velocity in m/s of the robots in sight, in the base frame: forward + i left.
 
-        From the change of their positions in a second, in the frame of the odometry. 0 without
-        odometry, or without robots a second ago.
+        A robot's velocity is the change of its position within `_MOTION_PERIOD`, in the frame of
+        the odometry. A position belongs to the robot whose earlier position is nearest. 0 without
+        odometry, and 0 if the lidar saw no robot a period ago.
         """
         if inputs.odometry is None:
             return 0j
         pose, now = inputs.odometry.pose, inputs.now
-        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
-        places = [here + heading * cmath.rect(*robot) for robot in robots]
-        self._seen.append((now, places))
-        while len(self._seen) > 1 and self._seen[1][0] <= now - _MOTION_PERIOD:
-            self._seen.popleft()
-        then, before = self._seen[0]
-        if not 0.5 * _MOTION_PERIOD <= now - then <= 2.0 * _MOTION_PERIOD or not before:
+        own_place, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
+        places = [own_place + heading * cmath.rect(*robot) for robot in robots]
+        self._robots_seen.append((now, places))
+        while len(self._robots_seen) > 1 and self._robots_seen[1][0] <= now - _MOTION_PERIOD:
+            self._robots_seen.popleft()
+        earlier, earlier_places = self._robots_seen[0]
+        is_period = 0.5 * _MOTION_PERIOD <= now - earlier <= 2.0 * _MOTION_PERIOD
+        if not is_period or not earlier_places:
             return 0j
-        steps = (min((place - old for old in before), key=abs) for place in places)
-        same = [step for step in steps if abs(step) < _MAX_MOTION]
-        return sum(same) / len(same) / (now - then) * heading.conjugate() if same else 0j
+        steps = (min((place - old for old in earlier_places), key=abs) for place in places)
+        same_robot = [step for step in steps if abs(step) < _MAX_MOTION]
+        if not same_robot:
+            return 0j
+        return sum(same_robot) / len(same_robot) / (now - earlier) * heading.conjugate()
 
-    def _look(self, scan: Scan) -> tuple[Sequence[Polar], Sequence[Polar]]:
-        """Robots and the closest points of walls: range and bearing of each from the lidar.
+    def _robots_and_walls(self, scan: Scan) -> tuple[Sequence[Polar], Sequence[Polar]]:
+        """The robots, and the closest points of walls, as (range in m, bearing in rad) each.
 
-        Places are relative to the lidar, not to the axle. The scan plane of a robot cuts the lidars
-        of other robots, which are behind their axles. Relative to the axle all neighbours would
-        appear shifted back, and the resulting pull breaks the alignment of the headings.
+        An object of the scan that is at most `object_width` wide counts as a robot. Ranges are from
+        the lidar, not from the axle. The scan plane of a robot cuts the lidars of other robots,
+        which are behind their axles. Relative to the axle all neighbours would appear shifted back,
+        and the resulting pull breaks the alignment of the headings.
         """
         params = self.params
         objects = clusters(scan, within=scan.range_max)
-        furthest = _MAX_RANGE_SHARE * scan.range_max
-        robots, narrow = [], []
+        max_distance = _MAX_RANGE_SHARE * scan.range_max
+        # 1. Robots. A partly hidden robot (not `is_free`) is neither followed nor a wall.
+        robots: list[Polar] = []
+        narrow_objects: list[complex] = []
         for distance, bearing, width, is_free in zip(
             objects.ranges.tolist(),
             objects.bearings.tolist(),
@@ -284,18 +294,15 @@ class Flocking(MovementPattern[FlockingParams]):
             objects.is_free.tolist(),
             strict=True,
         ):
-            if width <= params.object_width and distance <= furthest:
-                narrow.append(cmath.rect(distance, bearing))
+            if width <= params.object_width and distance <= max_distance:
+                narrow_objects.append(cmath.rect(distance, bearing))
                 if is_free:
                     robots.append((distance, bearing))
-        # A partly hidden robot is not counted, but it is not a wall either.
-        walls = []
+        # 2. Walls: the closest points that do not lie on a narrow object.
+        walls: list[Polar] = []
         for distance, bearing in closest_points(scan, within=params.wall).tolist():
             point = cmath.rect(distance, bearing)
-            for narrow_object in narrow:
-                if abs(point - narrow_object) <= _ROBOT_RADIUS:
-                    break
-            else:
+            if not any(abs(point - narrow) <= _ROBOT_RADIUS for narrow in narrow_objects):
                 walls.append((distance, bearing))
         return robots, walls
 
@@ -318,32 +325,46 @@ class Flocking(MovementPattern[FlockingParams]):
         return force
 
     def _follow_states(self, scan: Scan, is_new: bool) -> Twist:
+        """The command of law "paper": drive straight on, or turn at `paper_turn`."""
         params = self.params
         if is_new or self._state not in _TURNS:
-            self._state, self._goes_on = self._next_state(scan)
-        speed = params.speed if self._goes_on else 0.0
+            self._state, self._drives_on = self._next_state(scan)
+        speed = params.speed if self._drives_on else 0.0
         return Twist(linear=speed, angular=_TURNS[self._state] * params.paper_turn)
 
     def _next_state(self, scan: Scan) -> tuple[str, bool]:
-        """The next state, and whether the robot drives on meanwhile."""
+        """The next state of law "paper", and whether the robot also drives: the first that applies.
+
+        The scan has four sectors of 90 degrees. The width of an object is the angle in rad that its
+        rays fill in a sector.
+
+        1. An object near ahead: turn away from its nearest point, without driving.
+        2. An object near on the left: right. Ahead: either side. On the right: left.
+           Wider objects are walls, which do not count here.
+        3. A far object, no wall, on the left or the right: turn to the wider of the two.
+        4. A far object behind: turn around to either side, without driving.
+        5. Else straight on.
+        """
         params = self.params
         ranges = np.where(np.isnan(scan.ranges), math.inf, np.maximum(scan.ranges, scan.range_min))
         bearings = (scan.bearings + math.pi) % (2.0 * math.pi) - math.pi
         sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
-        ahead, left, behind, right = _filled(sector, ranges < params.near)
+        # Near objects.
+        ahead, left, _, right = _filled(sector, ranges < params.near)
         if ahead > _NEAR_WIDTH:
             nearest = bearings[np.argmin(np.where(sector == 0, ranges, math.inf))]
             return ("right" if nearest > 0.0 else "left"), False
-        least, most = 0.5 * _NEAR_WIDTH, _WALL_WIDTH
-        if least <= left < most:
+        min_width, max_width = 0.5 * _NEAR_WIDTH, _WALL_WIDTH
+        if min_width <= left < max_width:
             return "right", True
-        if least <= ahead < most:
+        if min_width <= ahead < max_width:
             return self._either(), True
-        if least <= right < most:
+        if min_width <= right < max_width:
             return "left", True
+        # Far objects.
         is_seen = ranges < scan.range_max
         _, left, _, right = _filled(sector, is_seen & (ranges > params.far_aside))
-        left, right = (side if side < _NEAR_WIDTH else 0.0 for side in (left, right))
+        left, right = (width if width < _NEAR_WIDTH else 0.0 for width in (left, right))
         if left != right:
             return ("left" if left > right else "right"), True
         _, _, behind, _ = _filled(sector, is_seen & (ranges > params.far_behind))

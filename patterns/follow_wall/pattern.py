@@ -34,7 +34,7 @@ _HALF_WIDTH = math.radians(65.0)
 # The largest angle between heading and tangent, on the way to a wall or away from it.
 _MAX_APPROACH = math.radians(50.0)
 _BRAKE = 0.3  # m before `spacing` over which the speed towards an obstacle falls to zero
-_LEAST = 0.1  # m: a smaller `distance` counts as that where it divides
+_MIN_DISTANCE = 0.1  # m: divisor in place of a smaller `distance`
 _MEMORY = 0.3  # s for which the wall counts as seen, longer than between two scans
 _SPACING_SHARE = 0.7  # of `distance`: obstacles ahead that are nearer slow the robot down
 
@@ -82,31 +82,40 @@ class FollowWall(TimedPattern[FollowWallParams]):
 
     def __init__(self, params: FollowWallParams, context: Context) -> None:
         super().__init__(params, context)
+        # 1: the wall is on the left, -1: on the right.
         self._side = 1.0 if params.side == "left" else -1.0
         # Around the end of a wall: a circle of radius `distance`, for three quarters of a turn.
-        self._around = min(params.turn, params.speed / max(params.distance, _LEAST))
+        self._end_turn_rate = min(params.turn, params.speed / max(params.distance, _MIN_DISTANCE))
 
     def drive(self, inputs: Inputs) -> Twist:
-        """The command along the wall; around its end where it is lost, then straight ahead."""
+        """The command along the wall at `distance`, slower where an obstacle is near ahead.
+
+        Where the wall ends the robot drives an arc around its end, for three quarters of a turn at
+        most. Without a wall after the arc the robot drives straight ahead.
+        """
         params = self.params
         side = self._side
         scan = inputs.scan
-        offset = self.context.platform.scan.offset
+        lidar_offset = self.context.platform.scan.offset
+        # 1. The heading in rad in the base frame: along the tangent of the nearest surface, turned
+        # to the wall or away from it by the error of the distance.
         ray = nearest(scan, bearing=side * math.pi / 2.0, half_width=_HALF_WIDTH)
         if ray is not None and ray.range <= params.reach:
-            ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], offset)
-            error = (distance - params.distance) / max(params.distance, _LEAST)
+            ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], lidar_offset)
+            error = (distance - params.distance) / max(params.distance, _MIN_DISTANCE)
             tangent = bearing - side * math.pi / 2.0
             heading = tangent + side * max(-1.0, min(1.0, error)) * _MAX_APPROACH
-            around = turn_time(1.5 * math.pi, self._around)
+            # Timed states from now on: `follow`, then `around`, then `search`.
+            around = turn_time(1.5 * math.pi, self._end_turn_rate)
             self.begin(inputs.now, follow=_MEMORY, around=around)
         elif self.state(inputs.now) != "search":
-            return Twist(self._around * params.distance, side * self._around)
+            return Twist(self._end_turn_rate * params.distance, side * self._end_turn_rate)
         else:
             heading = 0.0
-        ahead = closest_points(scan, within=params.distance + 1.0).tolist()
-        near = NearPoints(polar_from_base(ahead, offset))
-        return near.steer(
+        # 2. The speed along the heading.
+        points = closest_points(scan, within=params.distance + 1.0).tolist()
+        near_points = NearPoints(polar_from_base(points, lidar_offset))
+        return near_points.steer(
             math.cos(heading),
             math.sin(heading),
             params.speed,

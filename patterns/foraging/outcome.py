@@ -29,35 +29,39 @@ _SOURCE = "Lerman and Galstyan 2002, in words"
 def outcomes(
     seeds: Sequence[int], jobs: int = 1, sizes: Sequence[int] = SIZES, duration: float = DURATION
 ) -> list[Outcome]:
-    """All outcomes: for each seed a run of each size, and one of a robot without a lamp.
+    """Measure how the number of delivered items depends on the size of the group.
 
-    With two sizes the larger one is below the crowd, so that nothing falls.
+    For each seed there is a run of each size, and a run of one robot without the lamp of the nest.
+    `sizes` ascends from 1. With more than two sizes the last size must be a crowd, whose robots
+    deliver less than those of a smaller group.
     """
-    runs = {n: run(n, seeds, jobs, duration) for n in sizes}
-    items = {n: group_rate(found, n) for n, found in runs.items()}
-    mean = {n: float(np.mean(values)) for n, values in items.items()}
-    alone, most = sizes[0], sizes[-1]
-    best = max(sizes, key=lambda n: mean[n])
-    rise = ratio_of(items[best], items[alone])
-    dark = ratio_of(group_rate(run(alone, seeds, jobs, duration, DARK), 1), items[alone])
-    found = [
+    runs = {size: run(size, seeds, jobs, duration) for size in sizes}
+    group_rates = {size: group_rate(results, size) for size, results in runs.items()}
+    mean_rates = {size: float(np.mean(rates)) for size, rates in group_rates.items()}
+    smallest, largest = sizes[0], sizes[-1]
+    best = max(sizes, key=lambda size: mean_rates[size])
+    rise = ratio_of(group_rates[best], group_rates[smallest])
+    dark_rates = group_rate(run(smallest, seeds, jobs, duration, DARK), 1)
+    dark_ratio = ratio_of(dark_rates, group_rates[smallest])
+    measured = [
         at_least(NAME, f"the group: items of {best} robots / of one", RISE, rise, _SOURCE),
         at_most(
             NAME, "one robot: without the lamp / with it", CHANCE,
-            dark, "ours: random search for the nest",
+            dark_ratio, "ours: random search for the nest",
         ),
-        no_contacts(NAME, runs[most]),
+        no_contacts(NAME, runs[largest]),
     ]  # fmt: skip
     if len(sizes) > 2:
-        what = f"the group: items of {most} robots / of {best}"
-        fall = ratio_of(items[most], items[best])
-        found.insert(1, at_most(NAME, what, FALL, fall, _SOURCE))
-        robot = [mean[n] / n for n in sizes]
-        steps = [later / before for before, later in itertools.pairwise(robot)]
-        found.insert(
-            2, at_most(NAME, "a robot: items of a size / of that before", 1.0, steps, _SOURCE)
-        )
-    return found
+        fall_label = f"the group: items of {largest} robots / of {best}"
+        fall = ratio_of(group_rates[largest], group_rates[best])
+        robot_rates = [mean_rates[size] / size for size in sizes]
+        steps = [later / before for before, later in itertools.pairwise(robot_rates)]
+        step_label = "a robot: items of a size / of that before"
+        measured[1:1] = [
+            at_most(NAME, fall_label, FALL, fall, _SOURCE),
+            at_most(NAME, step_label, 1.0, steps, _SOURCE),
+        ]
+    return measured
 
 
 def run(

@@ -38,42 +38,52 @@ class Lattice:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
-    """All outcomes: for each seed a run of points, and `has_more` a weak one and one of Burgers."""
+    """Measure the order of the lattice in which the robots settle.
+
+    For each seed a swarm of points runs. `has_more`: also points with a weak repulsion, where two
+    robots may share a place of the lattice, and Burgers with bodies.
+    """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
-    first, last, moved = zip(*runs, strict=True)
-    what = "share of bonds within 10 % of the distance"
-    near = [one.near for one in last]
-    points = [
-        at_least(NAME, f"points: {what}, mean", 0.9, mean_of(near), _LATTICE),
-        at_least(NAME, f"points: {what}", 0.6, near, _LATTICE),
-        at_least(NAME, "points: order psi6", 0.5, [one.psi6 for one in last], _LATTICE),
-        at_most(
-            NAME, "points: spread of bonds / distance", 0.2, [o.spread for o in last], _LATTICE
-        ),
-        at_most(NAME, f"points, at the start: {what}", 0.5, [one.near for one in first], _CHANCE),
-        at_most(NAME, "points: pairs at one place", 0, [one.shared for one in last], _SHARED),
-        at_most(NAME, "points: way in the last 20 s [m]", 0.05, moved, "ours: at rest"),
+    at_start, at_end, moved_m = zip(*runs, strict=True)
+    label = "share of bonds within 10 % of the distance"
+    near = [lattice.near for lattice in at_end]
+    near_at_start = [lattice.near for lattice in at_start]
+    psi6 = [lattice.psi6 for lattice in at_end]
+    spread = [lattice.spread for lattice in at_end]
+    shared = [lattice.shared for lattice in at_end]
+    point_outcomes = [
+        at_least(NAME, f"points: {label}, mean", 0.9, mean_of(near), _LATTICE),
+        at_least(NAME, f"points: {label}", 0.6, near, _LATTICE),
+        at_least(NAME, "points: order psi6", 0.5, psi6, _LATTICE),
+        at_most(NAME, "points: spread of bonds / distance", 0.2, spread, _LATTICE),
+        at_most(NAME, f"points, at the start: {label}", 0.5, near_at_start, _CHANCE),
+        at_most(NAME, "points: pairs at one place", 0, shared, _SHARED),
+        at_most(NAME, "points: way in the last 20 s [m]", 0.05, moved_m, "ours: at rest"),
     ]
     if not has_more:
-        return points
-    weak = [one[1] for one in each(run, [(seed, WEAK) for seed in seeds], jobs)]
-    found = simulate(NAME, seeds, jobs=jobs, set={"duration": SECONDS})
-    bodies = [lattice(trace.pose[-1, :, :2]) for trace in found.traces]
-    speed = metric(found, "mean_speed_late_share")
+        return point_outcomes
+    weak_runs = each(run, [(seed, WEAK) for seed in seeds], jobs)
+    weak_shared = [at_end.shared for _, at_end, _ in weak_runs]
+    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": SECONDS})
+    bodies = [lattice(trace.pose[-1, :, :2]) for trace in burgers.traces]
+    body_near, body_psi6 = [body.near for body in bodies], [body.psi6 for body in bodies]
+    speed = metric(burgers, "mean_speed_late_share")
     return [
-        *points,
-        at_least(
-            NAME, "points, strongest 1: pairs at one place", 1, [o.shared for o in weak], _SHARED
-        ),
-        at_least(NAME, f"Burgers: {what}", 0.75, [one.near for one in bodies], _LATTICE),
-        at_least(NAME, "Burgers: order psi6", 0.7, [one.psi6 for one in bodies], _LATTICE),
+        *point_outcomes,
+        at_least(NAME, "points, strongest 1: pairs at one place", 1, weak_shared, _SHARED),
+        at_least(NAME, f"Burgers: {label}", 0.75, body_near, _LATTICE),
+        at_least(NAME, "Burgers: order psi6", 0.7, body_psi6, _LATTICE),
         at_most(NAME, "Burgers: late speed / limit", 0.5, speed, "ours"),
-        no_contacts(NAME, found),
+        no_contacts(NAME, burgers),
     ]
 
 
 def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float]:
-    """The lattices at the start and the end, and the farthest way in m in the last 20 s."""
+    """Simulate points from random places of a square; `given`: seed and parameters.
+
+    Returns the lattices at the start and the end, and the longest path of a robot in m in the last
+    20 s.
+    """
     seed, params = given
     rng = np.random.default_rng(seed)
     side = 0.8 * DISTANCE * math.sqrt(ROBOTS)
@@ -81,20 +91,25 @@ def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float
     poses = np.column_stack([places, rng.uniform(-math.pi, math.pi, ROBOTS)])
     swarm = PointSwarm(NAME, poses, seed=seed, params=params, reach=3.0 * DISTANCE)
     track = swarm.run(SECONDS, every=1.0)
-    way = np.hypot(*np.diff(track.pose[-21:, :, :2], axis=0).T).sum(axis=1)
-    return lattice(places), lattice(track.pose[-1, :, :2]), float(way.max())
+    paths_m = np.hypot(*np.diff(track.pose[-21:, :, :2], axis=0).T).sum(axis=1)
+    return lattice(places), lattice(track.pose[-1, :, :2]), float(paths_m.max())
 
 
 def lattice(places: Array) -> Lattice:
-    """The order of robots at places (n, 2): of all bonds, psi6 of robots with two or more."""
-    off = places[None] - places[:, None]
-    apart = np.hypot(off[..., 0], off[..., 1]) / DISTANCE
-    is_bond = (apart < BOND) & ~np.eye(len(places), dtype=bool)
-    lengths = apart[is_bond]
+    """The order of robots at places (n, 2) in m.
+
+    The order psi6 is the mean over the robots with two bonds or more. Without a bond: all zero, and
+    a spread of inf.
+    """
+    offsets = places[None] - places[:, None]  # (n, n, 2) m
+    distances = np.hypot(offsets[..., 0], offsets[..., 1]) / DISTANCE
+    is_bond = (distances < BOND) & ~np.eye(len(places), dtype=bool)
+    lengths = distances[is_bond]
     if not len(lengths):
         return Lattice(0.0, 0.0, math.inf, 0)
-    sixth = np.exp(6j * np.arctan2(off[..., 1], off[..., 0])) * is_bond
-    count = is_bond.sum(axis=1)
-    order = np.abs(sixth.sum(axis=1)[count > 1]) / count[count > 1]
-    near, shared = (np.abs(lengths - 1.0) <= 0.1).mean(), (lengths < 0.3).sum() // 2
-    return Lattice(float(near), float(order.mean()), float(lengths.std()), int(shared))
+    sixth = np.exp(6j * np.arctan2(offsets[..., 1], offsets[..., 0])) * is_bond
+    bonds = is_bond.sum(axis=1)
+    psi6 = np.abs(sixth.sum(axis=1)[bonds > 1]) / bonds[bonds > 1]
+    near = (np.abs(lengths - 1.0) <= 0.1).mean()
+    shared_pairs = (lengths < 0.3).sum() // 2  # each pair counts twice in `lengths`
+    return Lattice(float(near), float(psi6.mean()), float(lengths.std()), int(shared_pairs))

@@ -40,70 +40,80 @@ class Chain:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) -> list[Outcome]:
-    """All outcomes: for each seed a run of points, and one with too short a headway.
+    """Measure whether gap errors grow along the chain, and how fast a lost leader is replaced.
 
-    `has_bodies`: also a run of Burgers.
+    For each seed a chain of points runs with the default headway, and a chain with a headway of one
+    lag, for which string stability is lost. `has_bodies`: also Burgers on a circle.
     """
-    runs = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
-    close = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)
-    what, named = "largest gap error / the first follower's", [one.named for one in runs]
-    off, short = [one.off for one in runs], "headway of one lag:"
-    points = [
-        at_most(NAME, what, 1.1, [one.growth for one in runs], _PLOEG),
-        at_most(NAME, "top speed / the leader's", 1.01, [one.peak for one in runs], _PLOEG),
-        at_most(NAME, "gaps at the end, off from the policy [m]", 0.01, off, _POLICY),
-        at_least(NAME, f"{short} {what}", 1.2, [one.growth for one in close], _UNSTABLE),
-        at_least(
-            NAME, f"{short} top speed / the leader's", 1.1, [o.peak for o in close], _UNSTABLE
-        ),
-        at_most(NAME, "time until all name the lost leader [s]", 6.0, named, _LEASE),
+    stable = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
+    unstable = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)
+    growth, peak = [chain.growth for chain in stable], [chain.peak for chain in stable]
+    gap_errors, named_after = [chain.off for chain in stable], [chain.named for chain in stable]
+    unstable_growth = [chain.growth for chain in unstable]
+    unstable_peak = [chain.peak for chain in unstable]
+    growth_label, short = "largest gap error / the first follower's", "headway of one lag:"
+    point_outcomes = [
+        at_most(NAME, growth_label, 1.1, growth, _PLOEG),
+        at_most(NAME, "top speed / the leader's", 1.01, peak, _PLOEG),
+        at_most(NAME, "gaps at the end, off from the policy [m]", 0.01, gap_errors, _POLICY),
+        at_least(NAME, f"{short} {growth_label}", 1.2, unstable_growth, _UNSTABLE),
+        at_least(NAME, f"{short} top speed / the leader's", 1.1, unstable_peak, _UNSTABLE),
+        at_most(NAME, "time until all name the lost leader [s]", 6.0, named_after, _LEASE),
     ]
     if not has_bodies:
-        return points
-    found = simulate(NAME, seeds, jobs=jobs)
-    gaps = [settled(trace.pose[:, :, :2]) for trace in found.traces]
+        return point_outcomes
+    burgers = simulate(NAME, seeds, jobs=jobs)
+    gaps = [settled(trace.pose[:, :, :2]) for trace in burgers.traces]
     return [
-        *points,
+        *point_outcomes,
         at_most(NAME, "Burgers on a circle: gaps, off from the policy [m]", 0.1, gaps, _POLICY),
-        no_contacts(NAME, found),
+        no_contacts(NAME, burgers),
     ]
 
 
 def run(given: tuple[int, float, float]) -> Chain:
-    """A chain at rest whose leader starts after 2 s and is absent from `LOST_AT` on."""
+    """Simulate a chain of points, and measure the gap errors; `given`: seed, headway and lag in s.
+
+    The chain begins at rest. The leader starts after 2 s, and is absent from `LOST_AT` s on.
+    """
     seed, headway, lag = given
     rng = np.random.default_rng(seed)
     x = -STANDSTILL * np.arange(ROBOTS)
     poses = np.column_stack([x, rng.uniform(-0.01, 0.01, (ROBOTS, 2))])
     params, ends = {"headway": headway, "lag": lag}, {0: LOST_AT}
     track = PointSwarm(NAME, poses, seed=seed, params=params, reach=2.0, ends=ends).run(SECONDS)
-    led = track.t < LOST_AT
-    speed = track.reported("speed")[led]
-    apart = np.diff(track.pose[led, :, :2], axis=1)
-    gap = np.hypot(apart[..., 0], apart[..., 1])
-    error = gap - STANDSTILL - headway * speed[:, 1:]
-    sizes = np.sqrt(np.nanmean(error**2, axis=0))
+    has_leader = track.t < LOST_AT
+    speed = track.reported("speed")[has_leader]  # (T, n) m/s
+    offsets = np.diff(track.pose[has_leader, :, :2], axis=1)
+    gap = np.hypot(offsets[..., 0], offsets[..., 1])  # (T, n - 1) m, in front of each follower
+    gap_error = gap - STANDSTILL - headway * speed[:, 1:]
+    rms = np.sqrt(np.nanmean(gap_error**2, axis=0))
     return Chain(
-        float(sizes[1:].max() / sizes[0]),
-        float(np.nanmax(speed) / SPEED),
-        float(np.abs(gap[-1] - STANDSTILL - headway * SPEED).max()),
-        _named(track),
+        growth=float(rms[1:].max() / rms[0]),
+        peak=float(np.nanmax(speed) / SPEED),
+        off=float(np.abs(gap[-1] - STANDSTILL - headway * SPEED).max()),
+        named=_named(track),
     )
 
 
 def _named(track: Track) -> float:
-    """s from the loss of the leader until all others report it as lost and the next as leader.
+    """The time in s from the loss of the leader until all robots know.
 
-    NaN if that never happens.
+    Each remaining robot then reports robot 0 as lost and robot 1 as leader. NaN: never.
     """
-    lost, leads = "robot-000", "robot-001"
-    for at, now in zip(track.t.tolist(), track.reports, strict=True):
-        if all(one.get("lost") == lost and one.get("leader") == leads for one in now[1:]):
-            return float(at - LOST_AT)
+    lost, leader = "robot-000", "robot-001"
+    for t, reports in zip(track.t.tolist(), track.reports, strict=True):
+        if all(
+            report.get("lost") == lost and report.get("leader") == leader for report in reports[1:]
+        ):
+            return float(t - LOST_AT)
     return float("nan")
 
 
 def settled(places: Array) -> float:
-    """The largest |gap - policy| in m just before the leader is removed, of places (T, n, 2)."""
+    """The largest difference in m between a gap and the policy's gap, just before the leader's end.
+
+    `places`: (T, n, 2) in m, the robots in the order of the chain.
+    """
     apart = np.diff(places[int(len(places) * 55 / 90)], axis=0)
     return float(np.abs(np.hypot(*apart.T) - STANDSTILL - HEADWAY * SPEED).max())

@@ -15,7 +15,7 @@ A robot that senses no robot before it leads. The leader's id passes down the ch
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from swarmd.api import (
     Context,
@@ -36,6 +36,14 @@ from swarmd.api import (
 
 _CHANNEL = "leader"
 _MAX_ID = 64  # characters of a robot's id
+
+
+class _Predecessor(NamedTuple):
+    """The robot before this robot in the chain, as sensed."""
+
+    id: str
+    distance: float  # m
+    bearing: float  # rad
 
 
 class LeaderFollowingParams(Params, frozen=True, kw_only=True):
@@ -106,36 +114,42 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
 
     def __init__(self, params: LeaderFollowingParams, context: Context) -> None:
         super().__init__(params, context)
-        self._sensed: dict[str, float] = {}  # when, by neighbour before it
+        self._sensed_at: dict[str, float] = {}  # s, by id of a robot before this robot
         self._leader = self._lost = ""
-        self._speed = self._share_at = 0.0
-        self._since: float | None = None
+        self._speed = 0.0  # m/s, commanded
+        self._share_at = 0.0
+        self._started_at: float | None = None
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command, and a message with the leader's id for the robots behind."""
+        """Follow the robot before this robot at a time headway, or lead; pass on the leader's id.
+
+        The chain is in the order of ids behind the leader. `aim` is the speed in m/s that the gap
+        asks for, and the commanded speed follows with the time constant `lag`.
+        """
         now, params = inputs.now, self.params
-        self._since = now if self._since is None else self._since
-        before = self._before(inputs)
-        if before is None and self._sensed:  # a robot before was sensed a moment ago: drive on
+        self._started_at = now if self._started_at is None else self._started_at
+        predecessor = self._predecessor(inputs)
+        if predecessor is None and self._sensed_at:  # sensed within `lease`: drive on
             aim, turn = self._speed, 0.0
-            before_id = max(self._sensed, key=self._place)
-        elif before is None:  # no robot before: lead
+            before_id = max(self._sensed_at, key=self._chain_order)
+        elif predecessor is None:  # lead
             before_id = ""
             # At the start the robot waits until other robots can be sensed.
-            is_ready = now - self._since >= params.lease
+            is_ready = now - self._started_at >= params.lease
             aim, turn = (params.pace * params.speed, params.curve) if is_ready else (0.0, 0.0)
             if is_ready and self._leader != self.context.robot:
                 self._lost, self._leader = self._leader, self.context.robot
-        else:
-            before_id, distance, bearing = before
+        else:  # follow
+            before_id, distance, bearing = predecessor
             aim = (distance - params.standstill) / params.headway
             turn = 2.0 * bearing
             if abs(bearing) > 0.5 * math.pi:
                 aim = 0.0  # turn first
             self._adopt(inputs, before_id)
-        share = min(1.0, inputs.dt / params.lag) if params.lag > 0.0 else 1.0
+        # The lag is a first-order low-pass filter; without a lag the speed is the aim.
+        gain = min(1.0, inputs.dt / params.lag) if params.lag > 0.0 else 1.0
         aim = max(-params.speed, min(params.speed, aim))
-        self._speed += share * (aim - self._speed)
+        self._speed += gain * (aim - self._speed)
         twist = Twist(self._speed, max(-params.turn, min(params.turn, turn)))
         report: dict[str, Scalar] = {
             "leader": self._leader,
@@ -148,25 +162,27 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         self._share_at = now + params.share_period
         return Outputs(twist, {_CHANNEL: self._leader}, report)
 
-    def _before(self, inputs: Inputs) -> tuple[str, float, float] | None:
-        """The last sensed robot before this robot in the chain: id, distance and bearing.
+    def _predecessor(self, inputs: Inputs) -> _Predecessor | None:
+        """The last sensed robot before this robot in the chain; None if none is sensed now.
 
-        None if no robot before this robot is sensed now. Also updates `_sensed`.
+        Also sets `_sensed_at`: the robots before this robot that were sensed within `lease`.
         """
-        own, last = self._place(self.context.robot), None
+        own_order, predecessor = self._chain_order(self.context.robot), None
         for neighbor in inputs.neighbors:
-            place = self._place(neighbor.id)
-            if neighbor.distance is None or neighbor.bearing is None or place >= own:
+            order = self._chain_order(neighbor.id)
+            if neighbor.distance is None or neighbor.bearing is None or order >= own_order:
                 continue
-            self._sensed[neighbor.id] = inputs.now
-            if last is None or place > self._place(last[0]):
-                last = neighbor.id, neighbor.distance, neighbor.bearing
-        since = inputs.now - self.params.lease
-        self._sensed = {name: at for name, at in self._sensed.items() if at >= since}
-        return last
+            self._sensed_at[neighbor.id] = inputs.now
+            if predecessor is None or order > self._chain_order(predecessor.id):
+                predecessor = _Predecessor(neighbor.id, neighbor.distance, neighbor.bearing)
+        oldest = inputs.now - self.params.lease
+        self._sensed_at = {
+            name: sensed_at for name, sensed_at in self._sensed_at.items() if sensed_at >= oldest
+        }
+        return predecessor
 
-    def _place(self, name: str) -> tuple[bool, str]:
-        """The order in the chain: first the leader, then the others by id."""
+    def _chain_order(self, name: str) -> tuple[bool, str]:
+        """The sort key of a robot in the chain: first the leader, then the other robots by id."""
         return name != self.params.leader, name
 
     def _adopt(self, inputs: Inputs, before: str) -> None:

@@ -41,44 +41,49 @@ class _Setting:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> list[Outcome]:
-    """All outcomes: nearly ballistic walks, more robots and a farther sight; `has_slow`: others."""
+    """Compare the times in which walkers find random targets with the law of random search.
+
+    For each seed nearly ballistic walkers (mu 1.1) search, and walkers that see twice as far.
+    `has_slow`: also twice as many walkers, and walkers with mu 2 and 4, whose paths bend more.
+    """
 
     def searches(exponent: float, robots: int = ROBOTS, sight: float = SIGHT) -> list[Search]:
         return each(search, [_Setting(seed, exponent, robots, sight) for seed in seeds], jobs)
 
     ballistic, far = searches(1.1), searches(1.1, ROBOTS, 2.0 * SIGHT)
     twice = searches(1.1, 2 * ROBOTS) if has_slow else []
-    sight = ratio_of(_times(ballistic), _times(far))
-    missed = [one.missed for one in ballistic]
-    found = [
+    sight_ratio = ratio_of(_times(ballistic), _times(far))
+    missed = [run.missed for run in ballistic]
+    by_label = (("", ballistic), (", a sight of 1 m", far), (", 20 robots", twice))
+    ballistic_outcomes = [
         *(
-            within(NAME, f"mu 1.1{which}: mean time / law", 0.85, 1.15, _of_law(some), _SEARCH)
-            for which, some in (("", ballistic), (", a sight of 1 m", far), (", 20 robots", twice))
-            if some
+            within(NAME, f"mu 1.1{label}: mean time / law", 0.85, 1.15, _of_law(runs), _SEARCH)
+            for label, runs in by_label
+            if runs
         ),
-        at_least(NAME, "mu 1.1: mean time / that of twice the sight", 1.7, sight, "1/s"),
+        at_least(NAME, "mu 1.1: mean time / that of twice the sight", 1.7, sight_ratio, "1/s"),
         at_most(NAME, "mu 1.1: share of searches without success", 0.01, missed, _SEARCH),
     ]
     if not has_slow:
-        return found
+        return ballistic_outcomes
     levy, slow = searches(2.0), searches(4.0)
-    more = ratio_of(_times(ballistic), _times(twice))
-    ways = ratio_of(*([one.displaced for one in some] for some in (ballistic, slow)))
+    number_ratio = ratio_of(_times(ballistic), _times(twice))
+    displacement_ratio = ratio_of(*([run.displaced for run in runs] for runs in (ballistic, slow)))
     return [
-        *found,
-        at_least(NAME, "mu 1.1: mean time / that of 20 robots", 1.7, more, "1/N"),
+        *ballistic_outcomes,
+        at_least(NAME, "mu 1.1: mean time / that of 20 robots", 1.7, number_ratio, "1/N"),
         at_least(NAME, "mu 2: mean time / law", 1.0, _of_law(levy), "places seen twice"),
         at_least(NAME, "mu 4: mean time / law", 1.3, _of_law(slow), "the same"),
-        at_least(NAME, "way in a minute, mu 1.1 / mu 4", 1.5, ways, _POWER),
+        at_least(NAME, "way in a minute, mu 1.1 / mu 4", 1.5, displacement_ratio, _POWER),
     ]
 
 
-def _times(found: Sequence[Search]) -> list[float]:
-    return [one.mean for one in found]
+def _times(runs: Sequence[Search]) -> list[float]:
+    return [run.mean for run in runs]
 
 
-def _of_law(found: Sequence[Search]) -> Joined:
-    return ratio_of(_times(found), [one.law for one in found])
+def _of_law(runs: Sequence[Search]) -> Joined:
+    return ratio_of(_times(runs), [run.law for run in runs])
 
 
 def search(setting: _Setting) -> Search:
@@ -98,21 +103,26 @@ def search(setting: _Setting) -> Search:
 
 
 def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
+    """The search times of a run, with a sample every 0.5 s; `targets`: (m, 2) in m.
+
+    A search for each target begins every 30 s of the first half of the run.
+    """
     place = track.pose[..., :2]
-    begins = np.arange(0, len(place) // 2, 60)  # searches from every 30 s of the first half
-    found = np.full((len(targets), len(begins)), np.inf)
+    begins = np.arange(0, len(place) // 2, 60)
+    search_s = np.full((len(targets), len(begins)), np.inf)
     for index, target in enumerate(targets):
-        off = place - target
-        off -= SIDE * np.round(off / SIDE)
-        seen = np.flatnonzero((np.hypot(off[..., 0], off[..., 1]) <= setting.sight).any(axis=1))
+        offset = place - target
+        offset -= SIDE * np.round(offset / SIDE)
+        is_near = np.hypot(offset[..., 0], offset[..., 1]) <= setting.sight
+        seen = np.flatnonzero(is_near.any(axis=1))
         first = np.searchsorted(seen, begins)
         is_seen = first < len(seen)
-        found[index, is_seen] = 0.5 * (seen[first[is_seen]] - begins[is_seen])
-    later = found[found > 0.0]
-    is_found = np.isfinite(later)
-    way = np.diff(place, axis=0)
-    speed = float(np.hypot(way[..., 0], way[..., 1]).sum()) / SECONDS / setting.robots
+        search_s[index, is_seen] = 0.5 * (seen[first[is_seen]] - begins[is_seen])
+    search_s = search_s[search_s > 0.0]  # without the targets in sight at the start
+    is_found = np.isfinite(search_s)
+    step = np.diff(place, axis=0)
+    speed = float(np.hypot(step[..., 0], step[..., 1]).sum()) / SECONDS / setting.robots
     law = SIDE**2 / (2.0 * setting.robots * setting.sight * speed)
     minute = place[120:] - place[:-120]
     displaced = float(np.hypot(minute[..., 0], minute[..., 1]).mean())
-    return Search(float(later[is_found].mean()), law, float((~is_found).mean()), displaced)
+    return Search(float(search_s[is_found].mean()), law, float((~is_found).mean()), displaced)

@@ -31,24 +31,32 @@ _LLOYD = "the least of 50 random starts of Lloyd's algorithm on a grid"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) -> list[Outcome]:
-    """All outcomes: for each seed a run of points, and one of Burgers with bodies."""
+    """Measure the cost of the places at which the robots settle, and how it falls.
+
+    The cost is the mean square distance of the room's places to the nearest robot. For each seed
+    there is a run of points, and a run of Burgers of `duration` s.
+    """
     runs = each(costs, seeds, jobs)
-    rises = [float((np.diff(found) / found[:-1]).max()) for found, _ in runs]
-    best = least()
-    ends = [float(found[-1]) / best for found, _ in runs]
-    off = [far for _, far in runs]
-    found = simulate(NAME, seeds, jobs=jobs, set={"duration": duration})
-    bodies = [cost(trace.pose[-1, :, :2]) / best for trace in found.traces]
-    gained = [cost(trace.pose[0, :, :2]) / cost(trace.pose[-1, :, :2]) for trace in found.traces]
-    speed = metric(found, "mean_speed_late_share")
+    rises = [float((np.diff(cost_at) / cost_at[:-1]).max()) for cost_at, _ in runs]
+    least_cost = least()
+    end_ratios = [float(cost_at[-1]) / least_cost for cost_at, _ in runs]
+    to_centroid_m = [to_centroid for _, to_centroid in runs]
+    burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": duration})
+    starts = [cost(trace.pose[0, :, :2]) for trace in burgers.traces]
+    ends = [cost(trace.pose[-1, :, :2]) for trace in burgers.traces]
+    body_ratios = [end / least_cost for end in ends]
+    gains = [start / end for start, end in zip(starts, ends, strict=True)]
+    speed = metric(burgers, "mean_speed_late_share")
     return [
         at_most(NAME, "points: largest rise of the cost in a step, share", RISE, rises, _CORTES),
-        at_most(NAME, "points: way to the own centroid at the end [m]", 0.05, off, _CENTROID),
-        at_most(NAME, "points: cost at the end / least", 1.15, ends, _LLOYD),
-        at_most(NAME, "Burgers: cost at the end / least", 1.3, bodies, _LLOYD),
-        at_least(NAME, "Burgers: cost at the start / at the end", 2.0, gained, "ours"),
+        at_most(
+            NAME, "points: way to the own centroid at the end [m]", 0.05, to_centroid_m, _CENTROID
+        ),
+        at_most(NAME, "points: cost at the end / least", 1.15, end_ratios, _LLOYD),
+        at_most(NAME, "Burgers: cost at the end / least", 1.3, body_ratios, _LLOYD),
+        at_least(NAME, "Burgers: cost at the start / at the end", 2.0, gains, "ours"),
         at_most(NAME, "Burgers: late speed / limit", 0.1, speed, "ours"),
-        no_contacts(NAME, found),
+        no_contacts(NAME, burgers),
     ]
 
 

@@ -88,7 +88,7 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
 
     def __init__(self, params: LloydCoverageParams, context: Context) -> None:
         super().__init__(params, context)
-        self._seq: int | None = None  # of the scan that the centroid is from
+        self._scan_seq: int | None = None  # of the scan that the centroid is from
         self._centroid = (0.0, 0.0)
 
     def report(self) -> Mapping[str, Scalar]:
@@ -98,44 +98,47 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
     def drive(self, inputs: Inputs) -> Twist:
         """To the centroid, forward or backward, whichever needs less of a turn."""
         params, scan = self.params, inputs.scan
-        if scan is not None and scan.seq != self._seq:
-            self._seq = scan.seq
-            self._centroid = self._find(scan, inputs.neighbors)
+        if scan is not None and scan.seq != self._scan_seq:
+            self._scan_seq = scan.seq
+            self._centroid = self._cell_centroid(scan, inputs.neighbors)
         x, y = self._centroid
         if math.hypot(x, y) <= params.tolerance:
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn, gain=params.gain)
 
-    def _find(self, scan: Scan, neighbors: Sequence[Neighbor]) -> tuple[float, float]:
-        """The centroid of the cell in m in the base frame; (0, 0) if the cell is empty.
+    def _cell_centroid(self, scan: Scan, neighbors: Sequence[Neighbor]) -> tuple[float, float]:
+        """The centroid (x, y) of the robot's Voronoi cell in m in the base frame.
 
         The cell is a star of triangles from the robot to each two neighbouring rays. A ray ends at
-        its return, at `reach`, or at the line halfway to a neighbour.
+        its return, at `reach`, or at the line halfway to a neighbour. An empty cell: (0, 0).
         """
+        # 1. The ends of the rays as bearing and distance from the axle, in the order of bearings.
         is_known, reach = ~np.isnan(scan.ranges), min(self.params.reach, scan.range_max)
         ranges = np.clip(scan.ranges[is_known], 0.0, reach)
         bearings = scan.bearings[is_known]
-        across, up = self.context.platform.scan.offset
-        x, y = ranges * np.cos(bearings) + across, ranges * np.sin(bearings) + up
+        lidar_x, lidar_y = self.context.platform.scan.offset
+        x, y = ranges * np.cos(bearings) + lidar_x, ranges * np.sin(bearings) + lidar_y
         angle = np.arctan2(y, x)
         order = np.argsort(angle)
         angle = angle[order]
-        far = np.minimum(np.hypot(x, y)[order], reach)
+        length = np.minimum(np.hypot(x, y)[order], reach)
+        # 2. Shorten the rays at the line halfway to each neighbour.
         for neighbor in neighbors:
             if neighbor.distance is not None and neighbor.bearing is not None:
-                ahead = np.cos(angle - neighbor.bearing)
-                # Up to the line halfway to the neighbour.
-                limit = 0.5 * neighbor.distance / np.maximum(ahead, 1e-9)
-                far = np.where(ahead > 0.0, np.minimum(far, limit), far)
+                cosine = np.cos(angle - neighbor.bearing)
+                halfway = 0.5 * neighbor.distance / np.maximum(cosine, 1e-9)
+                length = np.where(cosine > 0.0, np.minimum(length, halfway), length)
+        # 3. The triangles: twice the area of each, and zero where the rays are too far apart.
         gap = np.append(np.diff(angle), angle[:1] + 2.0 * math.pi - angle[-1:])
         gap = np.where(gap <= _MAX_GAP, gap, 0.0)
-        far_next = np.roll(far, -1)
-        area = far * far_next * np.sin(gap)
-        total = float(area.sum())
+        double_area = length * np.roll(length, -1) * np.sin(gap)
+        total = float(double_area.sum())
         if not total > 0.0:
             return 0.0, 0.0
-        x, y = far * np.cos(angle), far * np.sin(angle)
+        # 4. The centroid of a triangle is a third of the sum of its corners, of which the robot is
+        # the origin.
+        x, y = length * np.cos(angle), length * np.sin(angle)
         return (
-            float((area * (x + np.roll(x, -1))).sum()) / (3.0 * total),
-            float((area * (y + np.roll(y, -1))).sum()) / (3.0 * total),
+            float((double_area * (x + np.roll(x, -1))).sum()) / (3.0 * total),
+            float((double_area * (y + np.roll(y, -1))).sum()) / (3.0 * total),
         )

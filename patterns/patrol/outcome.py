@@ -47,39 +47,44 @@ def outcomes(
     numbers: Sequence[int] = NUMBERS,
     has_bodies: bool = True,
 ) -> list[Outcome]:
-    """All outcomes: for each seed points in these numbers, and `has_bodies` three Burgers."""
-    found = [each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers]
-    means = [float(np.mean([one.mean for one in some])) for some in found]
-    pairs = list(zip(numbers, found, strict=True))
-    worst = [one.worst / ideal(number) for number, some in pairs for one in some]
+    """Measure idleness, the time since a robot last visited a place, by the number of robots.
+
+    For each seed there is a run of points with each of `numbers`. `has_bodies`: also a run of four
+    points whose messages are all lost, and of three Burgers.
+    """
+    by_number = {
+        number: each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers
+    }
+    means = [float(np.mean([idle.mean for idle in runs])) for runs in by_number.values()]
+    worst = [idle.worst / ideal(number) for number, runs in by_number.items() for idle in runs]
     falls = [more / less for more, less in pairwise(means)]
-    points = [
+    point_outcomes = [
         *(
             at_most(
-                NAME, f"mean idleness / ideal, N = {number}", 1.4, _shares(some, number), _CYCLE
+                NAME, f"mean idleness / ideal, N = {number}", 1.4, _of_ideal(runs, number), _CYCLE
             )
-            for number, some in pairs
+            for number, runs in by_number.items()
         ),
         at_least(NAME, "mean idleness of fewer / of the next number", 1.6, falls, _FALLS),
         at_most(NAME, "longest idleness / ideal mean, all N", 6.0, worst, _WORST),
     ]
     if not has_bodies:
-        return points
-    mute = each(run, [(seed, 4, MUTE) for seed in seeds], jobs)
-    changes = {"trace_rate": 1.0 / EVERY}
-    runs = simulate(NAME, seeds, jobs=jobs, set=changes)
-    burgers = [idleness(trace.pose[:, :, :2] + 2.0, 0.2, BODY_SETTLED) for trace in runs.traces]
-    alone = mean_of(_shares(mute, 4))
+        return point_outcomes
+    mute_runs = each(run, [(seed, 4, MUTE) for seed in seeds], jobs)
+    mute_mean = mean_of(_of_ideal(mute_runs, 4))
+    results = simulate(NAME, seeds, jobs=jobs, set={"trace_rate": 1.0 / EVERY})
+    burgers = [idleness(trace.pose[:, :, :2] + 2.0, 0.2, BODY_SETTLED) for trace in results.traces]
+    burger_means = _of_ideal(burgers, 3)
     return [
-        *points,
-        at_least(NAME, "no message arrives: mean idleness / ideal, N = 4", 1.4, alone, _MUTE),
-        at_most(NAME, "Burgers: mean idleness / ideal, N = 3", 1.4, _shares(burgers, 3), _CYCLE),
-        no_contacts(NAME, runs),
+        *point_outcomes,
+        at_least(NAME, "no message arrives: mean idleness / ideal, N = 4", 1.4, mute_mean, _MUTE),
+        at_most(NAME, "Burgers: mean idleness / ideal, N = 3", 1.4, burger_means, _CYCLE),
+        no_contacts(NAME, results),
     ]
 
 
-def _shares(found: Sequence[Idleness], number: int) -> list[float]:
-    return [one.mean / ideal(number) for one in found]
+def _of_ideal(runs: Sequence[Idleness], number: int) -> list[float]:
+    return [idle.mean / ideal(number) for idle in runs]
 
 
 def run(given: tuple[int, int, Air]) -> Idleness:

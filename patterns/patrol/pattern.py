@@ -35,6 +35,8 @@ from swarmd.api import (
 
 _CHANNEL = "patrol"
 _BRAKE = 0.3  # m before a place over which the speed falls
+_MIN_SPEED_SHARE = 0.3  # of `speed`, at a place
+_NEVER = 1e9  # s: the sent age of a visit that did not happen
 _MAX_PLACES = 50
 
 
@@ -85,7 +87,7 @@ class Patrol(Pattern[PatrolParams]):
 
     def _begin(self, params: PatrolParams) -> None:
         self._places = places_of(params.places)
-        self._visited = [-math.inf] * len(self._places)  # when, by any robot
+        self._visited_at = [-math.inf] * len(self._places)  # s, of each place, by any robot
         self._claims: dict[str, tuple[float, int]] = {}  # time and place, by robot
 
     def update(self, params: PatrolParams) -> None:
@@ -96,56 +98,70 @@ class Patrol(Pattern[PatrolParams]):
         super().update(params)
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The way to the target, and what others need to know."""
+        """Drive to the target place; send the target and the ages of all visits.
+
+        `_target` is the index of a place, -1 before the first target. Without a pose the robot
+        stands and sends nothing.
+        """
         now, params = inputs.now, self.params
         for message in inputs.messages:
             self._hear(message, now - message.age)
         pose = inputs.pose
         if pose is None:
             return Outputs()
-        away = [math.hypot(x - pose.x, y - pose.y) for x, y in self._places]
-        if self._target < 0 or away[self._target] <= params.arrival:
+        # 1. On arrival, and at the start, the next target, which is sent at once.
+        distances = [math.hypot(x - pose.x, y - pose.y) for x, y in self._places]
+        if self._target < 0 or distances[self._target] <= params.arrival:
             if self._target >= 0:
-                self._visited[self._target] = now
-            self._target = self._choose(now, away)
+                self._visited_at[self._target] = now
+            self._target = self._choose(now, distances)
             self._share_at = now
+        # 2. The command, slower near the target.
         x, y = self._places[self._target]
         bearing = math.atan2(y - pose.y, x - pose.x) - pose.yaw
-        share = min(1.0, max(away[self._target] / _BRAKE, 0.3))
+        speed_share = min(1.0, max(distances[self._target] / _BRAKE, _MIN_SPEED_SHARE))
         twist = NearPoints(()).steer(
-            share * math.cos(bearing),
-            share * math.sin(bearing),
+            speed_share * math.cos(bearing),
+            speed_share * math.sin(bearing),
             params.speed,
             params.turn,
             spacing=0.0,
             brake=_BRAKE,
         )
+        # 3. The message.
         report: Mapping[str, Scalar] = {"target": self._target}
         if now < self._share_at:
             return Outputs(twist, report=report)
         self._share_at = now + params.share_period
-        ages: list[Value] = [min(now - at, 1e9) for at in self._visited]
+        ages: list[Value] = [min(now - visited, _NEVER) for visited in self._visited_at]
         return Outputs(twist, {_CHANNEL: [self._target, *ages]}, report)
 
-    def _choose(self, now: float, away: list[float]) -> int:
-        """The adjacent place of the greatest idleness among those that no robot has as target."""
+    def _choose(self, now: float, distances: list[float]) -> int:
+        """The index of the place to visit next; `distances`: from the robot to each place in m.
+
+        Candidates are the places adjacent to the robot's place that no other robot has as target,
+        or all adjacent places if robots drive to each. The robot takes the candidate of the oldest
+        visit, and a random candidate among equals.
+        """
         params, rng = self.params, self.context.rng
-        here = self._target if self._target >= 0 else min(range(len(away)), key=away.__getitem__)
-        x, y = self._places[here]
-        near = [
-            k
-            for k, (place_x, place_y) in enumerate(self._places)
-            if k != here
+        nearest = min(range(len(distances)), key=distances.__getitem__)
+        origin = self._target if self._target >= 0 else nearest
+        x, y = self._places[origin]
+        adjacent = [
+            index
+            for index, (place_x, place_y) in enumerate(self._places)
+            if index != origin
             and (not params.reach or math.hypot(place_x - x, place_y - y) <= params.reach)
-        ] or [here]
-        claimed = {k for at, k in self._claims.values() if at >= now - params.lease}
-        free = [k for k in near if k not in claimed] or near
-        oldest = min(self._visited[k] for k in free)
-        best = [k for k in free if self._visited[k] <= oldest + 1e-9]
+        ] or [origin]
+        oldest_claim = now - params.lease
+        claimed = {index for heard_at, index in self._claims.values() if heard_at >= oldest_claim}
+        candidates = [index for index in adjacent if index not in claimed] or adjacent
+        oldest = min(self._visited_at[index] for index in candidates)
+        best = [index for index in candidates if self._visited_at[index] <= oldest + 1e-9]
         return best[int(rng.integers(len(best)))]
 
-    def _hear(self, message: Message, at: float) -> None:
-        """Take over later visits, and the place that the sender is on its way to."""
+    def _hear(self, message: Message, sent_at: float) -> None:
+        """Take over later visits, and the sender's target; ignore a message of another form."""
         value = message.value
         if message.channel != _CHANNEL or not isinstance(value, list):
             return
@@ -154,10 +170,10 @@ class Patrol(Pattern[PatrolParams]):
         target, *ages = value
         if not isinstance(target, int) or not 0 <= target < len(self._places):
             return
-        self._claims[message.sender] = at, target
-        for k, age in enumerate(ages):
-            if isinstance(age, (int, float)) and 0.0 <= age < 1e9:
-                self._visited[k] = max(self._visited[k], at - age)
+        self._claims[message.sender] = sent_at, target
+        for index, age in enumerate(ages):
+            if isinstance(age, (int, float)) and 0.0 <= age < _NEVER:
+                self._visited_at[index] = max(self._visited_at[index], sent_at - age)
 
 
 def places_of(text: str) -> list[tuple[float, float]]:

@@ -124,9 +124,9 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
 
     def __init__(self, params: ShelterChoiceParams, context: Context) -> None:
         super().__init__(params, context)
-        self._rests = False
+        self._is_resting = False
         self._walk_until = self._share_at = 0.0
-        self._heard: dict[str, float] = {}  # when it told that it rests, by neighbour
+        self._rest_heard_at: dict[str, float] = {}  # s of the last message of rest, by neighbour
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The walk."""
@@ -135,41 +135,49 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         return {_WALK: walk}
 
     def step(self, inputs: Inputs) -> Outputs:
-        """Walk or rest; change between them by chance."""
+        """Walk, or rest under a shelter; the robot stops and leaves at random, at two rates.
+
+        A shelter is a dark floor. The rate of leaving falls with the number of robots that rest
+        there, and the rate of stopping falls as the shelter fills.
+        """
         now, params = inputs.now, self.params
         for message in inputs.messages:
             if message.channel == _CHANNEL and message.value is True:
-                self._heard[message.sender] = now - message.age
+                self._rest_heard_at[message.sender] = now - message.age
         if inputs.scan is None or "ground" not in inputs.readings:
             return Outputs(report={"state": "walk", "count": 0})
         is_dark = inputs.readings["ground"] < params.dark
-        count = self._count(inputs) + self._rests
-        filled = count / params.capacity
-        if self._rests:
+        resting = self._resting_neighbors(inputs) + self._is_resting
+        filled = resting / params.capacity
+        if self._is_resting:
             hold = 1.0 + params.social * filled**params.exponent
             if not is_dark or self._happens(params.leave / hold, inputs.dt):
-                self._rests, self._walk_until = False, now + params.away
+                self._is_resting, self._walk_until = False, now + params.away
         elif is_dark and now >= self._walk_until:
-            self._rests = self._happens(params.stop * (1.0 - filled), inputs.dt)
+            self._is_resting = self._happens(params.stop * (1.0 - filled), inputs.dt)
             self._share_at = now
-        report: dict[str, Scalar] = {"state": "rest" if self._rests else "walk", "count": count}
-        if not self._rests:
+        state = "rest" if self._is_resting else "walk"
+        report: dict[str, Scalar] = {"state": state, "count": resting}
+        if not self._is_resting:
             return Outputs(self.step_part(_WALK, inputs).twist, report=report)
-        sent: dict[str, Value] = {}
+        messages: dict[str, Value] = {}
         if now >= self._share_at:
             self._share_at = now + params.share_period
-            sent[_CHANNEL] = True
-        return Outputs(ZERO, sent, report)
+            messages[_CHANNEL] = True
+        return Outputs(ZERO, messages, report)
 
     def _happens(self, rate: float, dt: float) -> bool:
+        """Draw whether an event of this rate in 1/s happens within `dt` s."""
         return float(self.context.rng.random()) < rate * dt
 
-    def _count(self, inputs: Inputs) -> int:
-        """The number of neighbours within `near` that rest."""
-        since = inputs.now - 3.0 * self.params.share_period
-        self._heard = {name: at for name, at in self._heard.items() if at >= since}
+    def _resting_neighbors(self, inputs: Inputs) -> int:
+        """The number of neighbours within `near` whose message of rest is still valid."""
+        oldest = inputs.now - 3.0 * self.params.share_period
+        self._rest_heard_at = {
+            name: heard_at for name, heard_at in self._rest_heard_at.items() if heard_at >= oldest
+        }
         return sum(
-            neighbor.id in self._heard
+            neighbor.id in self._rest_heard_at
             and neighbor.distance is not None
             and neighbor.distance <= self.params.near
             for neighbor in inputs.neighbors

@@ -35,7 +35,8 @@ from swarmd.api import (
 )
 
 _CHANNEL = "role"
-_WAIT = 1.5  # of the spacing: the shepherd stands while a sheep is nearer; the source has 3 r_a
+# The shepherd stands while a sheep is nearer than this multiple of the spacing; the source: 3 r_a.
+_WAIT = 1.5
 Vector = tuple[float, float]
 
 
@@ -119,8 +120,12 @@ class Shepherding(Pattern[ShepherdingParams]):
         self._share_at = 0.0
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command of the role, and the role for others."""
+        """Flee as a sheep, drive the herd as the shepherd, or stand as the goal; send the role.
+
+        A shepherd that senses no sheep or no goal stands.
+        """
         params = self.params
+        # 1. The places of the neighbours in m in the base frame, by the role that each sent.
         for message in inputs.messages:
             if message.channel == _CHANNEL and isinstance(message.value, str):
                 self._roles[message.sender] = message.value[:16]
@@ -133,13 +138,14 @@ class Shepherding(Pattern[ShepherdingParams]):
         self._roles = {
             neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
         }
+        # 2. The command of the role, and the message.
         report: dict[str, Scalar] = {"role": params.role}
         twist = ZERO
         if params.role == "sheep":
             twist = self._steer(self._flee(places["sheep"], places["shepherd"]), params.pace)
         elif params.role == "shepherd" and places["sheep"] and places["goal"]:
-            way, report["state"] = self._herd(places["sheep"], places["goal"][0])
-            twist = self._steer(way, 1.0)
+            direction, report["state"] = self._herd(places["sheep"], places["goal"][0])
+            twist = self._steer(direction, 1.0)
         if inputs.now < self._share_at:
             return Outputs(twist, report=report)
         self._share_at = inputs.now + params.share_period
@@ -182,14 +188,15 @@ class Shepherding(Pattern[ShepherdingParams]):
             away = _unit((center[0] - goal[0], center[1] - goal[1]))
         return (pushed[0] + behind * away[0], pushed[1] + behind * away[1]), state
 
-    def _steer(self, way: Vector, share: float) -> Twist:
-        x, y = way
+    def _steer(self, direction: Vector, speed_share: float) -> Twist:
+        """The command to drive along `direction` at this share of `speed`; zero for (0, 0)."""
+        x, y = direction
         if math.hypot(x, y) < 1e-6:
             return ZERO
-        unit = _unit(way)
+        unit = _unit(direction)
         params = self.params
         return NearPoints(()).steer(
-            unit[0], unit[1], share * params.speed, params.turn, spacing=0.0, brake=1.0
+            unit[0], unit[1], speed_share * params.speed, params.turn, spacing=0.0, brake=1.0
         )
 
 

@@ -39,9 +39,10 @@ class _Setting:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> list[Outcome]:
-    """The outcomes of forty robots at five levels of noise and of ten robots at two levels.
+    """Measure the polar order of the headings (0: random, 1: all equal) against the noise in rad.
 
-    Without `has_sizes` those of forty robots at the least and the most noise alone.
+    For each seed forty robots run at five levels of noise, and ten robots at two levels. Without
+    `has_sizes` only forty robots run, at the least and the most noise.
     """
 
     def orders(noise: float, robots: int = ROBOTS) -> list[float]:
@@ -52,6 +53,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> 
     means = [float(np.mean(values)) for values in by_noise.values()]
     falls = [before - after for before, after in pairwise(means)]
     fall_label = f"mean order falls by, to noise {', '.join(f'{x:.3g}' for x in noises[1:])}"
+    # At full noise the headings are independent, and their mean order is known.
     error = abs(means[-1] - INDEPENDENT[ROBOTS])
     forty = [
         at_least(NAME, "order, noise 0.5", 0.8, by_noise[LOW_NOISE], _VICSEK),

@@ -99,10 +99,14 @@ def env(
         raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
     if render_mode is not None and find_spec("OpenGL") is None:
         raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
-    if isinstance(scenario, Scenario):
-        loaded = scenario_of(scenario.effective, set, source="set") if set else scenario
-    else:
+    # 1. The scenario with the overrides.
+    if not isinstance(scenario, Scenario):
         loaded = load_scenario(scenario, set, source="set")
+    elif set:
+        loaded = scenario_of(scenario.effective, set, source="set")
+    else:
+        loaded = scenario
+    # 2. The robots that learn, which must provide what the spec needs.
     learners = learners_of(loaded, agents)
     spec = spec or default_spec(loaded.robots[learners[0]])
     check_spec(spec)
@@ -113,10 +117,12 @@ def env(
                 f"spec needs {', '.join(missing)}, which {robot} ({loaded.robots[robot].name})"
                 " does not provide; leave these parts out"
             )
-    terms = default_reward(loaded.name) if reward is None else reward
-    if not callable(terms):
-        check_weights(terms)
-    return SwarmEnv(with_agents(loaded, learners), learners, spec, terms, seed, render_mode)
+    # 3. The reward: weights or a function.
+    chosen_reward = default_reward(loaded.name) if reward is None else reward
+    if not callable(chosen_reward):
+        check_weights(chosen_reward)
+    learning = with_agents(loaded, learners)
+    return SwarmEnv(learning, learners, spec, chosen_reward, seed, render_mode)
 
 
 @dataclass(slots=True)
@@ -160,24 +166,28 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         seed: int | None,
         render_mode: str | None = None,
     ) -> None:
-        """`scenario`: as of `with_agents`."""
+        """Make an environment without a run; the arguments are those of `env`, checked.
+
+        `scenario`: its robots `learners` run the pattern that takes actions (`with_agents`).
+        """
         self.scenario = scenario
         self.spec = spec
         self.render_mode = render_mode
         self.metadata = {**type(self).metadata, "render_fps": round(1.0 / spec.period)}
+        # An agent for each time that a robot may join.
         self.possible_agents = lives_of(scenario, learners)
         self.agents: list[str] = []
         self._learners, self._reward = learners, reward
+        # The seed of the next `reset`; None: drawn by `_seeds`.
         self._next_seed = None if seed is None else check_seeds([seed])[0]
         self._seeds = np.random.default_rng(self._next_seed)
         self.seed: int | None = None
         """The seed of the run that the last `reset` began; `exp run` with it has the same start."""
-        shapes = (spec.size,), (spec.actions,)
         self.observation_spaces = {
-            agent: Box(-1.0, 1.0, shapes[0], np.float32) for agent in self.possible_agents
+            agent: Box(-1.0, 1.0, (spec.size,), np.float32) for agent in self.possible_agents
         }
         self.action_spaces = {
-            agent: Box(-1.0, 1.0, shapes[1], np.float32) for agent in self.possible_agents
+            agent: Box(-1.0, 1.0, (spec.actions,), np.float32) for agent in self.possible_agents
         }
         self._episode: _Episode | None = None
 
@@ -194,33 +204,36 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     ) -> tuple[dict[str, Observation], dict[str, Info]]:
         """Begin a run, and simulate until each robot has its first scan; `options` has no effect.
 
-        Equal seeds give equal runs, bit by bit. Without `seed`, the seed is drawn by a random
-        generator that the last given seed has started. ConfigError if there is no room for the
-        robots.
+        Returns the observations and infos by agent. Equal seeds give equal runs, bit by bit.
+        Without `seed`, the seed is drawn by a random generator that the last given seed has
+        started. ConfigError if there is no room for the robots.
         """
+        # 1. The seed.
         if seed is not None:
             self._next_seed = check_seeds([seed])[0]
             self._seeds = np.random.default_rng(self._next_seed)
         if self._next_seed is None:
             self._next_seed = int(self._seeds.integers(2**31))
         self.seed, self._next_seed = self._next_seed, None
+        # 2. The run, in which each learner's pattern exchanges observations and actions by a seat.
         seats = {robot: new_seat(self.spec) for robot in self._learners}
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
         self.close()
-        n = len(swarm.world.ids)
+        is_present = {robot: robot not in self.scenario.absent for robot in self._learners}
         self._episode = episode = _Episode(
-            swarm,
-            seats,
-            Rewards(self._reward, self.scenario, self.seed, swarm.world),
-            ContactEpisodes(),
-            {robot: int(robot not in self.scenario.absent) for robot in self._learners},
-            np.zeros(n, dtype=np.int64),
-            {robot: robot not in self.scenario.absent for robot in self._learners},
+            swarm=swarm,
+            seats=seats,
+            rewards=Rewards(self._reward, self.scenario, self.seed, swarm.world),
+            episodes=ContactEpisodes(),
+            lives={robot: int(there) for robot, there in is_present.items()},
+            contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
+            present=is_present,
         )
-        present = [robot for robot, life in episode.lives.items() if life]
-        waited = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
-        while swarm.world.time < waited and any(seats[robot].inputs is None for robot in present):
+        # 3. The first inputs of the present robots, within _FIRST_INPUTS s.
+        first_seats = [seats[robot] for robot, there in is_present.items() if there]
+        deadline = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
+        while swarm.world.time < deadline and any(seat.inputs is None for seat in first_seats):
             self._advance(swarm.world.dt)
         episode.contacts[:] = 0
         self.agents = [robot for robot in self._learners if episode.lives[robot]]
@@ -238,6 +251,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         first `reset`, after the end of a run, for an unknown agent, and for an action that is not
         (spec.actions,) finite numbers.
         """
+        # 1. Check all actions, then set them.
         episode = self._running()
         if episode.is_over:
             raise ConfigError("the run is over; call reset for the next one")
@@ -247,31 +261,27 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         checked = {agent: self._checked(agent, action) for agent, action in present.items()}
         for agent, action in checked.items():
             episode.seats[_robot_of(agent)].action = action
-        before = list(self.agents)
+        # 2. Simulate.
+        agents_before = list(self.agents)
         start = episode.swarm.world.time
         episode.contacts[:] = 0
         self._advance(self.spec.period)
-        joined = [robot for robot, there in episode.present.items() if there]
-        now_alive = [name_of(robot, episode.lives[robot]) for robot in joined]
-        seen = [*before, *(agent for agent in now_alive if agent not in before)]
-        is_over = episode.is_over = (
-            episode.swarm.world.time > self.scenario.duration - 0.5 * self.spec.period
-        )
-        state = self._state(episode.swarm.world.time - start)
-        rewards = episode.rewards.of(state)
-        terminations = {agent: agent not in now_alive for agent in seen}
-        self.agents = [] if is_over else now_alive
-        observations = {agent: self._observed(agent) for agent in seen}
-        return (
-            observations,
-            {
-                agent: rewards.get(_robot_of(agent), 0.0) if agent in before else 0.0
-                for agent in seen
-            },
-            terminations,
-            {agent: is_over and not terminations[agent] for agent in seen},
-            self._infos(state, seen),
-        )
+        end = episode.swarm.world.time
+        episode.is_over = end > self.scenario.duration - 0.5 * self.spec.period
+        # 3. The agents after the step, and the results of all agents before or after the step.
+        present_robots = [robot for robot, there in episode.present.items() if there]
+        agents_after = [name_of(robot, episode.lives[robot]) for robot in present_robots]
+        joined = [agent for agent in agents_after if agent not in agents_before]
+        agents = [*agents_before, *joined]
+        state = self._state(end - start)
+        robot_rewards = episode.rewards.of(state)
+        rewards = dict.fromkeys(agents, 0.0)  # an agent that has just joined gets none
+        rewards |= {agent: robot_rewards.get(_robot_of(agent), 0.0) for agent in agents_before}
+        terminations = {agent: agent not in agents_after for agent in agents}
+        truncations = {agent: episode.is_over and not terminations[agent] for agent in agents}
+        self.agents = [] if episode.is_over else agents_after
+        observations = {agent: self._observed(agent) for agent in agents}
+        return observations, rewards, terminations, truncations, self._infos(state, agents)
 
     def trace(self) -> Trace:
         """The trace of the run up to now, as `exp run` keeps it: metrics and plots take it."""

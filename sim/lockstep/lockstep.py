@@ -90,10 +90,11 @@ def simulate_run(
             if process.index == 0 and on_progress is not None:
                 on_progress(share)
 
-        # In parts: `advance` collects garbage at its end alone.
+        # In parts, since `advance` collects garbage only at its end.
         for part in range(1, _PARTS + 1):
+            part_end = part / _PARTS * duration
             run.advance(
-                part / _PARTS * duration - run.world.time,
+                part_end - run.world.time,
                 lambda now: report(min(now / duration, 0.99)),
             )
         report(1.0)
@@ -113,11 +114,13 @@ class Lockstep:
         *,
         patterns: Mapping[str, type[Pattern[Any]]] = _NO_PATTERNS,
     ) -> None:
-        """`process`: this process of the run; None: the only process.
+        """Start the robots of a scenario at time 0.
 
-        `shells` is None for robots of other processes. `patterns`: classes by name, which go before
-        installed patterns.
+        `process`: this process of the run; None: the only process. `patterns`: classes by name,
+        which are preferred to installed patterns. `shells`: the robots by row; None for a robot
+        without a daemon or of another process.
         """
+        # 1. The world, the radio and the patterns.
         scenario = drawn(scenario, seed)
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
@@ -128,11 +131,12 @@ class Lockstep:
         installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
-        phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
-        scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self.world.posed = frozenset(
             row for row, platform in enumerate(self._platforms) if "pose" in platform.provides
         )
+        # 2. The schedules. Each robot has a random phase 0..1, a share of each period.
+        phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
+        scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
             Schedules(scan_rates, phases),
             Schedules(self.world.ring_rates, phases[self.world.rings]),
@@ -143,30 +147,34 @@ class Lockstep:
                 if sensor.is_there(self.world)
             ],
         )
-        self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
-        bodies = [body_of(p) for p in self._platforms]
-        self._bodies = dict(zip(ids, bodies, strict=True))
-        self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
-        self._is_mixed = has_findings(self._platforms, scenario.accepts)
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
         self._record_due = Schedules(np.array([scenario.trace_rate]))
+        self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
+        # 3. What robots know of each other's bodies; needed only if any pair has a finding.
+        bodies = [body_of(p) for p in self._platforms]
+        self._bodies = dict(zip(ids, bodies, strict=True))
+        self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
+        self._is_mixed = has_findings(self._platforms, scenario.accepts)
+        # 4. The state of the bases and of the daemons, by row.
         self.alarms = Alarms(n, self.world.dt)
         self.commands = np.zeros((n, 3))
         self.has_new_commands = True  # `commands` differ from those of the world
-        self._silent_at: dict[int, float] = {}  # when a base without a daemon stops, by row
-        self._latches: dict[int, LatchRecord | None] = {}
-        self._new_latches: list[tuple[int, dict[str, Latch]]] = []
-        self._peer_latches: dict[int, dict[str, Latch]] = {}
-        self._boots = [0] * n
-        self._steps = 0
-        self._flights: list[Flight] = []
-        self._published: list[tuple[int, dict[str, Latch]]] = []
-        self._latched: set[int] = set()
+        self._silent_at: dict[int, float] = {}  # s at which a base without a daemon stops
+        self._boots = [0] * n  # daemons that were started
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
+        # 5. Latches: on disk of ended daemons, of present robots, and new since the last step.
+        self._latches: dict[int, LatchRecord | None] = {}
+        self._peer_latches: dict[int, dict[str, Latch]] = {}
+        self._new_latches: list[tuple[int, dict[str, Latch]]] = []
+        self._latched: set[int] = set()  # robots whose published latches are not empty
+        # 6. The outputs of this process's robots since the last exchange.
+        self._flights: list[Flight] = []
+        self._published: list[tuple[int, dict[str, Latch]]] = []
+        self._steps = 0
         self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
         self._timeline = EventTimeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
@@ -240,27 +248,29 @@ class Lockstep:
         self._latched.discard(row)
 
     def exchange(self) -> None:
-        """Take over the outputs of all processes' robots since the last exchange.
+        """Give the outputs of this process's robots to all processes, and take theirs.
 
-        The outputs are commands, gripper commands, messages and latches.
+        The outputs since the last exchange: commands, gripper commands, messages, and published
+        latches. Also with a single process: messages and latches take effect only here.
         """
         process = self._process
         if process.count == 1 and not (self._flights or self._published):
             return
-        grips = self.world.grips
-        out = self.commands[process.rows], grips[process.rows], self._flights, self._published
+        grips, rows = self.world.grips, process.rows
+        outputs = self.commands[rows], grips[rows], self._flights, self._published
         self._flights, self._published = [], []
-        published: list[tuple[int, dict[str, Latch]]] = []
-        for index, (commands, closed, some_sent, some_published) in enumerate(
-            process.exchange(out)
+        all_published: list[tuple[int, dict[str, Latch]]] = []
+        for index, (commands, is_closed, flights, published) in enumerate(
+            process.exchange(outputs)
         ):
             if index != process.index:
                 self.commands[process.rows_of[index]] = commands
-                grips[process.rows_of[index]] = closed
+                grips[process.rows_of[index]] = is_closed
                 self.has_new_commands = True
-            self._radio.carry(some_sent, process.own)
-            published += some_published
-        for row, latches in sorted(published, key=itemgetter(0)):
+            self._radio.carry(flights, process.own)
+            all_published += published
+        # In order of rows, so that the number of processes has no effect.
+        for row, latches in sorted(all_published, key=itemgetter(0)):
             self._peer_latches.pop(row, None)
             if latches:
                 self._peer_latches[row] = latches

@@ -130,23 +130,26 @@ class _Member(RunProcess):
         self._pid = self._pid or os.getpid()
         if self._pid != os.getpid():  # this is a fork that a pattern made: no part of the run
             os._exit(0)
-        others = [process for process in range(self.count) if process != self.index]
+        peers = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
-        done, longest = 0, 1
-        while done < longest:
-            self._write(len(data), data[done : done + _CHUNK])
-            for process in others:
+        sent, longest = 0, 1  # bytes of each process; at least one round
+        while sent < longest:
+            # 1. Write a chunk behind the length of all data, and wake the peers.
+            self._write(len(data), data[sent : sent + _CHUNK])
+            for process in peers:
                 self._ready[self.index][process].release()
+            # 2. Read the peers' chunks; the last chunk may be short or empty.
             longest = len(data)
-            for process in others:
+            for process in peers:
                 self._wait(process)
-                at = self._slot(process)
-                (size,) = _HEAD.unpack_from(self._memory, at)
+                slot = self._slot(process)
+                (size,) = _HEAD.unpack_from(self._memory, slot)
                 longest = max(longest, size)
                 if keeps:
-                    begin, end = at + _HEAD.size, at + _HEAD.size + min(_CHUNK, size - done)
+                    begin = slot + _HEAD.size
+                    end = begin + min(_CHUNK, size - sent)
                     received[process] += self._memory[begin : max(begin, end)]
-            done += _CHUNK
+            sent += _CHUNK
             self._half = 1 - self._half
         return received
 
@@ -156,6 +159,7 @@ class _Member(RunProcess):
         self._memory[at + _HEAD.size : at + _HEAD.size + len(chunk)] = chunk
 
     def _slot(self, process: int) -> int:
+        """The byte at which the data of a process begin in the half that is in use."""
         return (self._half * self.count + process) * _SLOT
 
     def _wait(self, process: int) -> None:
@@ -276,17 +280,18 @@ def _dumped(error: BaseException) -> bytes:
 def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = TIMEOUT) -> T:
     """Call `work` in `count` processes; return its result in the first process, which is this one.
 
-    The other processes are forks of this process, and none is left at the end. Raises what `work`
-    raises in any process. SwarmError with the number of a process that ended or made no progress
-    for `timeout` s, and if /dev/shm cannot be written.
+    The other processes are forks of this process, and none is left at the end. Raises an error that
+    `work` raises in any process. SwarmError with the number of a process that ended or made no
+    progress for `timeout` s, and if /dev/shm cannot be written.
     """
     if count == 1:
         return work(RunProcess())
     context = get_context("fork")
-    memory = mmap.mmap(-1, 2 * count * _SLOT)
+    memory = mmap.mmap(-1, 2 * count * _SLOT)  # shared with the forks; two slots a process
     try:
+        # By writer and reader of the data.
         ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
-    except OSError as error:  # sem_open(3) makes a file there, and names none
+    except OSError as error:  # sem_open(3) makes a file in /dev/shm, and the error does not name it
         text = f"/dev/shm: {error.strerror}; the {count} processes of a run keep semaphores there"
         raise SwarmError(f"{text}: mount it as tmpfs with some room, or take --cores 1") from error
     children = _Children(count, timeout)

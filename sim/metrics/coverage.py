@@ -30,29 +30,35 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     only the first is evaluated. Walls do not block. Floor outside the arena does not count if the
     trace names an arena. The side of squares doubles until they are at most four million.
     """
-    when, robot = np.nonzero(presence(trace))
-    if len(when) == 0:
+    # 1. The positions of all robots at all instants (k,), and the square of each.
+    instant, robot = np.nonzero(presence(trace))
+    if len(instant) == 0:
         return np.zeros(len(trace.t))
-    place = trace.pose[when, robot, :2]
+    place = trace.pose[instant, robot, :2]
     while np.prod((np.ptp(place, axis=0) + 2.0 * radius) / cell + 3.0) > _MANY_CELLS:
         cell *= 2.0
-    index = np.floor(place / cell).astype(np.int64)
+    square = np.floor(place / cell).astype(np.int64)
     margin = math.ceil(radius / cell)
-    low = index.min(axis=0) - margin
-    shape = index.max(axis=0) + margin + 1 - low
-    off = place - (index + 0.5) * cell
-    some, many = _firsts(index), _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
-    first_at = np.full(shape, len(trace.t), dtype=np.int64)
+    low = square.min(axis=0) - margin
+    shape = square.max(axis=0) + margin + 1 - low
+    from_centre = place - (square + 0.5) * cell
+    first_in_square = _firsts(square)
+    first_in_tenth = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
+    # 2. For each offset of squares: the squares that lie so from a near position are covered.
+    never = len(trace.t)
+    covered_at = np.full(shape, never, dtype=np.int64)
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
             # If a whole square is near, one position in it is enough.
             is_whole = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell <= radius
-            rows = some if is_whole else many
-            near = rows[np.hypot(right * cell - off[rows, 0], up * cell - off[rows, 1]) <= radius]
-            at = index[near, 0] - low[0] + right, index[near, 1] - low[1] + up
-            first_at[at] = np.minimum(first_at[at], when[near])
-    first_at[~_in_arena(trace, low, first_at.shape, cell)] = len(trace.t)
-    new = np.bincount(first_at.ravel(), minlength=len(trace.t) + 1)[: len(trace.t)]
+            rows = first_in_square if is_whole else first_in_tenth
+            x, y = right * cell - from_centre[rows, 0], up * cell - from_centre[rows, 1]
+            near = rows[np.hypot(x, y) <= radius]
+            covered = square[near, 0] - low[0] + right, square[near, 1] - low[1] + up
+            covered_at[covered] = np.minimum(covered_at[covered], instant[near])
+    covered_at[~_in_arena(trace, low, covered_at.shape, cell)] = never
+    # 3. The number of squares that are covered by each instant.
+    new = np.bincount(covered_at.ravel(), minlength=never + 1)[:never]
     areas: Array = np.cumsum(new).astype(np.float64) * cell**2
     return areas
 

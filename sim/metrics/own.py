@@ -73,23 +73,23 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
     """
     file, _, name = text.rpartition(":")
     path = Path(file).resolve()
-    present = digest_of_file(text)
-    if digest not in ("", present):
+    file_digest = digest_of_file(text)
+    if digest not in ("", file_digest):
         raise ConfigError(f"metric {text!r}: {file} was changed meanwhile; run it again")
-    digest = present
     try:
-        module = import_file(path, bytes.fromhex(digest))
+        module = import_file(path, bytes.fromhex(file_digest))
     except Exception as error:
         raise ConfigError(f"metric {text!r}: {type(error).__name__}: {error}") from error
-    known = [
-        key
+    # Public functions that the file defines, without those that it imports.
+    functions = {
+        key: value
         for key, value in vars(module).items()
         if inspect.isfunction(value) and value.__module__ == module.__name__ and key[0] != "_"
-    ]
-    if name not in known:
-        raise ConfigError(f"{file}: {unknown('metric', name, known)}")
-    function = getattr(module, name)
-    return _metric(f"{path.name}:{name}", function, f"{path}:{name}", digest, str(path))
+    }
+    if name not in functions:
+        raise ConfigError(f"{file}: {unknown('metric', name, list(functions))}")
+    metric_name, origin = f"{path.name}:{name}", f"{path}:{name}"
+    return _metric(metric_name, functions[name], origin, file_digest, str(path))
 
 
 def installed_metrics() -> Mapping[str, Metric]:
@@ -112,6 +112,11 @@ def installed_metrics() -> Mapping[str, Metric]:
 def _metric(
     name: str, function: Callable[[Trace], Any], origin: str, digest: str, source: str
 ) -> Metric:
+    """The metric of a function, whose attributes are set by the decorator `metric`.
+
+    `origin`: the text that names the function on the command line. `digest`: the SHA-256 of its
+    file. `source`: the file or package, for tables. ConfigError for a wrong attribute `better`.
+    """
     better = getattr(function, "better", None)
     if better not in (None, "less", "more"):
         raise ConfigError(f"metric {name}: better is {better!r}; expected 'less' or 'more'")

@@ -31,22 +31,16 @@ def arena_of(
     items: Sequence[ItemKind] = (),
     fields: Sequence[Field] = (),
 ) -> Arena:
-    """The arena of its section and of the items.
+    """The arena of the file's section `arena`, with the items of the section `items`.
 
-    ConfigError for duplicate names, for places outside the walls, and for a reading of `items` with
-    the name of a reading of `fields`.
+    `layers`: the file and its overrides, for the origin of a faulty key. ConfigError for duplicate
+    names, for places outside the walls, and for a reading of `items` with the name of a reading of
+    `fields`.
     """
-    known, sensed = {HELD, DELIVERED}, {field.name for field in fields}
+    _check_readings(layers, items, fields)
     for index, kind in enumerate(items):
-        own = kind.readings[:3]
-        of_fields = (name for name in own if name in sensed or _sensor_of(name) in sensed)
-        taken = next((name for name in own if name in known), next(of_fields, None))
-        if taken is not None:
-            text = f"items[{index}].name gives a reading {taken!r} a second time; expected another"
-            raise layers.error(("items", index, "name"), f"{text} name")
-        known.update(own)
-        discs = [disc[:2] for disc in (kind.source, kind.nest) if disc is not None]
-        for place in (*discs, *kind.at):
+        areas = [disc[:2] for disc in (kind.source, kind.nest) if disc is not None]
+        for place in (*areas, *kind.at):
             check_inside(layers, section, ("items", index), place)
     for index, box in enumerate(section.boxes):
         if box.at is not None:
@@ -78,6 +72,18 @@ def arena_of(
             segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
             items=tuple(item for kind in items for item in kind.things),
         )
+
+
+def _check_readings(layers: Layered, items: Sequence[ItemKind], fields: Sequence[Field]) -> None:
+    """Raise ConfigError if a kind of items gives a reading that exists already."""
+    taken, field_names = {HELD, DELIVERED}, {field.name for field in fields}
+    for index, kind in enumerate(items):
+        readings = kind.readings[:3]  # the others are HELD and DELIVERED, common to all kinds
+        for reading in readings:
+            if reading in taken or {reading, _sensor_of(reading)} & field_names:
+                text = f"items[{index}].name gives a reading {reading!r} a second time"
+                raise layers.error(("items", index, "name"), f"{text}; expected another name")
+        taken.update(readings)
 
 
 def _sensor_of(reading: str) -> str:

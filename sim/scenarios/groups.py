@@ -49,7 +49,11 @@ class Groups:
 
 
 def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
-    """The robots of all groups; ConfigError for invalid ids, groups and platforms."""
+    """The robots of all groups; ConfigError for invalid ids, groups and platforms.
+
+    A robot's platform gets the readings of `fields` and of the file's items, and `neighbors`.
+    """
+    # 1. The ids of the robots, each in one group.
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of: dict[str, str] = {}
     for name, ids in groups.items():
@@ -68,14 +72,16 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
     if ALL in groups and len(groups) > 1:
         text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
         raise layers.error(("groups", ALL), text)
+    # 2. The platforms, with the sensors that the simulation adds.
     platforms = _platforms(layers, file)
-    sensing = {}
+    equipped = {}
     for name, (platform, _) in platforms.items():
-        heard = replace(platform, provides=platform.provides | {"neighbors"})
-        placed = with_bearings(heard) if file.radio.range_and_bearing else heard
-        sensing[name] = with_items(with_readings(placed, fields), file.items)
+        with_radio = replace(platform, provides=platform.provides | {"neighbors"})
+        if file.radio.range_and_bearing:
+            with_radio = with_bearings(with_radio)
+        equipped[name] = with_items(with_readings(with_radio, fields), file.items)
     robots = {
-        robot: sensing[platform_name(file.groups[group].platform)]
+        robot: equipped[platform_name(file.groups[group].platform)]
         for robot, group in sorted(group_of.items())
     }
     return Groups(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})

@@ -52,7 +52,13 @@ def check_patterns(
     configured: Callable[[str, str], Layers],
     plugin_dir: Path | None,
 ) -> None:
-    """Raise ConfigError for the first pattern that is unknown or that a robot would refuse."""
+    """Raise ConfigError for the first pattern that is unknown or that a robot would refuse.
+
+    Loads each pattern of the schedule once, with the parameters of each robot. `configured`: the
+    configured parameters of a robot and pattern (`configured_parameters`). `plugin_dir`: a folder
+    of further patterns.
+    """
+    # 1. The names of patterns in the file.
     with blamed(layers, "plugin_dir"):
         origins = pattern_names(plugin_dir)
     for pattern in file.parameters:
@@ -62,20 +68,21 @@ def check_patterns(
     for group, section in file.groups.items():
         for pattern in section.touch:
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
+    # 2. A trial for each pattern that a robot will run.
     executor = PatternExecutor(
-        PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
+        PatternLoader({name: (origin.value, origin.is_file) for name, origin in origins.items()})
     )
-    done: set[str] = set()
+    tried: set[str] = set()
     for preflight in schedule.preflights:
         _check_name(layers, preflight.keys, preflight.pattern, origins)
         robot, pattern = preflight.robot, preflight.pattern
         parameters = (*configured(robot, pattern), (REQUEST_LAYER, {**preflight.parameters}))
         platform = groups.robots[robot]
         # Robots of one platform with the same parameters give the same result.
-        what = repr((pattern, platform.name, parameters))
-        if what in done:
+        trial = repr((pattern, platform.name, parameters))
+        if trial in tried:
             continue
-        done.add(what)
+        tried.add(trial)
         load = Load(
             generation=1, pattern=pattern, layers=parameters, robot=robot, platform=platform, seed=0
         )
@@ -109,7 +116,7 @@ def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str,
         check_single(pattern, origins[pattern])
 
 
-_WAYS = {
+_REMEDIES = {
     "unseen": "set radio.range_and_bearing: true, by which robots tell where they are",
     "faster": "set one protection.barrier.others_speed under platforms",
 }
@@ -122,9 +129,12 @@ def check_compatibility(
 ) -> tuple[Accepts, tuple[str, ...]]:
     """The exceptions that robots accept of their peers, and notes on pairs of platforms.
 
-    A note is a line for a pair that is compatible only by an exception of the scenario. ConfigError
-    if protection would hold robots, at zero speed, because of the platforms of their peers.
+    Two findings of a robot about a peer hold the robot at zero speed, unless the scenario accepts
+    them: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster than
+    the robot's protection assumes. A note is a line for a pair that is compatible only by an
+    exception. ConfigError if protection would hold robots.
     """
+    # 1. The exceptions of the file.
     accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
     names = dict.fromkeys(platform.name for platform in groups.robots.values())
     known = {*names, *file.platforms, *platform_names()}
@@ -133,30 +143,36 @@ def check_compatibility(
             if name not in known:
                 key = f"accepts_{kind}"
                 raise layers.error((key,), f"{key}: {unknown('platform', name, known)}")
-    is_told = file.radio.range_and_bearing
-    if file.lidar_visibility == "body":
+    # 2. The exceptions of the simulation: lidars see whole bodies, or robots sense each other.
+    has_whole_bodies = file.lidar_visibility == "body"
+    if has_whole_bodies:
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
     notes, held = [], []
-    for own, finding in _pairs(groups.robots.values(), accepts):
-        if finding.kind == "unseen" and finding.holds and is_told:
-            notes.append(f"{own}: {finding.text.partition(';')[0]}; told by range and bearing")
+    for platform, finding in _pairs(groups.robots.values(), accepts):
+        is_unseen = finding.kind == "unseen"
+        if is_unseen and finding.holds and file.radio.range_and_bearing:
+            text = finding.text.partition(";")[0]
+            notes.append(f"{platform}: {text}; told by range and bearing")
         elif finding.holds:
-            held.append((own, finding))
-        elif file.lidar_visibility != "body" or finding.kind == "faster":
-            notes.append(f"{own}: {finding.text}")
+            held.append((platform, finding))
+        elif not has_whole_bodies or finding.kind == "faster":
+            notes.append(f"{platform}: {finding.text}")
     if held:
         raise _refusal(layers, held)
     return accepts, tuple(notes)
 
 
 def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> ConfigError:
-    """The error in one line: the pairs because of which robots would be held, and the remedies."""
-    pairs = [f"{own}: {finding.text.partition(';')[0]}" for own, finding in held[:_MOST_NAMED]]
-    if len(held) > _MOST_NAMED:
-        pairs.append(f"and {len(held) - _MOST_NAMED} more")
+    """The error in one line: the pairs because of which robots would be held, and the remedies.
+
+    `held`: the platform of the robots that would be held, and the finding, of each pair.
+    """
+    pairs = [f"{platform}: {finding.text.partition(';')[0]}" for platform, finding in held]
+    if len(pairs) > _MOST_NAMED:
+        pairs = [*pairs[:_MOST_NAMED], f"and {len(pairs) - _MOST_NAMED} more"]
     kinds = dict.fromkeys(finding.kind for _, finding in held)
-    ways = [f"see accepts_{kind}, or {_WAYS[kind]}" for kind in kinds]
-    return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *ways)))
+    remedies = [f"see accepts_{kind}, or {_REMEDIES[kind]}" for kind in kinds]
+    return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *remedies)))
 
 
 def has_findings(platforms: Iterable[Platform], accepts: Accepts) -> bool:

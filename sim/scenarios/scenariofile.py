@@ -131,12 +131,18 @@ def _dicts(items: Any) -> list[Data]:
 def _overridden(
     sources: tuple[tuple[str, Data], ...],
     overrides: Mapping[str, Any] | None,
-    name: str,
-    source: str,
+    default_name: str,
+    override_source: str,
 ) -> Scenario:
+    """The checked scenario of data and overrides.
+
+    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key, which
+    errors call `override_source`. `default_name`: the name of a scenario that gives none.
+    """
+    # 1. The data of the file, after the overrides.
     home, data = sources[0][0], Layered(*sources).data
     if overrides:
-        sources = ((source, nested(overrides, data, source)), *sources)
+        sources = ((override_source, nested(overrides, data, override_source)), *sources)
     layers = Layered(*without_stale(sources), home=home)
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
@@ -144,6 +150,7 @@ def _overridden(
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
+    # 2. The world, the robots and the events, each checked against the parts before it.
     fields = fields_of(layers, file.fields)
     arena = arena_of(layers, file.arena, file.items, fields)
     with blamed(layers, "radio"):
@@ -158,18 +165,20 @@ def _overridden(
     realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
         pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
+    # 3. The complete configuration in plain values, which needs no further file.
+    name = file.name or default_name
     plain: Data = json.decode(json.encode(file))
     for group in plain["groups"].values():
         group["platform"] = platform_name(group["platform"])
     effective = {
         **plain,
-        "name": file.name or name,
+        "name": name,
         "platforms": deepcopy(dict(groups.platform_files)),
         "fields": json.decode(json.encode(fields)),
         "plugin_dir": None if plugin_dir is None else str(plugin_dir),
     }
     return Scenario(
-        name=file.name or name,
+        name=name,
         description=file.description,
         duration=file.duration,
         robots=groups.robots,

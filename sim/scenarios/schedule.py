@@ -30,20 +30,27 @@ _BESIDES = {
 
 
 def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
-    """The event of that index; ConfigError if it is invalid by itself."""
+    """The event of that index; ConfigError if it is invalid by itself.
+
+    The action of an event is its key beside `at`: of robots (`run`, `stop` ...), of a movable box
+    (`place`, `remove`), or `fields`. `remove` concerns a box if one has the given name, or if no
+    robot or group has it.
+    """
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; expected before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
+    # 1. Events of fields and boxes.
     if action == "fields":
         return _field_event(layers, file, section, (*keys, action))
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
-    is_robot = action == "remove" and bool(groups.named(section.remove or ""))
-    is_box = section.remove in movable or not is_robot
+    removes_robot = action == "remove" and bool(groups.named(section.remove or ""))
+    is_box = section.remove in movable or not removes_robot
     if action == "place" or (action == "remove" and is_box):
         return _box_event(layers, file, section, (*keys, action), movable)
-    key = action if action in OF_ROBOTS or is_robot else "targets"
+    # 2. Events of robots, which the key `targets` or the action itself names.
+    target_key = action if action in OF_ROBOTS or removes_robot else "targets"
     with blamed(layers, *keys, "until", prefix=f"events[{index}].until: "):
         if section.until is not None:
             parse_conditions(section.until)
@@ -51,7 +58,7 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     return ScheduledEvent(
         at=section.at,
         action=action,
-        robots=_robots(layers, groups, (*keys, key), targets_of(section, action)),
+        robots=_robots(layers, groups, (*keys, target_key), targets_of(section, action)),
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
@@ -62,7 +69,9 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
 def targets_of(section: EventSection, action: Action) -> Sequence[str]:
     """The targets of an event as written; `all` without any."""
     targets = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.targets
-    return (ALL,) if targets is None else (targets,) if isinstance(targets, str) else targets
+    if targets is None:
+        return (ALL,)
+    return (targets,) if isinstance(targets, str) else targets
 
 
 def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:

@@ -145,6 +145,10 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
 
 
 def _place(placement: Placement, part: StartGroup, seed: int) -> None:
+    """Place the robots of a group by its layout; `seed`: of random layouts.
+
+    ConfigError with the file and key of the group if a robot does not fit.
+    """
     start, layout = part.start, layout_of(part.start)
     rows = sorted(part.rows) if layout in _SEEDED else part.rows
     center = start.center or (0.0, 0.0)
@@ -155,15 +159,16 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
             near, far = start.near or 0.0, start.far or 0.0
             chain(placement, rows, rng, near=near, far=far, center=center, heading=heading)
         elif layout == "random":
-            gap = _CLEARANCE if start.clearance is None else start.clearance
+            clearance = _CLEARANCE if start.clearance is None else start.clearance
+            area = start.size
             scatter(
-                placement, rows, rng, clearance=gap, center=center, size=start.size, heading=heading
+                placement, rows, rng, clearance=clearance, center=center, size=area, heading=heading
             )
         elif layout == "list":
             poses = np.array(start.poses, dtype=np.float64)
             poses[:, 2] = np.radians(poses[:, 2])
             placement.place_all(rows, poses)
-        else:
+        else:  # row, paper or grid by the spacing, ring by the radius
             size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
             poses = moved(REGULAR[layout](len(rows), size), center, heading or 0.0)
             placement.place_all(rows, poses)

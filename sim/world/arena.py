@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import astuple, dataclass
-from typing import Any
 
 import numpy as np
 
@@ -236,30 +235,32 @@ class _TextError(ValueError):
 
 
 def _parsed(text: str) -> Arena:
-    size, *items = text.split(",")
+    """The arena of a text in the form of `parse_arena`; _TextError names the part that is wrong."""
+    size, *parts = text.split(",")
     match = _SIZE.fullmatch(size)
     if match is None:
         raise _TextError(f"{size!r} is no length and width")
-    parts: dict[str, list[Any]] = {"box": [], "pole": [], "segment": [], "item": []}
-    for item in items:
-        head, *words = item.split(":")
+    boxes, poles = list[Box](), list[Pole]()
+    segments, items = list[Segment](), list[Item]()
+    for part in parts:
+        head, *words = part.split(":")
         kind, _, name = head.partition("/")
         if kind == "box" and 4 <= len(words) <= 7:
-            parts["box"].append(_box(name, words))
+            boxes.append(_box(name, words))
         elif head == "pole" and len(words) == 3:
             x, y, radius = map(_number, words)
-            parts["pole"].append(Pole(x, y, _size(radius)))
+            poles.append(Pole(x, y, _size(radius)))
         elif head == "segment" and len(words) == 4:
             segment = Segment(*map(_number, words))
             _size(segment.box.length)
-            parts["segment"].append(segment)
+            segments.append(segment)
         elif kind == "item" and 3 <= len(words) <= 4:
-            at, side, *mass = map(_number, words)
-            parts["item"].append(Item(at, side, _size(mass[0]), name, *mass[1:]))
+            x, y, side, *mass = map(_number, words)
+            items.append(Item(x, y, _size(side), name, *mass))
         else:
-            raise _TextError(f"{item!r} is not a valid box, pole, segment or item")
+            raise _TextError(f"{part!r} is not a valid box, pole, segment or item")
     length, width = (_size(_number(word)) for word in match.groups())
-    return Arena(length, width, *(tuple(kind) for kind in parts.values()))
+    return Arena(length, width, tuple(boxes), tuple(poles), tuple(segments), tuple(items))
 
 
 def _box(name: str, words: list[str]) -> Box:

@@ -61,32 +61,35 @@ class Bases:
     _applied: cython.double[::1]
     _qpos_before: cython.double[::1]
     _qvel_before: cython.double[::1]
-    _line: cython.double[:, :, ::1]  # the commands of the last steps
+    _delay_line: cython.double[:, :, ::1]  # the commands of the last steps, a ring buffer
     _command: cython.double[:, ::1]
     _step: cython.Py_ssize_t
     _is_capped: cython.bint
-    _caps: cython.double[::1]
+    _caps: cython.double[::1]  # (3,) change of the capped command in a step, at most
     _capped: cython.double[:, ::1]
     _limits: cython.double[:, ::1]
-    _gains: cython.double[:, ::1]
+    _max_steps: cython.double[:, ::1]  # m/s or rad/s that a base gains in a step at most
     _inert: cython.double[:, ::1]
-    _grip: cython.double[::1]
-    _spin: cython.double[::1]
+    _grip: cython.double[::1]  # N, the friction of the tyres
+    _grip_torque: cython.double[::1]  # N m
     _driven: cython.double[:, ::1]
 
     def __init__(self, actuation, platforms, memory, dt):
-        """`platforms` (n,) in the order of rows; they are the first bodies of `memory`.
+        """Start n robots at rest.
 
-        `memory`: positions, velocities and forces of all bodies, which this class reads and writes.
-        The delay is rounded to whole steps of `dt` s.
+        `actuation`: delay in s, and caps of acceleration (None: no cap). `platforms` (n,) in the
+        order of rows; the robots are the first bodies of `memory`. `memory`: positions, velocities
+        and forces of all bodies, which this class reads and writes. The delay is rounded to whole
+        steps of `dt` s.
         """
         n: cython.Py_ssize_t = len(platforms)
         self._n, self._dt = n, dt
         self._qpos, self._qvel, self._applied = map(memoryview, memory)
         self.before = memory[0].copy(), memory[1].copy()
         self._qpos_before, self._qvel_before = map(memoryview, self.before)
+        # Delay and caps of the commands: linear, angular, lateral.
         self.delay_steps = round(actuation.delay / dt)
-        self._line = memoryview(np.zeros((self.delay_steps + 1, n, 3)))
+        self._delay_line = memoryview(np.zeros((self.delay_steps + 1, n, 3)))
         self._command, self._capped = (memoryview(np.zeros((n, 3))) for _ in range(2))
         linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
         self._is_capped = linear is not None or angular is not None
@@ -94,8 +97,9 @@ class Bases:
         self._caps = memoryview(np.array(caps))
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
-        gains = [_accelerations(platform) for platform in platforms]
-        self._gains = memoryview(np.array(gains, np.float64).reshape(n, 3) * dt)
+        # Inertia, and what motors and tyres can do.
+        accelerations = [_accelerations(platform) for platform in platforms]
+        self._max_steps = memoryview(np.array(accelerations, np.float64).reshape(n, 3) * dt)
         mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
         turning = np.array([inertia(platform) for platform in platforms], np.float64)
         self.inert = np.stack((mass, mass, turning), axis=-1)
@@ -103,7 +107,7 @@ class Bases:
         grip = _FRICTION * _GRAVITY * mass
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
         self._grip = memoryview(grip)
-        self._spin = memoryview(grip * np.array(half_axles, np.float64))
+        self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
         self.driven = np.zeros((n, 3))
         self._driven = memoryview(self.driven)
 
@@ -124,8 +128,8 @@ class Bases:
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        now: cython.Py_ssize_t = self._step % self._line.shape[0]
-        oldest: cython.Py_ssize_t = (self._step + 1) % self._line.shape[0]
+        newest: cython.Py_ssize_t = self._step % self._delay_line.shape[0]
+        oldest: cython.Py_ssize_t = (self._step + 1) % self._delay_line.shape[0]
         target: cython.double
         yaw: cython.double
         c: cython.double
@@ -135,36 +139,43 @@ class Bases:
         x: cython.double
         y: cython.double
         size: cython.double
-        share: cython.double
+        grip_share: cython.double
         self._step += 1
         for i in range(self._qpos.shape[0]):
             self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
         for row in range(self._n):
+            # 1. The velocity to drive to: the delayed command, clipped, capped, and followed as
+            # fast as the motors can.
             for k in range(3):
-                self._line[now, row, k] = self._command[row, k]
+                self._delay_line[newest, row, k] = self._command[row, k]
             for k in range(3):
-                target = self._line[oldest, row, k]
+                target = self._delay_line[oldest, row, k]
                 target = _clipped(target if isfinite(target) else 0.0, self._limits[row, k])
                 if self._is_capped:
                     # A ramp towards a speed beyond the limits would lag when the command reverses.
                     self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
                     target = _clipped(self._capped[row, k], self._limits[row, k])
-                self._driven[row, k] += _clipped(target - self._driven[row, k], self._gains[row, k])
+                self._driven[row, k] += _clipped(
+                    target - self._driven[row, k], self._max_steps[row, k]
+                )
             linear, lateral = self._driven[row, 0], self._driven[row, 2]
-            # Half a step ahead, the heading at which this step's displacement is a chord.
+            # 2. The error of the velocity (x, y) in the world frame, at the heading half a step
+            # ahead: there this step's displacement is a chord.
             yaw = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
             c, s = cos(yaw), sin(yaw)
             x = c * linear - s * lateral - self._qvel[3 * row]
             y = s * linear + c * lateral - self._qvel[3 * row + 1]
+            # 3. The force (x, y) in N that removes the error within the step, up to the grip of the
+            # tyres; and the torque in N m.
             x = x * self._inert[row, 0] / self._dt
             y = y * self._inert[row, 1] / self._dt
             size = hypot(x, y)
-            share = min(1.0, self._grip[row] / max(size, 1e-12))
-            self._applied[3 * row] = x * share
-            self._applied[3 * row + 1] = y * share
+            grip_share = min(1.0, self._grip[row] / max(size, 1e-12))
+            self._applied[3 * row] = x * grip_share
+            self._applied[3 * row + 1] = y * grip_share
             self._applied[3 * row + 2] = _clipped(
                 (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
-                self._spin[row],
+                self._grip_torque[row],
             )
 
 
@@ -196,57 +207,65 @@ class Wheels:
         reported: cython.double[:, ::1],
         measured: cython.double[:, ::1],
     ):
-        """Fill `reported` and `measured` (m, 3), poses and twists of robots `rows` (m,)."""
+        """Fill `reported` and `measured` (m, 3): odometry's poses and twists of `rows` (m,).
+
+        `poses` and `twists` (n, 3): the true poses in the world frame and the true twists of all
+        robots. `slips` (m, 2): factors on linear and angular motion.
+        """
         if not cython.compiled:
             rows, poses, twists = memoryview(rows), memoryview(poses), memoryview(twists)
             slips, reported, measured = map(memoryview, (slips, reported, measured))
-        place: cython.Py_ssize_t
+        index: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
         x: cython.double
         y: cython.double
         turn: cython.double
-        middle: cython.double
+        mid_yaw: cython.double
         c: cython.double
         s: cython.double
         linear: cython.double
         lateral: cython.double
-        for place in range(rows.shape[0]):
-            row = rows[place]
+        for index in range(rows.shape[0]):
+            row = rows[index]
+            # 1. The true motion since the last reading, along the mean heading.
             x, y = poses[row, 0] - self._truth[row, 0], poses[row, 1] - self._truth[row, 1]
             turn = poses[row, 2] - self._truth[row, 2]
-            middle = self._truth[row, 2] + turn / 2.0
-            c, s = cos(middle), sin(middle)
-            self._measure(row, place, c * x + s * y, turn, c * y - s * x, slips, measured)
-            linear, turn, lateral = measured[place, 0], measured[place, 1], measured[place, 2]
-            middle = self._reported[row, 2] + turn / 2.0
-            c, s = cos(middle), sin(middle)
+            mid_yaw = self._truth[row, 2] + turn / 2.0
+            c, s = cos(mid_yaw), sin(mid_yaw)
+            # 2. The motion that the wheels measure, added to the reported pose.
+            self._measure(row, index, c * x + s * y, turn, c * y - s * x, slips, measured)
+            linear, turn, lateral = measured[index, 0], measured[index, 1], measured[index, 2]
+            mid_yaw = self._reported[row, 2] + turn / 2.0
+            c, s = cos(mid_yaw), sin(mid_yaw)
             self._reported[row, 0] += c * linear - s * lateral
             self._reported[row, 1] += s * linear + c * lateral
             self._reported[row, 2] += turn
             for k in range(3):
                 self._truth[row, k] = poses[row, k]
-                reported[place, k] = self._reported[row, k]
-            reported[place, 2] = _wrapped(reported[place, 2])
+                reported[index, k] = self._reported[row, k]
+            reported[index, 2] = _wrapped(reported[index, 2])
+            # 3. The measured twist.
             self._measure(
-                row, place, twists[row, 0], twists[row, 1], twists[row, 2], slips, measured
+                row, index, twists[row, 0], twists[row, 1], twists[row, 2], slips, measured
             )
 
     @cython.cfunc
     def _measure(
         self,
         row: cython.Py_ssize_t,
-        place: cython.Py_ssize_t,
+        index: cython.Py_ssize_t,
         linear: cython.double,
         angular: cython.double,
         lateral: cython.double,
         slips: cython.double[:, ::1],
         measured: cython.double[:, ::1],
     ) -> cython.int:
+        """Set row `index` of `measured`: a true motion or twist as the wheels of robot `row` do."""
         m: cython.double[:, :, ::1] = self._measured
-        measured[place, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * slips[place, 0]
-        measured[place, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * slips[place, 1]
-        measured[place, 2] = lateral * m[row, 2, 2]
+        measured[index, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * slips[index, 0]
+        measured[index, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * slips[index, 1]
+        measured[index, 2] = lateral * m[row, 2, 2]
         return 0
 
 

@@ -141,27 +141,38 @@ def _add_planar(spec: mujoco.MjSpec, name: str, mass: float, inert: float) -> mu
 
 
 def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
+    """Add the geoms of a robot: the collision shape, and the visible body and lidar housing."""
     low, high = _rectangle(platform)
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
     contype, conaffinity = (SOLID_BIT, SOLID_BIT) if is_solid(platform) else (0, GHOST_BIT)
-    bottom, top = value(platform, "height"), heights(platform).highest
-    for name, height, types in (("", _HEIGHT, (contype, conaffinity)), ("/body", bottom, (0, 0))):
-        body.add_geom(
-            name=f"{robot}{name}",
-            type=_BOX,
-            pos=[x, y, height / 2.0],
-            size=[half_x, half_y, height / 2.0],
-            group=BODY if name else COLLISION,
-            condim=1,
-            contype=types[0],
-            conaffinity=types[1],
-        )
+    body.add_geom(
+        name=robot,
+        type=_BOX,
+        pos=[x, y, _HEIGHT / 2.0],
+        size=[half_x, half_y, _HEIGHT / 2.0],
+        group=COLLISION,
+        condim=1,
+        contype=contype,
+        conaffinity=conaffinity,
+    )
+    # The visible shapes have true heights and collide with nothing.
+    body_top, housing_top = value(platform, "height"), heights(platform).highest
+    body.add_geom(
+        name=f"{robot}/body",
+        type=_BOX,
+        pos=[x, y, body_top / 2.0],
+        size=[half_x, half_y, body_top / 2.0],
+        group=BODY,
+        condim=1,
+        contype=0,
+        conaffinity=0,
+    )
     body.add_geom(
         name=f"{robot}/housing",
         type=_CYLINDER,
-        pos=[*platform.scan.offset, (bottom + top) / 2.0],
-        size=[value(platform, "target_radius"), (top - bottom) / 2.0, 0.0],
+        pos=[*platform.scan.offset, (body_top + housing_top) / 2.0],
+        size=[value(platform, "target_radius"), (housing_top - body_top) / 2.0, 0.0],
         group=HOUSING,
         contype=0,
         conaffinity=0,

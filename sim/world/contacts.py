@@ -88,32 +88,36 @@ class ContactReader:
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
-        """The contact points of the last step.
+        """The contact points of robots in the last step, with the speed of each surface.
 
-        `qpos` and `qvel` are from before the step: MuJoCo detects contacts there, before the
-        solver stops the colliding bodies.
+        `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
+        detects contacts there, before the solver stops the colliding bodies.
         """
+        # 1. The contacts that count.
         contact = data.contact
-        geoms = np.asarray(contact.geom, dtype=np.intp)
+        geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
         is_touching = (contact.dist <= 0.0) & (rows.min(axis=1) < self._robots)
         if self._is_left_out is not None:
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
-        place, normal = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
+        point, normal = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
+        # 2. The velocity of each body at the point; the arena, the last row, stands.
         standing = np.zeros((1, 3))
         poses = np.concatenate((qpos.reshape(-1, 3), standing)).take(rows, axis=0)
         twists = np.concatenate((qvel.reshape(-1, 3), standing)).take(rows, axis=0)
         angular = twists[..., 2]
-        vx = twists[..., 0] - angular * (place[:, 1:2] - poses[..., 1])
-        vy = twists[..., 1] + angular * (place[:, 0:1] - poses[..., 0])
+        vx = twists[..., 0] - angular * (point[:, 1:2] - poses[..., 1])
+        vy = twists[..., 1] + angular * (point[:, 0:1] - poses[..., 0])
+        # 3. Its component along the normal, which points from the first body to the second.
         speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
         speeds[:, 1] *= -1.0
-        turned = (rows[:, 1] < rows[:, 0]).nonzero()[0]
-        if len(turned):
-            geoms[turned] = geoms[turned, ::-1]
-            speeds[turned] = speeds[turned, ::-1]
+        # 4. Each pair in order of rows: robots first.
+        swapped = (rows[:, 1] < rows[:, 0]).nonzero()[0]
+        if len(swapped):
+            geoms[swapped] = geoms[swapped, ::-1]
+            speeds[swapped] = speeds[swapped, ::-1]
         return ContactPoints(geoms, speeds)
 
     def contacts(self, steps: Sequence[ContactPoints]) -> list[Contact]:

@@ -34,28 +34,31 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
     from the sensor to the nearest point of its extent is clear. Bearings and distances are measured
     from the axle to the middle of the object. At most MAX_DETECTIONS.
     """
+    # 1. The objects that any sensor recognises.
     pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
-    for eye, (_, _, bearing, view, reach) in zip(
-        transform(sensors[:, :2], pose), sensors, strict=True
-    ):
-        to = around.places - eye
-        away = np.hypot(to[:, 0], to[:, 1])
-        looks = pose[2] + np.nan_to_num(bearing)
-        off = np.arctan2(to[:, 1], to[:, 0]) - looks
-        off = np.abs(np.arctan2(np.sin(off), np.cos(off)))
-        (near,) = np.nonzero((away <= reach) & (off <= 0.5 * view) & ~is_seen)  # false for NaN
-        if len(near):
-            share = np.maximum(away[near] - around.extents[near], 0.0) / np.maximum(
-                away[near], 1e-9
-            )
-            ends = eye + to[near] * share[:, None]
-            is_seen[near] = around.is_clear(np.broadcast_to(eye, ends.shape), ends)
+    sensor_places = transform(sensors[:, :2], pose)
+    for place, (_, _, bearing, view, reach) in zip(sensor_places, sensors, strict=True):
+        offset = around.places - place
+        distance = np.hypot(offset[:, 0], offset[:, 1])
+        axis = pose[2] + np.nan_to_num(bearing)
+        angle = np.arctan2(offset[:, 1], offset[:, 0]) - axis
+        angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
+        is_in_view = (distance <= reach) & (angle <= 0.5 * view)  # false for NaN
+        (in_view,) = np.nonzero(is_in_view & ~is_seen)
+        if len(in_view):
+            surface_distance = np.maximum(distance[in_view] - around.extents[in_view], 0.0)
+            share = surface_distance / np.maximum(distance[in_view], 1e-9)
+            nearest_points = place + offset[in_view] * share[:, None]
+            starts = np.broadcast_to(place, nearest_points.shape)
+            is_seen[in_view] = around.is_clear(starts, nearest_points)
+    # 2. Their bearings and distances from the axle.
     seen = np.flatnonzero(is_seen)
-    to = around.places[seen] - pose[:2]
-    bearings = np.arctan2(to[:, 1], to[:, 0]) - pose[2]
+    offset = around.places[seen] - pose[:2]
+    bearings = np.arctan2(offset[:, 1], offset[:, 0]) - pose[2]
     bearings = np.arctan2(np.sin(bearings), np.cos(bearings))
-    places = zip(bearings.tolist(), np.hypot(to[:, 0], to[:, 1]).tolist(), strict=True)
+    distances = np.hypot(offset[:, 0], offset[:, 1])
+    objects = zip(seen.tolist(), bearings.tolist(), distances.tolist(), strict=True)
     return tuple(
         Detection(around.names[row][0], bearing, distance, around.names[row][1])
-        for row, (bearing, distance) in zip(seen.tolist(), places, strict=True)
+        for row, bearing, distance in objects
     )[:MAX_DETECTIONS]

@@ -35,29 +35,37 @@ class Items:
     def __init__(
         self, kinds: Sequence[ItemKind], arena: Arena, platforms: Sequence[Platform], seed: int
     ) -> None:
-        """`begin` later gives the items their places."""
+        """Make the items without places, which `begin` gives them.
+
+        `kinds`: of the items in `arena`, whose names are in the same order. `platforms` (n,): of
+        the robots. `seed`: of random places.
+        """
         self._kinds = tuple(kinds)
         self._arena = arena
-        n = len(platforms)
+        robots = len(platforms)
+        # Outlines (c, 2) of the arena's solid parts, which no item may overlap.
         self._solid = [box.corners for _, box in arena.fixed]
         self._solid += [pole.corners for pole in arena.poles]
-        things = [kind.things for kind in kinds]
-        self.names = tuple(item.name for some in things for item in some)
-        self.shapes = np.array([item.shape for some in things for item in some]).reshape(-1, 4, 2)
-        self._of = np.repeat(np.arange(len(things)), list(map(len, things)))
+        items = [item for kind in kinds for item in kind.things]
+        self.names = tuple(item.name for item in items)
+        self.shapes = np.array([item.shape for item in items]).reshape(-1, 4, 2)
+        # (q,) the index of the kind, and (q, 3) x, y and yaw, of each item.
+        self._kind_of = np.repeat(np.arange(len(kinds)), [len(kind.things) for kind in kinds])
         self._places = np.zeros((len(self.names), 3))
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
+        # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
         mass = np.array([kind.mass or 0.0 for kind in kinds])
         inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
-        self._is_flat = (mass == 0.0)[self._of]
+        self._is_flat = (mass == 0.0)[self._kind_of]
         self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)
-        self._inert = inert.reshape(-1, 3)[self._of][self._pucks]
-        self._dofs = slice(0, 0)
-        # The middle of the front edge of each robot, ahead of its axle.
+        self._inert = inert.reshape(-1, 3)[self._kind_of][self._pucks]
+        self._dofs = slice(0, 0)  # of the pucks in MuJoCo's memory
+        # (n,) of each robot: the distance in m from its axle to the middle of its front edge, the
+        # state of its gripper, the item that it holds (-1: none), and the items that it delivered.
         self._front = np.array([platform.footprint[:, 0].max() for platform in platforms])
-        self._is_closed = np.zeros(n, dtype=np.bool_)
-        self._held = np.full(n, -1)
-        self.delivered = np.zeros(n, dtype=np.int64)
+        self._is_closed = np.zeros(robots, dtype=np.bool_)
+        self._held = np.full(robots, -1)
+        self.delivered = np.zeros(robots, dtype=np.int64)
 
     def begin(self, model: mujoco.MjModel, data: mujoco.MjData, outlines: Sequence[Array]) -> None:
         """Put all items in their places; the pucks are the last bodies of the model.
@@ -69,7 +77,7 @@ class Items:
         self._dofs = slice(model.nv - 3 * len(self._pucks), model.nv)
         solid = self._solid
         for number, kind in enumerate(self._kinds):
-            rows = np.flatnonzero(self._of == number)
+            rows = np.flatnonzero(self._kind_of == number)
             others = solid if kind.mass is None else [*solid, *outlines]
             for row, place in zip(rows.tolist(), kind.at or (None,) * len(rows), strict=True):
                 if place is None:
@@ -128,7 +136,7 @@ class Items:
         distance = np.hypot(away[:, 0], away[:, 1])
         distance[self._held[self._held >= 0]] = np.inf
         for number, kind in enumerate(self._kinds):
-            near = np.flatnonzero((self._of == number) & (distance <= kind.range))
+            near = np.flatnonzero((self._kind_of == number) & (distance <= kind.range))
             readings[kind.name] = float(len(near))
             bearing = reach = 0.0
             if len(near):
@@ -158,7 +166,7 @@ class Items:
     def _drop(self, robot: int) -> None:
         item = int(self._held[robot])
         self._held[robot] = -1
-        number = int(self._of[item])
+        number = int(self._kind_of[item])
         nest = self._kinds[number].nest
         if nest is not None and math.dist(self._places[item, :2], nest[:2]) <= nest[2]:
             self.delivered[robot] += 1
@@ -177,7 +185,7 @@ class Items:
                 continue
             if len(taken) and np.hypot(*(taken - place).T).min() < kind.size:
                 continue
-            square = place + self.shapes[self._of == number][0]
+            square = place + self.shapes[self._kind_of == number][0]
             if not any(overlaps(square, body) for body in solid):
                 return place
         raise ConfigError(f"items {kind.name}: no room in the source {list(kind.source)}")

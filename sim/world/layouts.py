@@ -30,17 +30,17 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
 
     Raises ConfigError for an unknown layout or a robot that overlaps a wall or another robot.
     """
-    name, _, rest = text.partition(":")
+    name, _, argument = text.partition(":")
     n = len(footprints)
     placement = Placement([f"robot {index}" for index in range(n)], footprints, arena)
     try:
         if name == "random":
-            apart = _number(rest, 0.2)
-            scatter(placement, range(n), np.random.default_rng(seed), clearance=apart)
+            clearance = _number(argument, 0.2)
+            scatter(placement, range(n), np.random.default_rng(seed), clearance=clearance)
         elif name == "list":
-            placement.place_all(range(n), _listed(rest, n))
+            placement.place_all(range(n), _listed(argument, n))
         elif name in REGULAR:
-            size = _number(rest, 1.5 if name == "ring" else 1.0)
+            size = _number(argument, 1.5 if name == "ring" else 1.0)
             placement.place_all(range(n), REGULAR[name](n, size))
         else:
             raise ConfigError(unknown("layout", name, NAMES))
@@ -151,16 +151,18 @@ def scatter(
     `size` the robots lie in the whole arena; without `heading` (rad) they have random headings.
     ConfigError if there is no room.
     """
-    whole = (placement.arena.length, placement.arena.width)
-    half = np.array([*(size or whole), 2.0 * math.pi]) / 2.0
+    arena_size = (placement.arena.length, placement.arena.width)
+    # Bounds of x, y and yaw: middle and half width.
+    half_width = np.array([*(size or arena_size), 2.0 * math.pi]) / 2.0
     middle = np.array([*(center if size else (0.0, 0.0)), 0.0])
 
     def candidates() -> Iterator[Array]:
         while True:
-            yield _headed(middle + rng.uniform(-half, half), heading)
+            yield _headed(middle + rng.uniform(-half_width, half_width), heading)
 
-    what = f"{clearance:g} m around each"
-    _place_each(placement, rng.permutation(robots).tolist(), candidates(), clearance, what)
+    spacing_text = f"{clearance:g} m around each"
+    shuffled = rng.permutation(robots).tolist()
+    _place_each(placement, shuffled, candidates(), clearance, spacing_text)
 
 
 def chain(
@@ -173,19 +175,20 @@ def chain(
     center: tuple[float, float] = (0.0, 0.0),
     heading: float | None = None,
 ) -> None:
-    """Place the robots (rows) so that each is `near` to `far` m from the nearest robot before it.
+    """Place the robots (rows) so that each is `near` to `far` m from a robot placed before it.
 
-    The robots are placed in a random order, the first of them at `center`. ConfigError if there is
-    no room.
+    No two robots are nearer than `near`. The robots are placed in a random order, the first of them
+    at `center`. Without `heading` (rad) they have random headings. ConfigError if there is no room.
     """
-    placed: list[Array] = []
     robots = rng.permutation(robots).tolist()
 
     def candidates() -> Iterator[Array]:
         yield _headed(np.array([*center, rng.uniform(-math.pi, math.pi)]), heading)
         while True:
-            placed[:] = [placement.poses[i] for i in robots if math.isfinite(placement.poses[i, 0])]
-            if not placed:
+            # `_place_each` sets the pose of a robot once a candidate fits.
+            poses = placement.poses[robots]
+            placed = poses[np.isfinite(poses[:, 0])]
+            if not len(placed):
                 return
             base = placed[int(rng.integers(len(placed)))][:2]
             distance, angle, yaw = rng.uniform([near, -math.pi, -math.pi], [far, math.pi, math.pi])
@@ -193,7 +196,8 @@ def chain(
             if all(math.dist(place, pose[:2]) >= near for pose in placed):
                 yield _headed(np.array([*place, yaw]), heading)
 
-    _place_each(placement, robots, candidates(), 0.0, f"{near:g} to {far:g} m from the nearest")
+    spacing_text = f"{near:g} to {far:g} m from the nearest"
+    _place_each(placement, robots, candidates(), 0.0, spacing_text)
 
 
 def _place_each(
@@ -201,8 +205,12 @@ def _place_each(
     robots: Sequence[int],
     candidates: Iterator[Array],
     clearance: float,
-    what: str,
+    spacing_text: str,
 ) -> None:
+    """Place each robot at the next candidate pose that fits; ConfigError after _TRIES of a robot.
+
+    `spacing_text`: the wanted distances, for the error.
+    """
     arena = placement.arena
     for row in robots:
         for _, pose in zip(range(_TRIES), candidates, strict=False):
@@ -211,7 +219,7 @@ def _place_each(
                 break
         else:
             raise ConfigError(
-                f"no room for {placement.names[row]}, one of {len(robots)}, with {what} in"
+                f"no room for {placement.names[row]}, one of {len(robots)}, with {spacing_text} in"
                 f" {arena.length:g}x{arena.width:g} m; take more space or fewer robots"
             )
 

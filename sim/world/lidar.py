@@ -71,23 +71,27 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
     footprint in a plane up to the height of its body, the housing of its lidar in a plane up to its
     highest point, and nothing in a higher plane. Walls, boxes and poles are visible in any plane.
     """
-    whole = [i for i, p in enumerate(platforms) if plane is None or plane <= value(p, "height")]
-    housed = [
-        i
-        for i, p in enumerate(platforms)
-        if i not in whole and plane is not None and plane <= heights(p).highest
-    ]
+    body_rows: list[int] = []  # robots whose footprint is visible
+    housing_rows: list[int] = []  # robots of which only the lidar's housing is visible
+    for row, platform in enumerate(platforms):
+        if plane is None or plane <= value(platform, "height"):
+            body_rows.append(row)
+        elif plane <= heights(platform).highest:
+            housing_rows.append(row)
     boxes = [box.shape for _, box in arena.movable_boxes]
     box_rows = range(len(platforms), len(platforms) + len(boxes))
-    outlines = [*(platforms[i].footprint for i in whole), *boxes]
-    discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
+    outlines = [*(platforms[row].footprint for row in body_rows), *boxes]
+    discs = [
+        (*platforms[row].scan.offset, value(platforms[row], "target_radius"))
+        for row in housing_rows
+    ]
     return Shapes(
         walls=arena.surfaces,
         poles=arena.circles,
         polygons=_padded(outlines),
-        polygon_owners=np.array([*whole, *box_rows], dtype=np.intp),
+        polygon_owners=np.array([*body_rows, *box_rows], dtype=np.intp),
         discs=np.array(discs, dtype=np.float64).reshape(-1, 3),
-        disc_owners=np.array(housed, dtype=np.intp),
+        disc_owners=np.array(housing_rows, dtype=np.intp),
     )
 
 

@@ -24,20 +24,23 @@ class MovableBoxes:
     def __init__(
         self, arena: Arena, model: mujoco.MjModel, data: mujoco.MjData, robots: int
     ) -> None:
-        """Put the boxes, which are the bodies after the model's `robots`, at their start poses.
+        """Put the arena's movable boxes at their start poses.
 
-        Raises ConfigError if a box starts outside the walls or overlaps something else.
+        `robots`: the number of robots; the boxes are the bodies behind them in the model. Raises
+        ConfigError if a box starts outside the walls or overlaps another body.
         """
         boxes = [box for _, box in arena.movable_boxes]
         m = len(boxes)
         self._arena = arena
         self._model = model
         self._data = data
-        self._dofs = slice(3 * robots, 3 * (robots + m))
+        self._dofs = slice(3 * robots, 3 * (robots + m))  # of the boxes in MuJoCo's memory
         self.names = tuple(name for name, _ in arena.movable_boxes)
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
-        self.is_there = np.zeros(m, dtype=np.bool_)
+        self.is_there = np.zeros(m, dtype=np.bool_)  # False: out of the arena
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
+        # Friction: (m,) the force in N; (m, 3) the factors of its limits along x, y and yaw; and
+        # (m, 3) the inertia along these axes in kg and kg m2.
         lever = np.array([_lever(box) for box in boxes])
         self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)

@@ -36,10 +36,15 @@ class Odometers:
         ids: Sequence[str],
         seed: int,
     ) -> None:
-        """`platforms`, `starts` (n, 3) x, y, yaw and `ids` in the order of rows."""
+        """Draw the systematic errors of n bases by `seed` and robot's id.
+
+        `platforms`, `starts` (n, 3) x, y, yaw and `ids` in the order of rows. Ideal odometry draws
+        nothing.
+        """
         self._noise = noise
         self._starts = starts.copy()
-        # numpy's vectorised sine and math's differ in the last bit.
+        # Cosine and sine of the start headings. numpy's vectorised sine and math's differ in the
+        # last bit.
         self._turns = np.array([(math.cos(yaw), math.sin(yaw)) for yaw in starts[:, 2]])
         self._turns = self._turns.reshape(-1, 2)
         if noise.is_ideal:
@@ -47,12 +52,13 @@ class Odometers:
         self._rngs = [generator(seed, "odometry", robot) for robot in ids]
         errors = np.array([rng.standard_normal(2) for rng in self._rngs]).reshape(-1, 2)
         self._measured = measurement(
-            1.0 + noise.diameter * errors[:, 0],
-            1.0 + noise.wheelbase * errors[:, 1],
-            np.array([value(platform, "wheel_separation") for platform in platforms]),
-            np.array([platform.limits.lateral > 0.0 for platform in platforms]),
+            diameter=1.0 + noise.diameter * errors[:, 0],
+            wheelbase=1.0 + noise.wheelbase * errors[:, 1],
+            separation=np.array([value(platform, "wheel_separation") for platform in platforms]),
+            is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        # Drawn in blocks: a draw for each reading would take half of the time of a reading.
+        # Random numbers of slip, drawn in blocks: a draw for each reading would take half of the
+        # time of a reading. `_used`: the numbers of a robot's block that are used.
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)

@@ -156,23 +156,28 @@ class Radio:
     ) -> list[Flight]:
         """The flights of `value` on channel `name`, sent at `now` s by robot `row`.
 
-        Hand the flights to `carry`. The receivers are the present neighbors of the sender, except
-        those that miss the message. A random rank per sender and instant decides the order of
-        messages that arrive at one instant.
+        A flight is a message in transit to receivers at which it arrives at one time: all receivers
+        without jitter, each receiver by itself with jitter. Hand the flights to `carry`. The
+        receivers are the present neighbors of the sender, except those that miss the message by
+        random loss. A random rank per sender and instant decides the order of messages that arrive
+        at one instant.
         """
         settings, rng = self.settings, self._loss_rngs[row]
-        hearers = self.hearers(row, poses, movable_boxes)
+        receivers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
-            hearers = hearers[rng.random(len(hearers)) >= settings.loss]
-        rows, due = hearers.tolist(), now + settings.delay
-        if self._ranks[row][0] != now:
-            self._ranks[row] = now, float(self._rank_rngs[row].random())
-        rank = self._ranks[row][1]
-        groups = [(due, rows)] if rows else []
+            receivers = receivers[rng.random(len(receivers)) >= settings.loss]
+        rows, arrival = receivers.tolist(), now + settings.delay
+        last_sent, rank = self._ranks[row]
+        if last_sent != now:
+            rank = float(self._rank_rngs[row].random())
+            self._ranks[row] = now, rank
         if settings.jitter > 0.0:
-            spread = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
-            groups = [(due + off, [hearer]) for off, hearer in zip(spread, rows, strict=True)]
-        return [(at, rank, group, row, name, value) for at, group in groups]
+            jitter = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
+            return [
+                (arrival + offset, rank, [receiver], row, name, value)
+                for offset, receiver in zip(jitter, rows, strict=True)
+            ]
+        return [(arrival, rank, rows, row, name, value)] if rows else []
 
     def carry(
         self, flights: Iterable[Flight], own: Callable[[list[int]], list[int]] = lambda rows: rows

@@ -77,39 +77,40 @@ class Caster:
     _ray_step: cython.double
     _range_min: cython.double
     _range_max: cython.double
-    _ahead: cython.double
-    _left: cython.double
+    _sensor_x: cython.double  # place of the sensor in the base frame
+    _sensor_y: cython.double
     _walls: cython.double[:, ::1]
     _poles: cython.double[:, ::1]
     # Bodies: the polygons, then the discs.
-    _polygons: cython.Py_ssize_t
-    _bodies: cython.Py_ssize_t
-    _corners: cython.Py_ssize_t
-    _edges: cython.double[:, :, ::1]
-    _discs: cython.double[:, ::1]
+    _polygon_count: cython.Py_ssize_t
+    _body_count: cython.Py_ssize_t
+    _corner_count: cython.Py_ssize_t
+    _edges: cython.double[:, :, ::1]  # start, and vector to the end, in the owner's frame
+    _discs: cython.double[:, ::1]  # x, y, radius in the owner's frame
     _owner: cython.Py_ssize_t[::1]
     _reach: cython.double[::1]  # of a body from its owner's origin, and the range of the sensor
-    _widest: cython.double
-    _placed: cython.double[:, :, ::1]
-    _middle: cython.double[:, ::1]
-    _at: cython.double[:, ::1]
-    # The grid: the bodies of cell c are _members[_begin[c]] to _members[_begin[c + 1]].
-    _begin: cython.Py_ssize_t[::1]
+    _max_reach: cython.double
+    _placed_edges: cython.double[:, :, ::1]  # in the world frame, as all that follow
+    _disc_centers: cython.double[:, ::1]
+    _body_places: cython.double[:, ::1]  # x, y of the owner; NaN: absent
+    # The grid: the bodies of cell c are _members[_cell_begin[c]] to _members[_cell_begin[c + 1]].
+    _cell_begin: cython.Py_ssize_t[::1]
     _members: cython.Py_ssize_t[::1]
-    _cell: cython.Py_ssize_t[::1]
-    _columns: cython.Py_ssize_t
-    _lines: cython.Py_ssize_t
+    _cell_of: cython.Py_ssize_t[::1]
+    _grid_columns: cython.Py_ssize_t
+    _grid_rows: cython.Py_ssize_t
     _west: cython.double
     _south: cython.double
-    _pitch: cython.double
-    # The sensor in turn: its pose, and one over the distance of the nearest return of each ray.
+    _cell_size: cython.double
+    # The sensor that is cast now: its pose in the world frame, and one over the distance of each
+    # ray's nearest return.
     _x: cython.double
     _y: cython.double
     _yaw: cython.double
     _cos_yaw: cython.double
     _sin_yaw: cython.double
-    _nearness: cython.double[::1]
-    # The sector in turn: its first place and number of rays, and the cone around them: the cosine
+    _inverse: cython.double[::1]
+    # The sector that is cast now: first index and number of its rays, and the cone around: cosine
     # and sine of its middle in the world frame and of half its width. `_is_wide`: no cone is used.
     _first: cython.Py_ssize_t
     _count: cython.Py_ssize_t
@@ -120,7 +121,15 @@ class Caster:
     _sin_half: cython.double
 
     def __init__(self, spec, rays, walls, poles, edges, polygon_owners, discs, disc_owners):
+        """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
+
+        `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
+        (w, 5): start, vector to the end, and the side (_MIN_SIDE) at `range_max`. `poles` (p, 3):
+        x, y, radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
+        x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
+        """
         n = len(spec.bearings)
+        # 1. The rays and the sensor.
         self._rays = n
         self._number = memoryview(np.array(rays.number[:n], np.intp))
         self._cos, self._sin = (
@@ -130,27 +139,30 @@ class Caster:
         self._bearings = memoryview(np.array(rays.bearings))
         self._is_even, self._ray_step = rays.is_even, rays.step
         self._range_min, self._range_max = spec.range_min, spec.range_max
-        self._ahead, self._left = spec.offset
+        self._sensor_x, self._sensor_y = spec.offset
+        # 2. The shapes.
         self._walls = memoryview(np.array(walls, order="C"))
         self._poles = memoryview(np.array(poles, order="C"))
-        self._polygons, self._corners = len(edges), edges.shape[1]
-        self._bodies = len(edges) + len(discs)
+        self._polygon_count, self._corner_count = len(edges), edges.shape[1]
+        self._body_count = len(edges) + len(discs)
         self._edges = memoryview(np.array(edges, order="C"))
         self._discs = memoryview(np.array(discs, order="C"))
         self._owner = memoryview(np.concatenate((polygon_owners, disc_owners)).astype(np.intp))
-        reach = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
-        around = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
-        reaches = np.concatenate((reach, around)) + (spec.range_max + _ROUNDING)
+        # 3. The distance of each body's owner within which the sensor may detect the body.
+        polygon_reach = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
+        disc_reach = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
+        reaches = np.concatenate((polygon_reach, disc_reach)) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)
-        self._widest = max(float(reaches.max(initial=0.0)), 0.1)
-        self._placed = memoryview(np.empty(edges.shape))
-        self._middle = memoryview(np.empty((len(discs), 2)))
-        self._at = memoryview(np.empty((self._bodies, 2)))
-        side: cython.Py_ssize_t = int(self._bodies**0.5) + 2
-        self._begin = memoryview(np.empty(side * side + 1, np.intp))
-        self._members = memoryview(np.empty(self._bodies, np.intp))
-        self._cell = memoryview(np.empty(self._bodies, np.intp))
-        self._nearness = memoryview(np.empty(n))
+        self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
+        # 4. Buffers for the bodies in the world frame, the grid and a scan.
+        self._placed_edges = memoryview(np.empty(edges.shape))
+        self._disc_centers = memoryview(np.empty((len(discs), 2)))
+        self._body_places = memoryview(np.empty((self._body_count, 2)))
+        grid_side: cython.Py_ssize_t = int(self._body_count**0.5) + 2
+        self._cell_begin = memoryview(np.empty(grid_side * grid_side + 1, np.intp))
+        self._members = memoryview(np.empty(self._body_count, np.intp))
+        self._cell_of = memoryview(np.empty(self._body_count, np.intp))
+        self._inverse = memoryview(np.empty(n))
 
     def cast(
         self,
@@ -162,14 +174,16 @@ class Caster:
         rows: cython.Py_ssize_t[::1],
         ranges: cython.double[:, ::1],
     ):
-        """Fill the sectors `numbers` (m,), in `rows` (m,) of `ranges`.
+        """Cast m sectors, of robots `observers` (m,), into `rows` (m,) of `ranges`.
 
-        A sector has `counts` (k,) rays from place `first` (k,) on.
+        A sector is a part of a scan. Sector `numbers` (m,) has `counts` (k,) rays from index
+        `first` (k,) on, in order of bearing. `poses` (n, 3) of all bodies; a row of NaN is absent.
+        +inf: no return within range_max, -inf: nearer than range_min.
         """
-        one: cython.Py_ssize_t
+        request: cython.Py_ssize_t
         robot: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        index: cython.Py_ssize_t
         distance: cython.double
         if not self._rays:
             return
@@ -177,17 +191,18 @@ class Caster:
             poses, observers, ranges = memoryview(poses), memoryview(observers), memoryview(ranges)
             first, counts, rows = memoryview(first), memoryview(counts), memoryview(rows)
             numbers = memoryview(numbers)
-        is_set: cython.bint = False
-        for one in range(observers.shape[0]):
-            robot = observers[one]
-            self._first, self._count = first[numbers[one]], counts[numbers[one]]
+        has_set_bodies: cython.bint = False
+        for request in range(observers.shape[0]):
+            robot = observers[request]
+            self._first, self._count = first[numbers[request]], counts[numbers[request]]
             if not self._count:
                 continue
-            if not is_set:
+            if not has_set_bodies:
                 self._set_bodies(poses)
-                is_set = True
+                has_set_bodies = True
+            # 1. One over the distance of each ray's nearest return; 0: no return.
             for i in range(self._count):
-                self._nearness[i] = 0.0
+                self._inverse[i] = 0.0
             # All are NaN if one is: `isfinite` of one is enough.
             if isfinite(poses[robot, 0]):
                 self._set_sensor(poses[robot, 0], poses[robot, 1], poses[robot, 2])
@@ -196,23 +211,27 @@ class Caster:
                 self._meet_bodies(robot)
                 for i in range(self._poles.shape[0]):
                     self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
+            # 2. The ranges, in the order of the scan.
             for i in range(self._count):
                 distance = HUGE_VAL
-                if self._nearness[i] > 0.0:
-                    distance = 1.0 / self._nearness[i]
+                if self._inverse[i] > 0.0:
+                    distance = 1.0 / self._inverse[i]
                     if distance > self._range_max:
                         distance = HUGE_VAL
                     elif distance < self._range_min:
                         distance = -HUGE_VAL
-                place = self._first + i
-                if place >= self._rays:
-                    place -= self._rays
-                ranges[rows[one], self._number[place]] = distance
+                index = self._first + i
+                if index >= self._rays:
+                    index -= self._rays
+                ranges[rows[request], self._number[index]] = distance
 
     @cython.cfunc
     @cython.boundscheck(False)
     def _set_bodies(self, poses: cython.double[:, ::1]) -> cython.int:
-        """Place all bodies in the world frame and in the grid."""
+        """Place all bodies in the world frame and in the grid; `poses` (n, 3) of their owners.
+
+        Bodies are the polygons, then the discs, of robots and movable boxes.
+        """
         body: cython.Py_ssize_t
         i: cython.Py_ssize_t
         owner: cython.Py_ssize_t
@@ -224,33 +243,34 @@ class Caster:
         east: cython.double = -HUGE_VAL
         south: cython.double = HUGE_VAL
         north: cython.double = -HUGE_VAL
-        for body in range(self._bodies):
+        for body in range(self._body_count):
             owner = self._owner[body]
             x, y = poses[owner, 0], poses[owner, 1]
-            self._at[body, 0], self._at[body, 1] = x, y
-            if not isfinite(x):
+            self._body_places[body, 0], self._body_places[body, 1] = x, y
+            if not isfinite(x):  # the owner is absent
                 continue
             west, east = min(west, x), max(east, x)
             south, north = min(south, y), max(north, y)
             c, s = cos(poses[owner, 2]), sin(poses[owner, 2])
-            if body < self._polygons:
-                for i in range(self._corners):
-                    self._placed[body, i, 0] = (
+            if body < self._polygon_count:
+                # Rotate and shift the start of each edge; rotate the vector to its end.
+                for i in range(self._corner_count):
+                    self._placed_edges[body, i, 0] = (
                         c * self._edges[body, i, 0] - s * self._edges[body, i, 1]
                     ) + x
-                    self._placed[body, i, 1] = (
+                    self._placed_edges[body, i, 1] = (
                         s * self._edges[body, i, 0] + c * self._edges[body, i, 1]
                     ) + y
-                    self._placed[body, i, 2] = (
+                    self._placed_edges[body, i, 2] = (
                         c * self._edges[body, i, 2] - s * self._edges[body, i, 3]
                     )
-                    self._placed[body, i, 3] = (
+                    self._placed_edges[body, i, 3] = (
                         s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
                     )
             else:
-                i = body - self._polygons
-                self._middle[i, 0] = (c * self._discs[i, 0] - s * self._discs[i, 1]) + x
-                self._middle[i, 1] = (s * self._discs[i, 0] + c * self._discs[i, 1]) + y
+                i = body - self._polygon_count
+                self._disc_centers[i, 0] = (c * self._discs[i, 0] - s * self._discs[i, 1]) + x
+                self._disc_centers[i, 1] = (s * self._discs[i, 0] + c * self._discs[i, 1]) + y
         return self._fill_grid(west, east, south, north)
 
     @cython.cfunc
@@ -258,45 +278,57 @@ class Caster:
     def _fill_grid(
         self, west: cython.double, east: cython.double, south: cython.double, north: cython.double
     ) -> cython.int:
-        """Sort the bodies by cell; a cell is as wide as the longest reach, or wider."""
+        """Sort the bodies by grid cell (counting sort); the bounds of their places are in m.
+
+        A cell is at least as wide as the longest reach of a body. So all bodies that a sensor may
+        detect are in its cell and the eight cells around. The grid is empty without a body.
+        """
         body: cython.Py_ssize_t
         cell: cython.Py_ssize_t
         cells: cython.Py_ssize_t
-        end: cython.Py_ssize_t
-        self._columns = self._lines = 0
+        total: cython.Py_ssize_t
+        self._grid_columns = self._grid_rows = 0
         if not west <= east:
             return 0
-        self._pitch = max(self._widest, max(east - west, north - south) / sqrt(self._bodies))
+        # 1. The grid.
+        self._cell_size = max(
+            self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
+        )
         self._west, self._south = west, south
-        self._columns = cython.cast(cython.Py_ssize_t, (east - west) / self._pitch) + 1
-        self._lines = cython.cast(cython.Py_ssize_t, (north - south) / self._pitch) + 1
-        cells = self._columns * self._lines
+        self._grid_columns = cython.cast(cython.Py_ssize_t, (east - west) / self._cell_size) + 1
+        self._grid_rows = cython.cast(cython.Py_ssize_t, (north - south) / self._cell_size) + 1
+        cells = self._grid_columns * self._grid_rows
+        # 2. The cell of each body (-1: absent), and the number of bodies of each cell.
         for cell in range(cells + 1):
-            self._begin[cell] = 0
-        for body in range(self._bodies):
-            self._cell[body] = -1
-            if isfinite(self._at[body, 0]):
-                cell = self._columns * cython.cast(
-                    cython.Py_ssize_t, (self._at[body, 1] - south) / self._pitch
-                ) + cython.cast(cython.Py_ssize_t, (self._at[body, 0] - west) / self._pitch)
-                self._cell[body] = cell
-                self._begin[cell] += 1
-        end = 0
-        for cell in range(cells + 1):  # to the end of each cell, which the next loop moves back
-            end += self._begin[cell]
-            self._begin[cell] = end
-        for body in range(self._bodies):
-            cell = self._cell[body]
+            self._cell_begin[cell] = 0
+        for body in range(self._body_count):
+            self._cell_of[body] = -1
+            if isfinite(self._body_places[body, 0]):
+                cell = self._grid_columns * cython.cast(
+                    cython.Py_ssize_t, (self._body_places[body, 1] - south) / self._cell_size
+                ) + cython.cast(
+                    cython.Py_ssize_t, (self._body_places[body, 0] - west) / self._cell_size
+                )
+                self._cell_of[body] = cell
+                self._cell_begin[cell] += 1
+        # 3. The end of each cell's range of `_members`, which the next loop moves to its begin.
+        total = 0
+        for cell in range(cells + 1):
+            total += self._cell_begin[cell]
+            self._cell_begin[cell] = total
+        for body in range(self._body_count):
+            cell = self._cell_of[body]
             if cell >= 0:
-                self._begin[cell] -= 1
-                self._members[self._begin[cell]] = body
+                self._cell_begin[cell] -= 1
+                self._members[self._cell_begin[cell]] = body
         return 0
 
     @cython.cfunc
     def _set_sensor(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
+        """Set the pose of the sensor, from the pose of its robot."""
         self._cos_yaw, self._sin_yaw = cos(yaw), sin(yaw)
-        self._x = x + (self._cos_yaw * self._ahead - self._sin_yaw * self._left)
-        self._y = y + (self._sin_yaw * self._ahead + self._cos_yaw * self._left)
+        self._x = x + (self._cos_yaw * self._sensor_x - self._sin_yaw * self._sensor_y)
+        self._y = y + (self._sin_yaw * self._sensor_x + self._cos_yaw * self._sensor_y)
         self._yaw = fmod(yaw + _PI, 2.0 * _PI)
         if self._yaw < 0.0:
             self._yaw += 2.0 * _PI
@@ -357,40 +389,52 @@ class Caster:
     @cython.cfunc
     @cython.boundscheck(False)
     def _meet_bodies(self, carrier: cython.Py_ssize_t) -> cython.int:
-        """Meet the bodies of the cells around the sensor."""
-        line: cython.Py_ssize_t
-        middle: cython.Py_ssize_t
-        column: cython.Py_ssize_t
+        """Meet the bodies in the sensor's grid cell and the eight cells around.
+
+        To meet a shape is to note its distance at each ray that hits it. `carrier`: the row of the
+        robot that carries the sensor; its own polygons are left out, its discs are met from inside.
+        """
+        grid_row: cython.Py_ssize_t
+        sensor_row: cython.Py_ssize_t
+        sensor_column: cython.Py_ssize_t
         south: cython.Py_ssize_t
         north: cython.Py_ssize_t
         west: cython.Py_ssize_t
         east: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        member: cython.Py_ssize_t
         body: cython.Py_ssize_t
         x: cython.double
         y: cython.double
-        if not self._columns:
+        if not self._grid_columns:
             return 0
-        middle = cython.cast(cython.Py_ssize_t, floor((self._y - self._south) / self._pitch))
-        column = cython.cast(cython.Py_ssize_t, floor((self._x - self._west) / self._pitch))
-        west = min(max(column - 1, 0), self._columns)
-        east = max(min(column + 2, self._columns), west)
-        south, north = max(middle - 1, 0), min(middle + 2, self._lines)
-        for line in range(south, north):
-            # The cells of a line lie side by side.
-            for place in range(
-                self._begin[line * self._columns + west], self._begin[line * self._columns + east]
+        sensor_row = cython.cast(
+            cython.Py_ssize_t, floor((self._y - self._south) / self._cell_size)
+        )
+        sensor_column = cython.cast(
+            cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
+        )
+        # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid.
+        west = min(max(sensor_column - 1, 0), self._grid_columns)
+        east = max(min(sensor_column + 2, self._grid_columns), west)
+        south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
+        for grid_row in range(south, north):
+            # The cells of a row lie side by side.
+            for member in range(
+                self._cell_begin[grid_row * self._grid_columns + west],
+                self._cell_begin[grid_row * self._grid_columns + east],
             ):
-                body = self._members[place]
-                x, y = self._at[body, 0] - self._x, self._at[body, 1] - self._y
+                body = self._members[member]
+                x, y = self._body_places[body, 0] - self._x, self._body_places[body, 1] - self._y
                 if x * x + y * y > self._reach[body] * self._reach[body]:
                     continue
                 if self._is_outside(x, y, self._reach[body] - self._range_max):
                     continue
-                if body >= self._polygons:
-                    body -= self._polygons
+                if body >= self._polygon_count:
+                    body -= self._polygon_count
                     self._meet_circle(
-                        self._middle[body, 0], self._middle[body, 1], self._discs[body, 2]
+                        self._disc_centers[body, 0],
+                        self._disc_centers[body, 1],
+                        self._discs[body, 2],
                     )
                 elif self._owner[body] != carrier:
                     self._meet_polygon(body)
@@ -405,9 +449,9 @@ class Caster:
         along_x: cython.double
         along_y: cython.double
         side: cython.double
-        for i in range(self._corners):
-            x, y = self._placed[body, i, 0], self._placed[body, i, 1]
-            along_x, along_y = self._placed[body, i, 2], self._placed[body, i, 3]
+        for i in range(self._corner_count):
+            x, y = self._placed_edges[body, i, 0], self._placed_edges[body, i, 1]
+            along_x, along_y = self._placed_edges[body, i, 2], self._placed_edges[body, i, 3]
             side = along_x * self._y
             side -= along_y * self._x
             side += x * along_y - y * along_x
@@ -425,74 +469,91 @@ class Caster:
         along_y: cython.double,
         side: cython.double,
     ) -> cython.int:
+        """Note the distance of a flat surface at each ray of the sector that hits it.
+
+        `x`, `y`: from the sensor to the start of the surface; `along_x`, `along_y`: from there to
+        its end; in m in the world frame. `side`: the sensor's distance from the surface's line,
+        times its length; below 0, since the sensor faces the front. One over the distance is the
+        sum of the ray's cosine and sine with two weights.
+        """
+        # The surface covers the bearings from `high - turn` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
         turn: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
         by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
-        near: cython.double
-        first: cython.Py_ssize_t = self._place((high - turn) - _BEARING_MARGIN)
-        # From the sector's first ray on; the rays of the surface may begin anew behind it.
+        inverse: cython.double
+        first: cython.Py_ssize_t = self._ray_index((high - turn) - _BEARING_MARGIN)
+        # `begin` and `end` count from the sector's first ray; the rays of the surface may begin
+        # anew behind the last ray.
         begin: cython.Py_ssize_t = (first - self._first) % self._rays
-        end: cython.Py_ssize_t = begin + self._place(high + _BEARING_MARGIN) - first
+        end: cython.Py_ssize_t = begin + self._ray_index(high + _BEARING_MARGIN) - first
         i: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        index: cython.Py_ssize_t
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
-                place = self._first + i
-                if place >= self._rays:
-                    place -= self._rays
-                near = by_cos * self._cos[place] + by_sin * self._sin[place]
-                if near > self._nearness[i]:
-                    self._nearness[i] = near
+                index = self._first + i
+                if index >= self._rays:
+                    index -= self._rays
+                inverse = by_cos * self._cos[index] + by_sin * self._sin[index]
+                if inverse > self._inverse[i]:
+                    self._inverse[i] = inverse
             begin, end = 0, end - self._rays
         return 0
 
     @cython.cfunc
     @cython.boundscheck(False)
     def _meet_circle(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.int:
-        beyond: cython.double
+        """Note the distance of a circle at each ray of the sector that hits it.
+
+        `x`, `y`: its centre in the world frame. A circle around the sensor is not visible.
+        """
+        tangent_squared: cython.double
         middle: cython.double
         half: cython.double
         ahead: cython.double
         left: cython.double
         aside: cython.double
-        near: cython.double
+        inverse: cython.double
         first: cython.Py_ssize_t
         begin: cython.Py_ssize_t
         end: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        place: cython.Py_ssize_t
+        index: cython.Py_ssize_t
         x -= self._x
         y -= self._y
-        beyond = x * x + y * y - radius * radius
-        if not beyond > 0.0:  # from inside: no sensor sees its own housing
+        tangent_squared = x * x + y * y - radius * radius
+        if not tangent_squared > 0.0:  # from inside: no sensor sees its own housing
             return 0
         if self._is_outside(x, y, radius):
             return 0
+        # 1. The circle covers the bearings `middle` +- `half` (rad). `begin` and `end` count from
+        # the sector's first ray; the rays of the circle may begin anew behind the last ray.
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
+        first = self._ray_index((middle - half) - _BEARING_MARGIN)
+        begin = (first - self._first) % self._rays
+        end = begin + self._ray_index((middle + half) + _BEARING_MARGIN) - first
+        # 2. `aside` is the distance of the centre from the ray. The product of the distances to
+        # both intersections is `tangent_squared`, so 1 / nearer = farther / tangent_squared.
         ahead = self._cos_yaw * x + self._sin_yaw * y
         left = self._cos_yaw * y - self._sin_yaw * x
-        first = self._place((middle - half) - _BEARING_MARGIN)
-        begin = (first - self._first) % self._rays
-        end = begin + self._place((middle + half) + _BEARING_MARGIN) - first
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
-                place = self._first + i
-                if place >= self._rays:
-                    place -= self._rays
-                aside = self._cos[place] * left - self._sin[place] * ahead
-                near = self._cos[place] * ahead + self._sin[place] * left
-                near += sqrt(max(radius * radius - aside * aside, 0.0))
-                near /= beyond
-                if near > self._nearness[i]:
-                    self._nearness[i] = near
+                index = self._first + i
+                if index >= self._rays:
+                    index -= self._rays
+                aside = self._cos[index] * left - self._sin[index] * ahead
+                inverse = self._cos[index] * ahead + self._sin[index] * left
+                inverse += sqrt(max(radius * radius - aside * aside, 0.0))
+                inverse /= tangent_squared
+                if inverse > self._inverse[i]:
+                    self._inverse[i] = inverse
             begin, end = 0, end - self._rays
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _place(self, bearing: cython.double) -> cython.Py_ssize_t:
-        """The number of rays with smaller bearings, over four turns."""
+    def _ray_index(self, bearing: cython.double) -> cython.Py_ssize_t:
+        """The index of the first ray at `bearing` rad or beyond, over the four turns."""
         low: cython.Py_ssize_t = 0
         high: cython.Py_ssize_t = self._bearings.shape[0]
         middle: cython.Py_ssize_t
@@ -524,7 +585,7 @@ class Errors:
     _dropout: cython.double
     _factors: cython.double[::1]
     _reach: cython.double[:, ::1]
-    _lost: cython.double[::1]
+    _lost: cython.double[::1]  # the range of a ray that dropped out, by robot
     _encoded: cython.double[:, ::1]
     _block_dropout: cython.double[::1]
     _normal: cython.double[::1]
@@ -540,15 +601,18 @@ class Errors:
         self._normal, self._even = memoryview(normal), memoryview(even)
 
     def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
-        """Replace exact `ranges` (rays,) of robot `row` by its measurements, encoded."""
+        """Replace exact `ranges` (rays,) in m of robot `row` by its measurements, encoded.
+
+        Rays without a return (inf) stay. A block of _BLOCK rays may drop out together.
+        """
         i: cython.Py_ssize_t
         rays: cython.Py_ssize_t = ranges.shape[0]
         r: cython.double
-        spread: cython.double
+        spread: cython.double  # standard deviation in m
         factor: cython.double = self._factors[row]
         range_min: cython.double = self._reach[row, 0]
         range_max: cython.double = self._reach[row, 1]
-        blocks: cython.double = self._block_dropout[row]
+        block_dropout: cython.double = self._block_dropout[row]
         if not cython.compiled:
             ranges = memoryview(ranges)
         for i in range(rays):
@@ -568,7 +632,7 @@ class Errors:
                 r = -HUGE_VAL
             if r > range_max:
                 r = HUGE_VAL
-            if self._even[i] < self._dropout or self._even[rays + i // _BLOCK] < blocks:
+            if self._even[i] < self._dropout or self._even[rays + i // _BLOCK] < block_dropout:
                 r = self._lost[row]
             ranges[i] = r
         self.encode(row, ranges)

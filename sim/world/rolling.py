@@ -33,25 +33,29 @@ class RollingScans:
     """
 
     def __init__(self, lidar: Lidar, platform: Platform, n: int, dt: float, sectors: int) -> None:
-        """`n`: robots of the world; `dt`: s of a step; `platform.scan.sweep` must be given.
+        """Divide the sensor's sweep into sectors of whole steps; no scan is in progress.
 
-        `sectors`: the least number of sectors of a sweep, if it has as many steps.
+        `n`: robots of the world; `dt`: s of a step; `platform.scan.sweep` must be given. `sectors`:
+        the least number of sectors of a sweep, if the sweep has as many steps.
         """
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
+        # 1. The step of a scan at which each ray is measured, in the order of the sweep.
         order, times = sweep_order(spec.bearings, sweep)
         duration = min(sweep.duration, 1.0 / spec.rate)
         self._steps = max(int(duration / dt + _ROUNDING), 1)
-        width = max(self._steps // sectors, 1)
-        steps = np.minimum((times / (width * dt) + 0.5).astype(np.intp) * width, self._steps)
-        # The number of rays measured by each step since the begin of a scan.
+        sector_steps = max(self._steps // sectors, 1)
+        steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
+        steps = np.minimum(steps, self._steps)
+        # 2. The number of rays measured by each step since the begin of a scan.
         ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
         self._first, self._counts = lidar.sectors(ends)
+        # 3. (rays,) the age in s of each ray at the end of a scan.
         self._ages = np.empty(len(order))
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._lidar, self._n = lidar, n
-        # Two rows for each robot: a scan begins at the step at which the previous scan ends.
+        # 4. Two rows for each robot: a scan begins at the step at which the previous scan ends.
         self._ranges = np.full((2 * n, len(order)), np.inf)
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()

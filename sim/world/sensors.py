@@ -104,26 +104,29 @@ def sensors_due(
 ) -> Iterator[tuple[int, SensorInput]]:
     """Yield the row and the input of each measurement that is due at the world's time.
 
-    `needs`: the needs of a robot's pattern by row; None: no one takes the robot's inputs. `own`
-    selects the rows whose scans this process simulates. `stamp`: the stamp of poses in s.
+    `needs`: the needs of the pattern of a robot, by row; None: the robot's inputs have no receiver.
+    `own`: selects the rows whose scans this process simulates. `stamp`: the stamp of poses in s.
     """
     now = world.time
+    # 1. Scans of lidars begin now, and arrive when they are complete.
     rows = own(times.scans.due(now))
     if len(rows):
         world.begin_scans(np.asarray(rows, dtype=np.intp))
     for row, scan in world.arrived_scans():
         yield row, ScanInput(scan)
+    # 2. Rings of range sensors.
     for ring in times.rings.due(now):
         row = world.rings[ring]
         if needs(row) is not None:
             yield row, RangesInput(world.ring_scan(row))
+    # 3. All other sensors. A pattern without the need of a sensor gets its `unwanted` input.
     for sensor, schedule in times.others:
-        for due in schedule.due(now):
-            row = int(due)
-            needed = needs(row)
-            if needed is None:
+        for due_row in schedule.due(now):
+            row = int(due_row)
+            pattern_needs = needs(row)
+            if pattern_needs is None:
                 continue
-            is_wanted = not sensor.need or sensor.need in needed
+            is_wanted = not sensor.need or sensor.need in pattern_needs
             input = sensor.measure(world, row, stamp) if is_wanted else sensor.unwanted
             if input is not None:
                 yield row, input

@@ -62,10 +62,12 @@ class World:
         fields: Sequence[Field] = (),
         items: Sequence[ItemKind] = (),
     ) -> None:
-        """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
+        """Start a world with all robots at rest.
 
-        `seed`: of the errors of `realism` and of random places of `items`. `items`: the kinds of
-        the items in `arena`. `fields`: sampled by `readings`.
+        `robots`: the platform of each of n robots by its id. `starts` (n, 3): x, y, yaw in m and
+        rad. `lidars`: what lidars detect of robots. `realism`: delays and errors of bases and
+        sensors. `seed`: of these errors and of random places of `items`. `fields`: sampled by
+        `readings`. `items`: the kinds of the items in `arena`.
         """
         n = len(robots)
         if starts.shape != (n, 3):
@@ -73,6 +75,7 @@ class World:
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
         self.arena, self.dt, self._steps = arena, TIME_STEP, 0
         self.fields = tuple(fields)
+        # Each part needs the parts before it.
         self._begin_bodies(robots, starts)
         self._items = Items(items, arena, self.platforms, seed)
         self._begin_items(starts)
