@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from swarmd.cli.plugin_check import Point
     from swarmd.sim.experiments.lessons import Lesson, LessonMark
     from swarmd.sim.experiments.plan import Plan
+    from swarmd.sim.experiments.requirements import RequirementFinding
 
 FAILED = 1  # exit code
 _CHECK_TIMEOUT = 30.0  # s for one point of the check of a pattern
@@ -109,49 +110,54 @@ def check(
     timeout: float,
     is_json: bool,
 ) -> None:
-    """Mark the work in FOLDER, which has a folder for each pupil.
+    """Mark the work of a class: FOLDER holds a folder FOLDER/PUPIL for each pupil.
 
-    For a lesson with a pattern a pupil may hand in the file alone, as FOLDER/PUPIL.py: it passes
-    `plugin check`, then the experiment of the lesson runs with it, with fixed seeds. For the other
-    lessons the results in the pupil's folder are compared with the targets. `class lessons` lists
-    what is wanted.
+    `class lessons` lists what each lesson asks for. In a lesson with a pattern, each pupil's
+    pattern has to pass `plugin check`. Then the experiment of the lesson runs with this pattern and
+    fixed seeds. A pupil may hand in the pattern's file without a folder, as FOLDER/PUPIL.py. In the
+    other lessons the experiments in the pupil's folder are compared with the targets of the lesson.
 
     Exit code 0 if the work of all pupils passes, else 1.
     """
     need("mujoco")
     from swarmd.sim.experiments.lessons import load_lessons, plan_of_lesson
 
-    known = load_lessons()
+    # 1. The lesson, and the files or folders that pupils handed in.
+    lessons = load_lessons()
     if folder is None or lesson is None:
-        lacking = "FOLDER" if folder is None else "--lesson NUMBER"
+        missing_word = "FOLDER" if folder is None else "--lesson NUMBER"
         text = "type: swarmctl class check FOLDER --lesson 2, where FOLDER holds PUPIL.py or PUPIL/"
-        raise click.UsageError(f"{lacking} is missing; {text} of each pupil")
-    if lesson not in known:
-        raise click.UsageError(unknown("lesson", lesson, known))
-    wanted = known[lesson]
-    handed_in = _handed_in(folder, wanted)
-    if not handed_in:
-        suffix = " and no PUPIL.py" if wanted.pattern else ""
+        raise click.UsageError(f"{missing_word} is missing; {text} of each pupil")
+    if lesson not in lessons:
+        raise click.UsageError(unknown("lesson", lesson, lessons))
+    chosen_lesson = lessons[lesson]
+    pupil_paths = _handed_in(folder, chosen_lesson)
+    if not pupil_paths:
+        suffix = " and no PUPIL.py" if chosen_lesson.pattern else ""
         raise ConfigError(f"{folder}: no folder of a pupil{suffix} is in it")
-    plan = plan_of_lesson(wanted) if wanted.pattern else None
-    works = []
-    for path in handed_in:
-        work = _marked(path, wanted, plan, jobs or usable_cores(), timeout)
+
+    # 2. The mark of each pupil; a line on stderr shows the progress.
+    plan = plan_of_lesson(chosen_lesson) if chosen_lesson.pattern else None
+    works: list[Work] = []
+    for path in pupil_paths:
+        work = _marked(path, chosen_lesson, plan, jobs or usable_cores(), timeout)
         works.append(work)
-        warn(f"{len(works)} of {len(handed_in)}: {work.pupil} {_verdict(work)}")
+        warn(f"{len(works)} of {len(pupil_paths)}: {work.pupil} {_verdict(work)}")
+
+    # 3. The table of all pupils.
     if is_json:
-        rows = [one.document() for one in works]
-        print_json("Class", {"lesson": lesson, "targets": wanted.targets, "pupils": rows})
+        pupils = [work.document() for work in works]
+        print_json("Class", {"lesson": lesson, "targets": chosen_lesson.targets, "pupils": pupils})
     else:
-        _print(wanted, works)
+        _print(chosen_lesson, works)
     ctx.exit(0 if all(work.is_passed for work in works) else FAILED)
 
 
 def _handed_in(folder: Path, lesson: Lesson) -> list[Path]:
-    """The folders of pupils, and for a lesson with a pattern their files, by name."""
+    """Paths in `folder`, sorted: a folder for each pupil, in a lesson with a pattern also files."""
     if not folder.is_dir():
         raise click.UsageError(f"{folder}: no such folder")
-    if any((folder / one).exists() for one in _wanted(lesson)):
+    if any((folder / name).exists() for name in _wanted(lesson)):
         raise click.UsageError(f"{folder} is the folder of one pupil; name the folder above it")
     return sorted(
         path
@@ -210,28 +216,32 @@ def _print(lesson: Lesson, works: Sequence[Work]) -> None:
         click.echo(f"{letter}  {text}")
     click.echo()
     header = ("PUPIL", "CHECKS", *_LETTERS[: len(targets)], "VERDICT", "WHY")
-    print_table(header, [_row(lesson, work, len(targets)) for work in works])
+    print_table(header, [_row(lesson, work) for work in works])
     passed = sum(work.is_passed for work in works)
     warn(f"{passed} of {len(works)} passed")
 
 
-def _row(lesson: Lesson, work: Work, count: int) -> tuple[str, ...]:
-    well = sum(one.result == "ok" for one in work.checks)
-    checks = f"{well}/{len(work.checks)}" if work.checks else "-"
-    found = work.mark.findings if work.mark is not None else ()
-    by_target = {
-        _name(place, one.requirement.text): one
+def _row(lesson: Lesson, work: Work) -> tuple[str, ...]:
+    """A row of the table: pupil, passed checks, a value for each target, verdict, reason."""
+    passed_checks = sum(point.result == "ok" for point in work.checks)
+    checks = f"{passed_checks}/{len(work.checks)}" if work.checks else "-"
+    findings = work.mark.findings if work.mark is not None else ()
+    finding_by_target = {
+        _name(place, finding.requirement.text): finding
         for place in lesson.targets
-        for one in found
-        if one.variant == place.partition(":")[2]
+        for finding in findings
+        if finding.variant == place.partition(":")[2]
     }
-    values = [
-        "-"
-        if (one := by_target.get(target)) is None
-        else f"{'-' if one.value is None else f'{one.value:.3g}'}{'' if one.is_met else '!'}"
-        for target in _targets(lesson)
-    ]
+    values = [_value_text(finding_by_target.get(target)) for target in _targets(lesson)]
     return (work.pupil, checks, *values, _verdict(work), work.why or "-")
+
+
+def _value_text(finding: RequirementFinding | None) -> str:
+    """A value with `!` if the value misses its target; `-` for a value that is missing."""
+    if finding is None:
+        return "-"
+    value = "-" if finding.value is None else f"{finding.value:.3g}"
+    return value if finding.is_met else f"{value}!"
 
 
 def _targets(lesson: Lesson) -> list[str]:

@@ -69,25 +69,29 @@ def demo(
 ) -> None:
     """Start a simulated swarm, run one pattern or SCENARIO, and print a summary.
 
-    SCENARIO is a name of `swarmctl exp list` or a YAML file; it runs for its duration, with one
-    seed. Leaves summary.json, trajectories.png, the trace and all logs in runs/<time>/. Exit code 0
-    only if every robot ran to the end and no two robots touched.
+    SCENARIO is a name of `swarmctl exp list` or a YAML file. A scenario runs for its duration, with
+    one seed. The demo leaves summary.json, trajectories.png, the trace and all logs in
+    runs/<time>/. Exit code 0 only if every robot ran to the end and no two robots touched.
     """
+    # 1. Faults of the options are found here, before any process starts.
     need("mujoco")
-    if video is not None:  # before the run, not after it
+    if video is not None:
         need_film()
         from swarmd.sim.film.encode import check_output
 
         check_output(video)
     from swarmd.plugins import find_pattern
 
-    if world["scenario"] is None:
+    has_scenario = world["scenario"] is not None
+    if not has_scenario:
         find_pattern(pattern, world["plugin_dir"])
     values = read_assignments(params)
-    if values and world["scenario"] is None:  # before a world is there, and once for all robots
+    if values and not has_scenario:
         from swarmd.cli.plugin_check import check_parameters
 
         check_parameters(pattern, values, world["plugin_dir"], world["platform"])
+
+    # 2. The fleet, and a new folder for the results.
     fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
     if fleet.scenario is not None:
         fleet = replace(fleet, absent=fleet.scenario.scenario.absent)
@@ -97,6 +101,8 @@ def demo(
     spec = replace(
         fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=settings.seconds
     )
+
+    # 3. The run, its report, and the film of its trace.
     is_live = sys.stdout.isatty() and not (headless or is_json)
     summary = perform(spec, settings, is_live=is_live, page=page)
     report(summary, folder, is_json=is_json)
@@ -114,7 +120,10 @@ def demo(
 def _settings(
     fleet: FleetSpec, pattern: str, params: Mapping[str, Any], seconds: float
 ) -> DemoSettings:
-    """What the demo does: the events of the fleet's scenario, or one pattern from the start."""
+    """Settings of the demo: the events of the fleet's scenario, or else `pattern` from t = 0 on.
+
+    `seconds` is the duration of a demo without a scenario.
+    """
     from swarmd.sim.live.demo_run import DemoSettings
     from swarmd.sim.scenarios.scenario import ScheduledEvent
 
@@ -138,9 +147,11 @@ def _settings(
 def perform(
     spec: FleetSpec, settings: DemoSettings, *, is_live: bool, page: WebOptions | None = None
 ) -> DemoSummary:
-    """Run the demo from start to end; every process is gone when it returns or raises.
+    """Run the demo from start to end, and return its summary.
 
-    With `page` it is served on a web page.
+    A world and a daemon for each robot run as processes. All of them have ended when this function
+    returns or raises. `is_live`: the terminal shows the robots. `page`: options of a web page that
+    shows them; None: no page.
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
@@ -155,29 +166,30 @@ def perform(
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as world,
         Operator(NetworkSettings(swarm=spec.swarm)) as operator,
-        world_page(fleet, page) as shown,
-        _screen(is_live, shown.addresses if shown is not None else ()) as on_scene,
+        world_page(fleet, page) as served_page,
+        _screen(is_live, served_page.addresses if served_page is not None else ()) as on_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, on_scene)
         summary = run.perform(spec.trace, started_at(), warn)
-        if shown is not None:
-            shown.reason = (
+        if served_page is not None:
+            served_page.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"
             )
         return summary
 
 
 def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
-    """Print the summary, problems on stderr, then write the files.
+    """Print the summary of a demo, then write summary.json and trajectories.png to `folder`.
 
-    Printed first: a full disk must not cost the summary. SwarmError if a file cannot be written.
+    Problems of the run are printed on stderr. Printing comes first, so that the user has the
+    summary also if the disk is full. SwarmError if a file cannot be written.
     """
     if is_json:
         print_json("Demo", {**summary.as_json(), "folder": str(folder)})
     else:
         print_section("Summary", [*summary.lines(), ("results", f"{folder}/")])
-    for line in summary.problems:
-        warn(f"problem: {line}")
+    for problem in summary.problems:
+        warn(f"problem: {problem}")
     try:
         (folder / "summary.json").write_text(json.dumps(summary.as_json(), indent=2) + "\n")
         if find_spec("matplotlib") is None:
@@ -197,9 +209,9 @@ def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
 
 @contextmanager
 def _screen(is_live: bool, addresses: Sequence[str]) -> Iterator[Callable[[Scene], None]]:
-    """A function that shows a scene: in a live view on the terminal, or not at all.
+    """Yield a function that draws a scene: as a live view of the terminal, or nothing at all.
 
-    `addresses` of a page stay below the view, which fills the terminal.
+    `is_live`: the function draws. `addresses`: web addresses of a page, shown below the view.
     """
     if not is_live:
         yield lambda scene: None

@@ -130,6 +130,7 @@ def run(
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
+    # 1. Options that contradict each other, and libraries.
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments.manifest import manifest_of
@@ -145,9 +146,9 @@ def run(
         need("distributed", extra="sim,plot,cluster")
         from swarmd.sim.experiments.cluster import connect
 
-    names = chosen_metrics(metrics)
-    own = beyond_catalog(names or ())
-    shown = [metric.name for metric in names or ()]
+    # 2. The plan of all runs, and the cores for each run.
+    chosen = chosen_metrics(metrics)
+    custom = beyond_catalog(chosen or ())
     plan = plan_of(
         scenario,
         parse_seeds(seeds),
@@ -160,43 +161,68 @@ def run(
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
     if scheduler is None and cores is None and plan.runs:
-        at_once = min(len(plan.runs), jobs or MAX_PROCESSES)
-        shared = cores_of_a_run(usable_cores(), at_once, max(run.robots for run in plan.runs))
-        cores = shared if shared > 1 else None
+        parallel_runs = min(len(plan.runs), jobs or MAX_PROCESSES)
+        most_robots = max(run.robots for run in plan.runs)
+        cores_per_run = cores_of_a_run(usable_cores(), parallel_runs, most_robots)
+        cores = cores_per_run if cores_per_run > 1 else None
+
+    # 3. The manifest, with the command line that resumes the experiment in its folder.
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
     given = {"--jobs": jobs, "--cores": cores, "--shard": shard, "--scheduler": scheduler,
              "--out": folder}  # fmt: skip
     command = _command(scenario, seeds, {"--set": sets, "--sweep": sweeps}, given)
     command += ["--no-traces"] if no_traces else []
-    if own:
-        command += ["--metrics", ",".join(metric.origin or metric.name for metric in own)]
+    if custom:
+        command += ["--metrics", ",".join(metric.origin or metric.name for metric in custom)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
-    manifest = manifest_of(plan, traces=not no_traces, command=command, metrics=own, shown=shown)
-    limit = STEP_TIMEOUT if timeout is None else timeout
-    begin = time.monotonic()
+    manifest = manifest_of(
+        plan,
+        traces=not no_traces,
+        command=command,
+        metrics=custom,
+        shown=[metric.name for metric in chosen or ()],
+    )
+
+    # 4. The runs, in processes of this machine or on a cluster.
+    step_timeout = STEP_TIMEOUT if timeout is None else timeout
+    start_time = time.monotonic()
     try:
         with ExitStack() as stack:
             stack.enter_context(signals_end(SIGTERM))
             if scheduler is None:
-                share = cores or 1
-                at_once = jobs or max(1, usable_cores() // share)
-                runner: Runner = partial(run_jobs, processes=at_once, timeout=limit, cores=share)
+                runner: Runner = partial(
+                    run_jobs,
+                    processes=jobs or max(1, usable_cores() // (cores or 1)),
+                    timeout=step_timeout,
+                    cores=cores or 1,
+                )
             else:
-                cluster = stack.enter_context(connect(scheduler, manifest, limit, warn, jobs))
+                cluster = stack.enter_context(
+                    connect(scheduler, manifest, step_timeout, warn, jobs)
+                )
                 manifest, runner = cluster.manifest, cluster.run_jobs
             on_progress = stack.enter_context(progress())
             results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
-        with suppress(SwarmError):  # it had not even begun
+        with suppress(SwarmError):  # the folder has no results yet
             done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
             warn(f"{done}; to go on: {shlex.join(command)}")
         raise
-    _print_results(results, names, is_json)
-    took = time_span(time.monotonic() - begin)
-    warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {took}")
+
+    # 5. The statistics and the exit code.
+    _print_results(results, chosen, is_json)
+    duration = time_span(time.monotonic() - start_time)
+    warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
-    ctx.exit(0 if not results.failures else PARTIAL if results.runs else FAILED)
+    ctx.exit(_exit_code(len(results.runs), is_complete=not results.failures))
+
+
+def _exit_code(finished: int, *, is_complete: bool) -> int:
+    """0 if all runs finished (`is_complete`), PARTIAL if some did, FAILED if none did."""
+    if is_complete:
+        return 0
+    return PARTIAL if finished else FAILED
 
 
 def _command(
@@ -207,7 +233,8 @@ def _command(
 ) -> list[str]:
     """The words of the command line that resumes an experiment.
 
-    `repeated`: values of options that may be repeated. `given`: values by option; None: not given.
+    `repeated`: the values of each option that may be repeated. `given`: the value of each other
+    option; None for an option that the user did not give.
     """
     words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     for option, values in repeated.items():
@@ -239,20 +266,22 @@ def rerun(
 ) -> None:
     """Repeat the experiment in DIR from its manifest, and list which runs are identical.
 
-    Patterns and metrics in Python files run if you have run the same code before. Others, and files
-    that have changed since the runs, are refused without --trust: the results may be somebody's.
+    The results may come from another person. So a Python file of a pattern or metric runs only if
+    you have run the same code before. A new file, and a file that has changed since the runs, is
+    refused without --trust.
 
-    Exit code 0 if all are identical to the last bit, 3 if some are, 1 if none is.
+    Exit code 0 if all runs are identical to the last bit, 3 if some are, 1 if none is.
     """
     need("mujoco")
     from swarmd.sim.cli.progress import progress
-    from swarmd.sim.experiments import rerun as again
+    from swarmd.sim.experiments import rerun as rerunning
     from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
-    for line in again.warnings(folder, is_trusted=is_trusted):
+    for line in rerunning.warnings(folder, is_trusted=is_trusted):
         warn(f"warning: {line}; results may differ")
     with signals_end(SIGTERM), progress() as on_progress:
-        found = again.rerun(
+        # The first difference of each run by the run's name; "" for an identical run.
+        difference_by_run = rerunning.rerun(
             folder,
             out,
             jobs or usable_cores(),
@@ -261,14 +290,20 @@ def rerun(
             is_trusted=is_trusted,
         )
     if is_json:
-        listed = [{"run": run, "identical": not why, "why": why} for run, why in found.items()]
+        listed = [
+            {"run": run, "identical": not difference, "why": difference}
+            for run, difference in difference_by_run.items()
+        ]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
     else:
-        rows = [(run, f"differs: {why}" if why else "identical") for run, why in found.items()]
+        rows = [
+            (run, f"differs: {difference}" if difference else "identical")
+            for run, difference in difference_by_run.items()
+        ]
         print_table(("RUN", "RESULT"), rows)
-    same = list(found.values()).count("")
-    warn(f"{same} of {len(found)} runs are identical")
-    ctx.exit(0 if same == len(found) else PARTIAL if same else FAILED)
+    identical = list(difference_by_run.values()).count("")
+    warn(f"{identical} of {len(difference_by_run)} runs are identical")
+    ctx.exit(_exit_code(identical, is_complete=identical == len(difference_by_run)))
 
 
 @exp.command()
@@ -288,9 +323,9 @@ def merge(
     is_trusted: bool,
     is_json: bool,
 ) -> None:
-    """Join the folders of `exp run --shard` into one, as a single machine makes it.
+    """Join the folders of `exp run --shard` into one folder, as a single machine would make it.
 
-    Exit code 0 if every run is there, 3 if some are missing; these are listed.
+    Missing runs are listed. Exit code 0 if no run is missing, else 3.
     """
     need("mujoco")
     from swarmd.sim.experiments import merge as merging
@@ -312,30 +347,34 @@ def merge(
 def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_json: bool) -> None:
     """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
-    A metric differs if the 95 % interval of the difference of means excludes 0. P is corrected for
-    all metrics (Holm); of times to an event that some runs never reach it is that of the log-rank
-    test, and the means are those up to the end of the runs.
+    A metric differs if the 95 % interval of the difference of means excludes 0. The p-values are
+    corrected for the number of metrics (Holm). If some runs never reach an event, such as
+    gathering, the p-value of its time is that of the log-rank test, and the mean is the restricted
+    mean up to the end of the runs.
 
-    A alone, the folder of a sweep: its variants in one table, and for two swept keys the mean for
-    each value and the interaction.
+    If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
+    swept keys a second table shows the mean for each value and the interaction of the keys.
 
-    Exit code 1 if planned runs of either are missing.
+    Exit code 1 if planned runs of A or B are missing.
     """
     from swarmd.sim.experiments import compare as comparing
 
     if b is None:
         _compare_variants(a, metrics, is_trusted=is_trusted, is_json=is_json)
         return
-    pairs = comparing.sides(a, b, is_trusted=is_trusted)
-    names = chosen_metrics(metrics, pairs[0][0].results.asked)
-    found = [(*pair, comparing.compare(*pair, names)) for pair in pairs]
+    side_pairs = comparing.sides(a, b, is_trusted=is_trusted)
+    results_of_both = [side.results for side in side_pairs[0]]
+    chosen = chosen_metrics(metrics, results_of_both[0].asked)
+    comparisons = [
+        (left, right, comparing.compare(left, right, chosen)) for left, right in side_pairs
+    ]
     if is_json:
-        documents = [comparing.document(*one) for one in found]
+        documents = [comparing.document(*comparison) for comparison in comparisons]
         print_json("Comparison", {"comparisons": documents})
     else:
-        for left, right, differences in found:
+        for left, right, differences in comparisons:
             _print_differences(left, right, differences)
-    exit_if_incomplete(*(side.results for side in pairs[0]))
+    exit_if_incomplete(*results_of_both)
 
 
 @exp.command()
@@ -364,25 +403,37 @@ def list_scenarios(is_json: bool) -> None:
     from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
     cost, cores = measured_cost(Path("experiments")), usable_cores()
-    keys = ("name", "robots", "duration", "run_seconds", "seeds_20_seconds", "description")
-    found = []
+    listed: list[dict[str, Any]] = []
     for name in scenario_names():
-        one = load_scenario(name)
-        robots, text = len(one.robots), " ".join(one.description.split())
-        run = cost.run_seconds(name, robots, one.duration)
-        found.append((name, robots, one.duration, run, run * math.ceil(20 / cores), text))
+        scenario = load_scenario(name)
+        run_seconds = cost.run_seconds(name, len(scenario.robots), scenario.duration)
+        listed.append(
+            {
+                "name": name,
+                "robots": len(scenario.robots),
+                "duration": scenario.duration,
+                "run_seconds": run_seconds,
+                "seeds_20_seconds": run_seconds * math.ceil(20 / cores),
+                "description": " ".join(scenario.description.split()),
+            }
+        )
     if is_json:
-        listed = [dict(zip(keys, row, strict=True)) for row in found]
         print_json("Scenarios", {"scenarios": listed, "cores": cores, "basis": cost.basis})
         return
     rows = [
-        (name, str(robots), f"{end:g} s", time_span(run), time_span(all_seeds), text)
-        for name, robots, end, run, all_seeds, text in found
+        (
+            entry["name"],
+            str(entry["robots"]),
+            f"{entry['duration']:g} s",
+            time_span(entry["run_seconds"]),
+            time_span(entry["seeds_20_seconds"]),
+            entry["description"],
+        )
+        for entry in listed
     ]
-    heads = ("NAME", "ROBOTS", "DURATION", "ONE RUN", "20 SEEDS", "DESCRIPTION")
-    print_table(heads, rows)
-    many = "core" if cores == 1 else "cores"
-    warn(f"ONE RUN and 20 SEEDS (on {cores} {many}) are estimates, from {cost.basis}")
+    print_table(("NAME", "ROBOTS", "DURATION", "ONE RUN", "20 SEEDS", "DESCRIPTION"), rows)
+    plural = "core" if cores == 1 else "cores"
+    warn(f"ONE RUN and 20 SEEDS (on {cores} {plural}) are estimates, from {cost.basis}")
 
 
 @exp.command("check-mission")
@@ -393,8 +444,9 @@ def list_scenarios(is_json: bool) -> None:
 def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str, ...]) -> None:
     """Check the mission in FILE for the robots of SCENARIO: their platforms, fields and radio.
 
-    As `swarmctl mission check`, which knows a platform alone. Patterns are those that are installed
-    and those in the scenario's plugin_dir. Exit code 2 if there is a fault.
+    `swarmctl mission check` does the same for one platform without a scenario. The mission may name
+    installed patterns and the patterns in the scenario's plugin_dir. Exit code 2 if there is a
+    fault.
     """
     need("mujoco")
     from swarmd.pattern_host.plugin_inspector import check_mission as faults_of
@@ -402,7 +454,10 @@ def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str
     from swarmd.sim.scenarios.scenariofile import load_scenario
 
     loaded = load_scenario(scenario, parse_sets(sets), source="--set")
-    kinds = {(one.name, frozenset(one.provides)): one for one in loaded.robots.values()}
+    kinds = {
+        (platform.name, frozenset(platform.provides)): platform
+        for platform in loaded.robots.values()
+    }
     faults = dict.fromkeys(
         line for kind in kinds.values() for line in faults_of(file, kind, loaded.plugin_dir)
     )
@@ -442,7 +497,8 @@ def list_metrics(is_json: bool) -> None:
 def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None:
     """Compute metrics of traces: of experiments, of `swarmctl demo`, of a recorded world.
 
-    A live trace has no requested commands: metrics that need them stay empty.
+    A trace of a run in real time has no requested commands. Metrics that need requested commands
+    have no value there.
     """
     from swarmd.sim.experiments.statistics import number
     from swarmd.sim.metrics import catalog
@@ -453,8 +509,8 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
         print_json("Measurements", {"traces": measured})
         return
     rows = [
-        (one.name, one.unit or "-", *(number(found[one.name]) for found in measured.values()))
-        for one in chosen
+        (metric.name, metric.unit or "-", *(number(v[metric.name]) for v in measured.values()))
+        for metric in chosen
     ]
     stems = [Path(file).stem.upper() for file in measured]
     heads = stems if len(set(stems)) == len(stems) else list(measured)
@@ -462,23 +518,24 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
 
 
 def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
-    """The values of a trace by name.
+    """The value of each metric of a trace by the metric's name; None if a metric has no value.
 
-    ConfigError if it lacks what a metric takes of reports, SwarmError if a custom metric fails.
+    ConfigError if the trace lacks a report or reading that a metric needs. SwarmError if a custom
+    metric fails.
     """
     from swarmd.sim.metrics import catalog
     from swarmd.sim.metrics.own import MetricError
     from swarmd.sim.trace import load_trace
 
-    trace, found = load_trace(file), dict[str, float | None]()
-    for one in metrics:
+    trace, values = load_trace(file), dict[str, float | None]()
+    for metric in metrics:
         try:
-            found |= catalog.measure(trace, [one])
+            values |= catalog.measure(trace, [metric])
         except MetricError as error:
-            raise SwarmError(f"{file}: metric {one.name}: {error}") from error
-        if not found[one.name]:
-            catalog.check_has_value(one, trace)
-    return found
+            raise SwarmError(f"{file}: metric {metric.name}: {error}") from error
+        if not values[metric.name]:
+            catalog.check_has_value(metric, trace)
+    return values
 
 
 def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bool) -> None:
@@ -495,15 +552,16 @@ def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bo
         warn(f"failed: {name}: {reason}")
     if len(results.failures) > _FAILURES_SHOWN:
         warn(f"and others; see {results.folder}/failures.json")
-    _warn_of_metrics(results, results.metrics if names is None else [one.name for one in names])
+    _warn_of_metrics(results, results.metrics if names is None else [m.name for m in names])
 
 
 def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
-    """A line for each of the custom metrics that failed in runs, or that no robot reports."""
+    """Warn of each metric that failed in runs, with the first fault, or that no robot reports."""
+    runs = len(results.runs)
     for name in names:
-        found = {run: why[name] for run, why in results.errors.items() if name in why}
-        for run, why in list(found.items())[:1]:
-            warn(f"metric {name} failed in {len(found)} of {len(results.runs)} runs; {run}: {why}")
+        faults = {run: errors[name] for run, errors in results.errors.items() if name in errors}
+        for run, fault in list(faults.items())[:1]:
+            warn(f"metric {name} failed in {len(faults)} of {runs} runs; {run}: {fault}")
     for name, fault in results.unreported().items():
         if name in names:
             warn(fault)
@@ -512,21 +570,26 @@ def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
     from swarmd.sim.experiments.compare import DIFFERENCE_HEADER, difference_row
 
-    is_paired = any(one.is_paired for one in differences)
+    is_paired = any(difference.is_paired for difference in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")
     click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap;")
     click.echo("p of permutations, or of the log-rank test, with Holm's correction\n")
-    print_table(DIFFERENCE_HEADER, [difference_row(one) for one in differences])
-    differing = sum(one.differs for one in differences)
+    print_table(DIFFERENCE_HEADER, [difference_row(difference) for difference in differences])
+    differing = sum(d.differs for d in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
-    by_chance = 0.05 * sum(one.interval is not None for one in differences)
+    # Intervals of 95 %: of metrics without a true difference, 5 % still differ.
+    by_chance = 0.05 * sum(d.interval is not None for d in differences)
     click.echo(f"; {by_chance:.2g} would by chance if nothing did", nl=False)
-    click.echo(f"; {sum(one.holds for one in differences)} with Holm's correction\n")
+    click.echo(f"; {sum(d.holds for d in differences)} with Holm's correction\n")
     warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 
 def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_json: bool) -> None:
-    """The variants of one sweep in one table, and what two swept keys do."""
+    """Print the variants of the sweep in `folder` as one table, or as JSON.
+
+    For two swept keys it also prints the mean for each value and the interaction of the keys.
+    ConfigError if the experiment has only one variant.
+    """
     from swarmd.sim.experiments import sweep
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.report.tables import shown_metrics
@@ -536,21 +599,22 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
         raise ConfigError(
             f"{folder}: nothing was swept; name a second experiment, or run a --sweep"
         )
-    shown, _ = shown_metrics(results, chosen_metrics(metrics, results.asked))
-    found = sweep.factors(results, shown)
+    listed_metrics, _ = shown_metrics(results, chosen_metrics(metrics, results.asked))
+    factors = sweep.factors(results, listed_metrics)  # of each metric; empty without two keys
     if is_json:
-        document = {"variants": sweep.variants_document(results, shown)}
-        print_json("Variants", {**document, "factors": [asdict(one) for one in found]})
+        document = {"variants": sweep.variants_document(results, listed_metrics)}
+        print_json("Variants", {**document, "factors": [asdict(factor) for factor in factors]})
         exit_if_incomplete(results)
         return
-    print_table(*sweep.variants_table(results, shown))
+    print_table(*sweep.variants_table(results, listed_metrics))
     click.echo(f"\n{sweep.READING}\n")
-    if found:
+    if factors:
         print_table(
-            sweep.MARGINAL_HEADER, [row for one in found for row in sweep.marginal_rows(one)]
+            sweep.MARGINAL_HEADER,
+            [row for factor in factors for row in sweep.marginal_rows(factor)],
         )
         click.echo()
-        print_table(sweep.INTERACTION_HEADER, [sweep.interaction_row(one) for one in found])
+        print_table(sweep.INTERACTION_HEADER, [sweep.interaction_row(f) for f in factors])
     warn_of_few(len(results.seeds(variant)) for variant in results.variants)
     exit_if_incomplete(results)
 

@@ -81,15 +81,17 @@ def bench(
     traces: bool,
     is_json: bool,
 ) -> None:
-    """Run patterns in the tasks of the benchmark suite, and print one table of all.
+    """Run patterns in the tasks of the benchmark suite, and print one table of the results.
 
-    TASK is a name of `exp bench list`, or a file of that format; without one, all ten are run. A
-    cell has the median of the seeds, its 95 % interval, and the rank within the task where that
-    interval overlaps no other. A pattern whose needs the robots of a task do not meet is not run
-    there; a line names the missing needs. The first line estimates the time.
+    TASK is a name of `exp bench list`, or a file of that format. Without TASK all ten tasks are
+    run. A cell of the table has the median over the seeds and its 95 % interval. A cell has a rank
+    within its task only if its interval overlaps no other interval of the task. A pattern is not
+    run in a task whose robots do not meet the pattern's needs. A line names the missing needs.
+    The first line estimates the time.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
+    # 1. The tasks, the patterns, and results of other programs.
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments import benchmark
@@ -102,25 +104,30 @@ def bench(
         _print_tasks([benchmark.load_task(name) for name in benchmark.task_names()], is_json)
         return
     loaded = [benchmark.load_task(name) for name in tasks or benchmark.task_names()]
-    known = [task.name for task in loaded]
-    if len(set(known)) < len(known):
+    task_names = [task.name for task in loaded]
+    if len(set(task_names)) < len(task_names):
         raise ConfigError("a task is given twice, or two files have one name; keep one")
-    names, plugin_dir = _named(patterns)
-    entries, misfits = benchmark.entries_of(loaded, names, plugin_dir)
-    values = _of_others(others, loaded, {entry.pattern for entry in entries})
-    given = None if seeds is None else parse_seeds(seeds)
-    for one in misfits:
-        warn(f"{one.pattern} does not fit {one.task}: {one.why}")
+    pattern_names, plugin_dir = _pattern_names(patterns)
+    entries, misfits = benchmark.entries_of(loaded, pattern_names, plugin_dir)
+    values = _values_of_files(others, loaded, {entry.pattern for entry in entries})
+    chosen_seeds = None if seeds is None else parse_seeds(seeds)
+    for misfit in misfits:
+        warn(f"{misfit.pattern} does not fit {misfit.task}: {misfit.why}")
     if not entries:
-        raise ConfigError(f"{', '.join(names)}: fits none of the tasks; see exp bench list")
+        raise ConfigError(f"{', '.join(pattern_names)}: fits none of the tasks; see exp bench list")
+
+    # 2. The folder, and the command line that resumes the benchmark in this folder.
     folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))
     command = ["swarmctl", "exp", "bench", *tasks]
-    command += [word for one in patterns for word in ("--pattern", one)]
+    command += [word for pattern in patterns for word in ("--pattern", pattern)]
     command += ["--seeds", seeds] if seeds else []
-    command += [word for one in others for word in ("--with", str(one))]
-    command += ["--out", str(folder), *(["--traces"] * traces)]
-    _tell_the_time(entries, given, jobs or usable_cores())
-    begin, planned, finished = time.monotonic(), 0, 0
+    command += [word for file in others for word in ("--with", str(file))]
+    command += ["--out", str(folder)]
+    command += ["--traces"] if traces else []
+
+    # 3. The runs: an entry is one pattern in one task.
+    _print_estimate(entries, chosen_seeds, jobs or usable_cores())
+    start_time, planned, finished = time.monotonic(), 0, 0
     try:
         for number, entry in enumerate(entries, start=1):
             warn(f"{number} of {len(entries)}: {entry.task.name}, {entry.pattern}")
@@ -128,96 +135,117 @@ def bench(
                 stack.enter_context(signals_end(SIGTERM))
                 results = benchmark.run_entry(
                     entry,
-                    given,
+                    chosen_seeds,
                     folder,
                     partial(run_jobs, processes=jobs or usable_cores()),
                     traces=traces,
                     command=command,
                     on_progress=stack.enter_context(progress()),
                 )
-            found = benchmark.values_by_seed(entry, results)
-            values[entry.pattern, entry.task.name] = found
-            planned, finished = planned + len(found), finished + len(results.runs)
+            by_seed = benchmark.values_by_seed(entry, results)
+            values[entry.pattern, entry.task.name] = by_seed
+            planned, finished = planned + len(by_seed), finished + len(results.runs)
             for run, reason in list(results.failures.items())[:1]:
                 warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept in {folder}/; to go on: {shlex.join(command)}")
         raise
+
+    # 4. The table, with a column for each task that has a value.
     better = {task.name: task.file.metric.better for task in loaded}
     table = benchmark.table_of(values, better)
     if is_json:
-        told = benchmark.document(loaded, table, misfits)
-        print_json("BenchmarkTable", {**told, "folder": str(folder)})
+        document = benchmark.document(loaded, table, misfits)
+        print_json("BenchmarkTable", {**document, "folder": str(folder)})
     else:
-        shown = [name for name in known if any(name in cells for cells in table.values())]
+        columns = [name for name in task_names if any(name in cells for cells in table.values())]
         print_table(
-            ("PATTERN", *(name.upper() for name in shown)),
+            ("PATTERN", *(name.upper() for name in columns)),
             [
-                (row, *(benchmark.cell_text(cells.get(name)) for name in shown))
-                for row, cells in table.items()
+                (row_name, *(benchmark.cell_text(cells.get(name)) for name in columns))
+                for row_name, cells in table.items()
             ],
         )
     warn_of_few(
         sum(math.isfinite(value) for value in by_seed.values()) for by_seed in values.values()
     )
-    took = time_span(time.monotonic() - begin)
-    warn(f"{finished} of {planned} runs are there after {took}; results: {folder}/TASK/PATTERN/")
-    ctx.exit(0 if finished == planned else PARTIAL if finished else FAILED)
+    duration = time_span(time.monotonic() - start_time)
+    warn(
+        f"{finished} of {planned} runs are there after {duration}; results: {folder}/TASK/PATTERN/"
+    )
+    if finished < planned:
+        ctx.exit(PARTIAL if finished else FAILED)
 
 
-def _tell_the_time(
+def _print_estimate(
     entries: Sequence[TaskEntry], seeds: Sequence[int] | None, processes: int
 ) -> None:
-    """Print how many runs there are, and an estimate of the time that all of them take."""
+    """Print the number of runs of all entries, and an estimate of the time for all runs.
+
+    `seeds`: the seeds of each entry; None for the seeds of its task. `processes`: runs at a time.
+    """
     from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments.cost import measured_cost
 
     cost = measured_cost(Path("experiments"))
     seconds, runs = 0.0, 0
     for entry in entries:
-        number = entry.task.file.seeds if seeds is None else len(seeds)
+        runs_of_entry = entry.task.file.seeds if seeds is None else len(seeds)
         duration = entry.task.file.scenario["duration"]
-        of_a_run = cost.run_seconds(entry.task.name, entry.task.robots, duration)
-        seconds += of_a_run * math.ceil(number / processes)
-        runs += number
+        seconds_of_run = cost.run_seconds(entry.task.name, entry.task.robots, duration)
+        seconds += seconds_of_run * math.ceil(runs_of_entry / processes)
+        runs += runs_of_entry
     text = f"{runs} runs, about {time_span(seconds)} with {processes} at a time"
     warn(f"{text}; an estimate, from {cost.basis}")
 
 
-def _named(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
-    """Names of patterns, and the folder of those that are given by file; ConfigError for two."""
-    files = [Path(one) for one in patterns if one.endswith((".py", ".yaml"))]
+def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
+    """The names of patterns, and the folder of the patterns' files; None if none is a file.
+
+    `patterns`: names, or paths of .py and .yaml files. ConfigError if a file does not exist, or if
+    the files lie in several folders.
+    """
+    files = [Path(pattern) for pattern in patterns if pattern.endswith((".py", ".yaml"))]
     for file in files:
         if not file.is_file():
             raise ConfigError(f"--pattern {file}: there is no such file; expected a pattern's file")
     folders = {file.resolve().parent for file in files}
     if len(folders) > 1:
         raise ConfigError("--pattern: the files lie in several folders; put them into one")
-    names = [Path(one).stem if one.endswith((".py", ".yaml")) else one for one in patterns]
+    names = [
+        Path(pattern).stem if pattern.endswith((".py", ".yaml")) else pattern
+        for pattern in patterns
+    ]
     return list(dict.fromkeys(names)), folders.pop() if folders else None
 
 
-def _of_others(
-    files: Sequence[Path], loaded: Sequence[Task], taken: set[str]
+def _values_of_files(
+    files: Sequence[Path], loaded: Sequence[Task], patterns: set[str]
 ) -> dict[tuple[str, str], dict[int, float]]:
-    """The values of CSV files by (row, task), of these tasks; ConfigError for a name twice."""
+    """The values in CSV files of another program, by (name of table row, task) and by seed.
+
+    Values of tasks that are not in `loaded` are left out. ConfigError if the name of a table row is
+    a name of `patterns`, or if two files give values for the same row and task.
+    """
     from swarmd.sim.experiments.benchmark import read_results, task_names
 
-    found: dict[tuple[str, str], dict[int, float]] = {}
-    tasks = {task.name: task.file.metric.bounds for task in loaded}
+    merged: dict[tuple[str, str], dict[int, float]] = {}
+    bounds_by_task = {task.name: task.file.metric.bounds for task in loaded}
     for file in files:
-        theirs = read_results(file, {*tasks, *task_names()}, tasks)
-        if not any(task in tasks for _, task in theirs):
-            warn(f"{file} has no run of {', '.join(tasks)}, and no row in the table")
-        for row, task in theirs:
-            if row in taken or (row, task) in found:
-                text = f"{file}: {row} is the name of another row of {task}"
+        of_file = read_results(file, {*bounds_by_task, *task_names()}, bounds_by_task)
+        of_tasks = {key: by_seed for key, by_seed in of_file.items() if key[1] in bounds_by_task}
+        if not of_tasks:
+            warn(f"{file} has no run of {', '.join(bounds_by_task)}, and no row in the table")
+        for row_name, task in of_file:
+            if row_name in patterns or (row_name, task) in merged:
+                text = f"{file}: {row_name} is the name of another row of {task}"
                 raise ConfigError(f"{text}; give it another one in the column name")
-        found |= {key: values for key, values in theirs.items() if key[1] in tasks}
-    return found
+        merged |= of_tasks
+    return merged
 
 
 def _print_tasks(tasks: Sequence[Task], is_json: bool) -> None:
+    """Print tasks of the benchmark suite, as a table or as JSON."""
     from swarmd.sim.experiments.benchmark import SUITE
 
     listed: list[dict[str, Any]] = [
@@ -227,7 +255,7 @@ def _print_tasks(tasks: Sequence[Task], is_json: bool) -> None:
             "duration": task.file.scenario["duration"],
             "metric": task.file.metric.name,
             "better": task.file.metric.better,
-            "candidates": [one.pattern for one in task.file.candidates],
+            "candidates": [candidate.pattern for candidate in task.file.candidates],
             "task": " ".join(task.file.task.split()),
         }
         for task in tasks
@@ -237,13 +265,13 @@ def _print_tasks(tasks: Sequence[Task], is_json: bool) -> None:
         return
     rows = [
         (
-            one["name"],
-            str(one["robots"]),
-            f"{one['duration']:g} s",
-            one["metric"],
-            one["better"],
-            ", ".join(one["candidates"]),
+            entry["name"],
+            str(entry["robots"]),
+            f"{entry['duration']:g} s",
+            entry["metric"],
+            entry["better"],
+            ", ".join(entry["candidates"]),
         )
-        for one in listed
+        for entry in listed
     ]
     print_table(("TASK", "ROBOTS", "BUDGET", "METRIC", "BETTER", "CANDIDATES"), rows)

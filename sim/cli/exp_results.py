@@ -63,16 +63,20 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Progress
 
-    results, made = load_results(folder), list[Path]()
-    place, total = out or folder / "export", 0 if no_traces else len(results.runs)
+    results, written = load_results(folder), list[Path]()
+    target_folder = out or folder / "export"
+    total_traces = 0 if no_traces else len(results.runs)
     try:
         with progress() as show:
-            for path in exported(results, cast("Form", form), place, traces=not no_traces):
-                made.append(path)
-                done = sum(file.stem != "results" for file in made)
-                show(Progress(done, total, 0, float(done), float(total - done)))
-    finally:  # those before a fault, too; a bar on a terminal takes what is printed meanwhile
-        click.echo("\n".join(map(str, made)))
+            for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
+                written.append(path)
+                done = sum(file.stem != "results" for file in written)
+                left = total_traces - done
+                show(Progress(done, total_traces, 0, worked=float(done), left=float(left)))
+    finally:
+        # Also after a fault. The names come after the end, since text that is printed while the
+        # progress bar is drawn would be lost.
+        click.echo("\n".join(map(str, written)))
 
 
 @click.command()
@@ -85,39 +89,42 @@ def check(
 ) -> None:
     """Check whether the experiment in DIR, or DIR:VARIANT of a sweep, meets requirements.
 
-    A requirement is 'METRIC >= VALUE' in quotes, and means the mean of all runs. 'median(METRIC)',
-    'min(METRIC)' and 'max(METRIC)' mean other statistics, and 'runs' the number of runs.
-    Comparisons are >= <= > < ==. Every variant of a sweep must meet each requirement.
+    A requirement is 'METRIC >= VALUE' in quotes. It compares the mean of the metric over all runs.
+    'median(METRIC)', 'min(METRIC)' and 'max(METRIC)' stand for other statistics, and 'runs' for the
+    number of runs. Comparisons are >= <= > < ==. Every variant of a sweep must meet each
+    requirement.
 
-    Exit code 0 if all are met and every planned run is there, else 1.
+    Exit code 0 if all requirements are met and no planned run is missing, else 1.
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
     from swarmd.sim.experiments.statistics import NOTHING, interval, number
 
-    wanted = [checking.parse_requirement(text) for text in requirements]
-    sides = sides_of(experiment)
-    found = [checking.check(one, side) for side in sides for one in wanted]
-    lacking = sides[0].results.lacking
-    is_passed = not lacking and all(one.is_met for one in found)
+    parsed = [checking.parse_requirement(text) for text in requirements]
+    sides = sides_of(experiment)  # one for each variant
+    findings = [checking.check(requirement, side) for side in sides for requirement in parsed]
+    missing_runs = sides[0].results.lacking  # a text; empty if no run is missing
+    is_passed = not missing_runs and all(finding.is_met for finding in findings)
     if is_json:
-        rows = [one.document() for one in found]
-        print_json("Check", {"passed": is_passed, "missing": lacking, "requirements": rows})
+        listed = [finding.document() for finding in findings]
+        print_json("Check", {"passed": is_passed, "missing": missing_runs, "requirements": listed})
     else:
-        table = [
-            (
-                one.requirement.text,
-                one.variant or NOTHING,
-                number(one.value),
-                interval(one.interval),
-                "met" if one.is_met else " ".join(["missed", one.remark and f"({one.remark})"]),
+        rows = []
+        for finding in findings:
+            remark = f"({finding.remark})" if finding.remark else ""
+            rows.append(
+                (
+                    finding.requirement.text,
+                    finding.variant or NOTHING,
+                    number(finding.value),
+                    interval(finding.interval),
+                    "met" if finding.is_met else f"missed {remark}",
+                )
             )
-            for one in found
-        ]
-        print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), table)
-    if lacking:
-        warn(f"not complete: {lacking}")
-    warn(f"{sum(one.is_met for one in found)} of {len(found)} requirements are met")
+        print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
+    if missing_runs:
+        warn(f"not complete: {missing_runs}")
+    warn(f"{sum(f.is_met for f in findings)} of {len(findings)} requirements are met")
     ctx.exit(0 if is_passed else MISSED)
 
 
@@ -138,22 +145,25 @@ def report(
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
-    Of a recording, one robot's or that of `record merge`: states, gaps, stops, paths by odometry.
-    The file needs no network and no other file, and prints well.
+    FILE.mcap is the recording of one robot, or of a swarm (`record merge`). Its report shows
+    states, gaps, stops, and paths by odometry. A report needs no network and no other file, and
+    prints well.
 
     Exit code 1 if planned runs are missing.
     """
+    # 1. The path of the report, and options that do not fit a recording.
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import NAME, write_whole
-
-    experiments: list[Results] = []
 
     is_recording = place.suffix == ".mcap"
     path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
     if path.suffix != ".html" or not path.parent.is_dir():
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
+
+    # 2. The text of the report.
+    experiments: list[Results] = []  # empty for a recording
     if is_recording:
-        if any(one is not None for one in (metrics, seed, variant)):
+        if any(option is not None for option in (metrics, seed, variant)):
             raise ConfigError(f"{place}: --metrics, --seed and --variant are for experiments")
         need("mcap", "rosbags", extra="sim,plot,record")
         from swarmd.sim.report.recording_report import recording_report
@@ -170,9 +180,11 @@ def report(
 
         results = load_results(place, is_trusted=is_trusted)
         experiments.append(results)
-        shown = _metrics_of(results, metrics)  # refused before the line that says what is done
+        chosen = _metrics_of(results, metrics)  # before the line of progress: this may be refused
         warn(f"measuring, drawing and writing {len(results.runs)} runs ...")
-        text = report_of(place, shown, seed, variant)
+        text = report_of(place, chosen, seed, variant)
+
+    # 3. The file.
     try:
         write_whole(path, text)
     except OSError as error:
@@ -266,7 +278,7 @@ def plot(
 ) -> None:
     """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories.
 
-    Without --metrics these are the metrics of the run, if `exp run` was given some. Exit code 1 if
+    Without --metrics, the metrics that were given to `exp run` are drawn, if any. Exit code 1 if
     planned runs are missing.
     """
     need("matplotlib")
@@ -274,32 +286,35 @@ def plot(
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.plots.figures import Look, draw_experiment
 
-    if seeds and out is None:  # the pictures of all runs stay
+    if seeds and out is None:  # a folder of their own: the pictures of all runs stay as they are
         out = folder / "plots" / f"seeds-{seeds}"
-    one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
-    chosen = None if one_or_more is None else parse_seeds(one_or_more)
+    # In parse_seeds "7" means seven seeds; here it means the seed 7, which is the range 7-7.
+    seed_range = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
+    chosen_seeds = None if seed_range is None else parse_seeds(seed_range)
     inches = None if width is None else parse_width(width)
     results = load_results(folder, is_trusted=is_trusted)
-    about, names = results.asked, _metrics_of(results, metrics)
-    bounds = {about(name).name: value for name, value in parse_targets(targets).items()}
     look = Look(
         suffix=f".{form}",
         width=inches,
         facet=facet,
-        targets=bounds,
+        targets={results.asked(name).name: value for name, value in parse_targets(targets).items()},
         only=None if only is None else parse_kinds(only),
         labels=parse_labels(labels),
     )
-    made = draw_experiment(folder, out, metrics=names, seeds=chosen, look=look)
-    for path in made:
+    chosen = _metrics_of(results, metrics)
+    paths = draw_experiment(folder, out, metrics=chosen, seeds=chosen_seeds, look=look)
+    for path in paths:
         click.echo(str(path))
-    if not made:
+    if not paths:
         warn("nothing differs between runs; for paths from above: --only runs,trajectories")
     exit_if_incomplete(results)
 
 
 def _metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:
-    """The metrics of `--metrics`, else those that the runs were asked for; None if neither is."""
+    """The metrics of `--metrics`, else the metrics given to `exp run`; None without both.
+
+    `text`: the value of `--metrics`, or None.
+    """
     from swarmd.sim.experiments.manifest import read_manifest
 
     if text is None and (shown := read_manifest(results.folder).shown):
@@ -318,8 +333,8 @@ def exit_if_incomplete(*experiments: Results) -> None:
 
 def parse_width(text: str) -> float:
     """Inches of a width such as `3.5in`, `89mm` or `252pt`; ConfigError for another text."""
-    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(in|cm|mm|pt)\s*", text)
-    inches = float(found[1]) * _INCHES[found[2]] if found else 0.0
+    match = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(in|cm|mm|pt)\s*", text)
+    inches = float(match[1]) * _INCHES[match[2]] if match else 0.0
     if not _NARROWEST <= inches <= _WIDEST:
         raise ConfigError(f"--width {text!r}: expected 2in to 20in, such as 3.5in, 89mm or 252pt")
     return inches
@@ -329,30 +344,30 @@ def parse_kinds(text: str) -> tuple[str, ...]:
     """The kinds of pictures of `--only A,B`; ConfigError for an unknown one."""
     from swarmd.sim.plots.figures import CURVE, KINDS
 
-    found = tuple(text.split(","))
-    for one in found:
-        if one not in (*KINDS, CURVE):
-            raise ConfigError(f"--only: {unknown('picture', one, (*KINDS, CURVE))}")
-    return found
+    kinds = tuple(text.split(","))
+    for kind in kinds:
+        if kind not in (*KINDS, CURVE):
+            raise ConfigError(f"--only: {unknown('picture', kind, (*KINDS, CURVE))}")
+    return kinds
 
 
 def parse_labels(words: Sequence[str]) -> Mapping[str, str]:
     """The texts of `--label NAME=TEXT`; ConfigError for another text."""
-    found = {}
+    labels = {}
     for word in words:
         name, _, text = word.partition("=")
         if not name or not text.strip():
             raise ConfigError(f"--label {word!r}: expected such as range='lidar range [m]'")
-        found[name] = text.strip()
-    return found
+        labels[name] = text.strip()
+    return labels
 
 
 def parse_targets(words: Sequence[str]) -> Mapping[str, float]:
     """The values of `--target METRIC=VALUE`; ConfigError for another text."""
-    found = {}
+    targets = {}
     for word in words:
         name, _, value = word.rpartition("=")
-        found[name] = finite_number(value)
-        if not name or math.isnan(found[name]):
+        targets[name] = finite_number(value)
+        if not name or math.isnan(targets[name]):
             raise ConfigError(f"--target {word!r}: expected such as gather_time=60")
-    return found
+    return targets

@@ -32,8 +32,9 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.simulate import OnProgress, Progress, Runner
     from swarmd.sim.experiments.tune import Look, OnLook
 
-_SHOWN = 8  # candidates in the live table
+_MAX_ROWS = 8  # candidates in the live table
 _MAX_METRIC, _BORDERS = 16, 13  # characters of a metric's name, and around four columns
+_MIN_VALUES = 8  # characters of the values of a candidate in one column
 
 
 @click.command()
@@ -130,9 +131,10 @@ def tune(
 ) -> None:
     """Search values of parameters of SCENARIO with the best mean of a metric.
 
-    All candidates meet the same seeds; a candidate that is worse with confidence ends early. The
-    best one is held against the present values on seeds that no race has used. Prints a scenario's
-    file with the values and their evidence, which is also in DIR/tuned.yaml.
+    All candidates run with the same seeds. A candidate that is significantly worse gets no further
+    runs. Then the best candidate is compared with the present values on held-out seeds, which the
+    search has not used. The result is a scenario file with the values and their evidence, on stdout
+    and in DIR/tuned.yaml.
     """
     need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning
@@ -141,24 +143,27 @@ def tune(
 
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
-    tuning.split_metric(metric)  # before there is a folder
+    tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
     names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     folder = out or new_folder(Path("experiments"), names)
-    limit = STEP_TIMEOUT if timeout is None else timeout
+    step_timeout = STEP_TIMEOUT if timeout is None else timeout
 
     @contextmanager
     def workers(manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
+        """Runs in processes of this machine, or on the Dask cluster of `scheduler`."""
         if scheduler is None:
-            yield partial(run_jobs, processes=jobs or usable_cores(), timeout=limit), manifest
+            processes = jobs or usable_cores()
+            yield partial(run_jobs, processes=processes, timeout=step_timeout), manifest
             return
         from swarmd.sim.experiments.cluster import connect
 
-        with connect(scheduler, manifest, limit, warn, jobs) as cluster:
+        with connect(scheduler, manifest, step_timeout, warn, jobs) as cluster:
             yield cluster.run_jobs, cluster.manifest
 
+    # The search, with its progress on stderr.
     try:
         with signals_end(SIGTERM), live_table() as (on_look, on_step, on_progress):
-            found = tuning.tune(
+            tuned = tuning.tune(
                 scenario,
                 metric,
                 budget=budget,
@@ -179,119 +184,133 @@ def tune(
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept; to go on, give the same command with --out {folder}")
         raise
+
+    # The result, and its pictures if matplotlib is installed.
     if is_json:
-        print_json("Tuning", tuning.plain_tuning(found))
+        print_json("Tuning", tuning.plain_tuning(tuned))
     else:
-        click.echo(found.document, nl=False)
+        click.echo(tuned.document, nl=False)
     if find_spec("matplotlib") is not None:
         from swarmd.sim.plots.tuning import draw_tuning
 
-        draw_tuning(found, folder / "plots")
+        draw_tuning(tuned, folder / "plots")
     warn(f"results: {folder}/ (the file: {folder / tuning.RESULT})")
 
 
 @contextmanager
 def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
-    """The callbacks `on_look`, `on_step` and `on_progress` of `tune`, which show the progress.
+    """Yield the callbacks `on_look`, `on_step` and `on_progress` of `tune`: progress on stderr.
 
-    A terminal shows a table of the best candidates. Any other output gets a line for each look and
-    for each step.
+    A `Look` is an interim result: the candidates, best first. `on_step` gets the name of a step of
+    the tuning. A terminal shows a table of the best candidates. Any other output gets a line for
+    each interim result and for each step.
     """
     if not sys.stderr.isatty():
 
-        def show_line(look: Look) -> None:
+        def print_look(look: Look) -> None:
             warn(f"{look.headline}; best: {look.leader_text}")
 
-        yield show_line, warn, lambda now: None
+        def ignore_progress(now: Progress) -> None:
+            pass
+
+        yield print_look, warn, ignore_progress
         return
     from rich.console import Console
     from rich.live import Live
     from rich.text import Text
 
     console = Console(stderr=True, no_color=not has_colour(True))
-    shown: list[Look] = []
-    step = note = ""
+    newest_look: Look | None = None
+    step_text = runs_text = ""
     with Live(console=console, transient=True, auto_refresh=False) as live:
 
         def draw() -> None:
-            text = f"{step}: {note}" if note else step
-            found = table(shown[0], text, console.width) if shown else Text(text)
-            live.update(found, refresh=True)
+            note = f"{step_text}: {runs_text}" if runs_text else step_text
+            drawn = table(newest_look, note, console.width) if newest_look else Text(note)
+            live.update(drawn, refresh=True)
 
-        def show(look: Look) -> None:
-            shown[:] = [look]
+        def show_look(look: Look) -> None:
+            nonlocal newest_look
+            newest_look = look
             draw()
 
         def show_step(text: str) -> None:
-            nonlocal step, note
-            step, note = text, ""
+            nonlocal step_text, runs_text
+            step_text, runs_text = text, ""
             draw()
 
         def show_progress(now: Progress) -> None:
-            nonlocal note
-            # Of the runs that are there and those up to the next look.
-            if (text := f"{now.total - now.done} runs to come") != note:
-                note = text
+            nonlocal runs_text
+            # `total` counts the runs up to the next interim result.
+            text = f"{now.total - now.done} runs to come"
+            if text != runs_text:
+                runs_text = text
                 draw()
 
-        yield show, show_step, show_progress
+        yield show_look, show_step, show_progress
 
 
 def table(look: Look, note: str, width: int) -> Table:
-    """The best candidates: their values, the mean over their runs, and the number of runs.
+    """A table of the best candidates: their values, the mean over their runs, the number of runs.
 
-    Each value has a column if all columns fit into `width` characters. Else one column has all
-    values, shortened, and the values of the best candidate are below the table in full.
+    `look`: an interim result of a tuning. `note`: text below the table. Each parameter has a column
+    if all columns fit into `width` characters. Else one column has all values of a candidate,
+    shortened, and the values of the best candidate stand in full below the table.
     """
     from rich.console import Console
     from rich.table import Table
 
     from swarmd.sim.experiments.statistics import number
 
-    best = look.candidates[:_SHOWN]
-    names = list(dict.fromkeys(name for one in best for name in one.values))
-    labels = short_names(names)
+    best = look.candidates[:_MAX_ROWS]
+    keys = list(dict.fromkeys(key for candidate in best for key in candidate.values))
+    labels = short_names(keys)
 
     metric_width = min(len(look.metric), _MAX_METRIC)
-    room = max(width - len("candidate") - metric_width - len("seeds") - _BORDERS, 8)
+    values_width = width - len("candidate") - metric_width - len("seeds") - _BORDERS
+    values_width = max(values_width, _MIN_VALUES)
 
-    def made(*, is_wide: bool) -> Table:
+    def make_table(*, is_wide: bool) -> Table:
+        """The table with a column for each parameter if `is_wide`, else with one for all."""
         caption = note if is_wide else f"{note}\nbest: {look.leader_text}"
-        found = Table(title=look.headline, caption=caption)
-        found.title_justify = found.caption_justify = "left"
-        found.add_column("candidate", justify="right")
+        made = Table(title=look.headline, caption=caption)
+        made.title_justify = made.caption_justify = "left"
+        made.add_column("candidate", justify="right")
         for label in labels.values() if is_wide else ["values"]:
-            found.add_column(label, justify="right" if is_wide else "left")
-        found.add_column(look.metric, justify="right", width=None if is_wide else metric_width)
-        found.add_column("seeds", justify="right")
-        for one in best:
-            state = "present" if one.number == 0 else str(one.number)
-            values = [_shown(one.values.get(name)) for name in names]
+            made.add_column(label, justify="right" if is_wide else "left")
+        made.add_column(look.metric, justify="right", width=None if is_wide else metric_width)
+        made.add_column("seeds", justify="right")
+        for candidate in best:
+            name = "present" if candidate.number == 0 else str(candidate.number)
+            cells = [_value_text(candidate.values.get(key)) for key in keys]
             if not is_wide:
-                given = zip(labels.values(), values, strict=True)
-                text = " ".join(f"{label}={value}" for label, value in given if value)
-                values = [text if len(text) <= room else f"{text[: room - 1]}…"]
-            mean, count = number(look.value(one)), str(len(one.losses))
-            found.add_row(state, *values, mean, count, style="dim" * one.is_out)
-        return found
+                pairs = zip(labels.values(), cells, strict=True)
+                text = " ".join(f"{label}={value}" for label, value in pairs if value)
+                cells = [text if len(text) <= values_width else f"{text[: values_width - 1]}…"]
+            mean, runs = number(look.value(candidate)), str(len(candidate.losses))
+            made.add_row(name, *cells, mean, runs, style="dim" if candidate.is_out else "")
+        return made
 
-    wide = made(is_wide=True)
-    needed = Console(width=10_000).measure(wide).maximum
-    return wide if needed <= width else made(is_wide=False)
+    wide = make_table(is_wide=True)
+    wide_width = Console(width=10_000).measure(wide).maximum
+    return wide if wide_width <= width else make_table(is_wide=False)
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:
-    """Each key by its shortest end of whole words that no other key ends with."""
-    found = {}
+    """A short name of each dotted key: its last words, as few as no other key ends with."""
+    short = {}
     for key in keys:
         words = key.split(".")
-        ends = (".".join(words[start:]) for start in range(len(words) - 1, -1, -1))
-        others = [other for other in keys if other != key]
-        found[key] = next(
-            (end for end in ends if not any(f".{o}".endswith(f".{end}") for o in others)), key
+        suffixes = (".".join(words[start:]) for start in range(len(words) - 1, -1, -1))
+        other_keys = [f".{other}" for other in keys if other != key]
+        short[key] = next(
+            (s for s in suffixes if not any(other.endswith(f".{s}") for other in other_keys)), key
         )
-    return found
+    return short
 
 
-def _shown(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else "" if value is None else str(value)
+def _value_text(value: object) -> str:
+    """A value of a parameter as text; empty for None."""
+    if value is None:
+        return ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

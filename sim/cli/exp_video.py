@@ -79,7 +79,7 @@ def video(
 ) -> None:
     """Film one run of DIR: an experiment, the folder of a demo, or a trace.
 
-    The film needs no display. It needs the program ffmpeg, Mesa, and the extra `film`.
+    A film is made without a display. The program ffmpeg, Mesa and the extra `film` are necessary.
     """
     need_film()
     from swarmd.sim.film.film import FilmSettings, title_of
@@ -108,16 +108,20 @@ def need_film() -> None:
 def film(
     run: RecordedRun, out: Path, title: str, settings: FilmSettings, *, is_quiet: bool = False
 ) -> None:
-    """Write the film, with progress on stderr, and print its name; on stderr if `is_quiet`."""
+    """Write a film of `run` to `out`, with progress on stderr, and print its name and size.
+
+    `is_quiet`: name and size are printed on stderr, not on stdout.
+    """
     from swarmd.sim.film.film import make_film
 
-    shown = -1
+    printed_quarters = -1
 
-    def on_progress(done: int, of: int) -> None:
-        nonlocal shown
-        if 4 * done // of > shown:
-            shown = 4 * done // of
-            warn(f"{done} of {of} frames")
+    def on_progress(done: int, total: int) -> None:
+        nonlocal printed_quarters
+        quarters = 4 * done // total
+        if quarters > printed_quarters:
+            printed_quarters = quarters
+            warn(f"{done} of {total} frames")
 
     for note in make_film(run, out, title, settings, on_progress):
         warn(f"note: {note}")
@@ -127,8 +131,8 @@ def film(
 def _size_of(text: str) -> tuple[int, int]:
     match = _SIZE.fullmatch(text)
     width, height = (int(part) for part in match.groups()) if match else (0, 0)
-    is_good = all(_SMALLEST <= one <= _LARGEST and one % 2 == 0 for one in (width, height))
-    if not is_good:
+    is_valid = all(_SMALLEST <= side <= _LARGEST and side % 2 == 0 for side in (width, height))
+    if not is_valid:
         wanted = f"even numbers from {_SMALLEST} to {_LARGEST}, such as 1280x720"
         raise ConfigError(f"--size {text}: expected {wanted}")
     return width, height

@@ -207,9 +207,10 @@ def need(*modules: str, extra: str = "sim,plot") -> None:
 def chosen_metrics(
     text: str | None, about: Callable[[str], Metric] | None = None
 ) -> tuple[Metric, ...] | None:
-    """The metrics of `--metrics A,B`; ConfigError with the nearest name for an unknown one.
+    """The metrics named by `--metrics A,B`; None if the option is not given (`text` is None).
 
-    `about` finds a metric by name; without it, those of an experiment's own table are unknown.
+    `about` finds a metric by name, such as `Results.asked`, which also knows the metrics of an
+    experiment's own table. ConfigError with the nearest name for an unknown metric.
     """
     if text is None:
         return None
@@ -222,7 +223,10 @@ def chosen_metrics(
 
 
 def warn_of_few(counts: Iterable[int]) -> None:
-    """A warning if a variant or a row has fewer runs than its intervals need."""
+    """Warn if a variant, or a row of a table, has fewer runs than a 95 % interval needs.
+
+    `counts`: the number of runs of each; 0 is left out.
+    """
     from swarmd.sim.experiments.statistics import FEW
 
     fewest = min((n for n in counts if n), default=FEW)
@@ -235,15 +239,16 @@ def warn_of_few(counts: Iterable[int]) -> None:
 def new_folder(base: Path, names: Iterable[str]) -> Path:
     """Make a folder in `base` with the first free name; ConfigError if that fails.
 
-    When the verb ends, the folder is removed if it is empty, and so is `base` if it was new.
+    When the verb ends, the new folder is removed if it is empty. Then `base` is removed, too, if
+    this function made it and it is empty.
     """
-    was_there = base.exists()
+    base_existed = base.exists()
     for name in names:
         try:
             (base / name).mkdir(parents=True)
             if (ctx := click.get_current_context(silent=True)) is not None:
-                ours = (base / name,) if was_there else (base / name, base)
-                ctx.call_on_close(partial(_remove_empty, ours))
+                new_folders = (base / name,) if base_existed else (base / name, base)
+                ctx.call_on_close(partial(_remove_empty, new_folders))
             return base / name
         except OSError as error:
             if not (base / name).exists():
@@ -253,6 +258,7 @@ def new_folder(base: Path, names: Iterable[str]) -> Path:
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
+    """Remove empty folders in this order, up to the first folder that is not empty."""
     with suppress(OSError):
         for folder in folders:
             folder.rmdir()

@@ -19,36 +19,39 @@ FIRST_ESTIMATE = 2.0  # s of progress before there is an estimate
 
 @contextmanager
 def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
-    """A function to call with the progress of an experiment.
+    """Yield a function that shows the progress of an experiment on stderr.
 
-    A terminal shows a bar. Any other output gets a line for the first estimate, and for each tenth.
-    The time left is estimated from the robot-seconds simulated since the first report of progress.
-    So the estimate needs no finished run, and the start of workers does not count.
+    A terminal shows a bar. Any other output gets a line for the first estimate of the time left,
+    and for each tenth of the runs. The estimate takes the rate of simulated robot-seconds since
+    the first report with progress. So no run has to be finished, and the start of workers does not
+    count.
     """
-    start: tuple[float, float] | None = None  # time, and work that was done before
+    first_report: tuple[float, float] | None = None  # time in s, robot-seconds simulated so far
 
-    def notes(now: Progress) -> str:
-        nonlocal start
+    def failures_and_time_left(now: Progress) -> str:
+        """Text such as ", 2 failed, about 30 s left". Sets `first_report`."""
+        nonlocal first_report
         text = f", {now.failed} failed" if now.failed else ""
-        if start is None and now.worked > 0.0:
-            start = clock(), now.worked
-        if start is None or now.left <= 0.0:
+        if first_report is None and now.worked > 0.0:
+            first_report = clock(), now.worked
+        if first_report is None or now.left <= 0.0:
             return text
-        passed, worked = clock() - start[0], now.worked - start[1]
-        if passed < FIRST_ESTIMATE or worked <= 0.0:
+        first_time, first_worked = first_report
+        elapsed, worked = clock() - first_time, now.worked - first_worked
+        if elapsed < FIRST_ESTIMATE or worked <= 0.0:
             return text
-        return f"{text}, about {time_span(passed / worked * now.left)} left"
+        return f"{text}, about {time_span(elapsed / worked * now.left)} left"
 
     if not sys.stderr.isatty():
-        part, has_estimate = -1, False
+        printed_tenths, has_estimate = -1, False
 
         def show_lines(now: Progress) -> None:
-            nonlocal part, has_estimate
-            text = notes(now)
-            tenth = MAX_LINES * now.done // now.total if now.total else MAX_LINES
-            is_first = not has_estimate and "left" in text
-            if tenth > part or is_first:
-                part, has_estimate = tenth, has_estimate or is_first
+            nonlocal printed_tenths, has_estimate
+            text = failures_and_time_left(now)
+            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES
+            is_first_estimate = not has_estimate and "left" in text
+            if tenths > printed_tenths or is_first_estimate:
+                printed_tenths, has_estimate = tenths, has_estimate or is_first_estimate
                 warn(f"{now.done} of {now.total} runs{text}")
 
         yield show_lines
@@ -61,7 +64,12 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("runs{task.fields[notes]}"))
     with Bar(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=None, notes="")
-        yield lambda now: bar.update(task, completed=now.done, total=now.total, notes=notes(now))
+
+        def show_bar(now: Progress) -> None:
+            notes = failures_and_time_left(now)
+            bar.update(task, completed=now.done, total=now.total, notes=notes)
+
+        yield show_bar
 
 
 def time_span(seconds: float) -> str:

@@ -63,11 +63,12 @@ def up(
     page: WebOptions | None,
     **world: Any,
 ) -> None:
-    """Start one world, and a daemon for each of its robots; Ctrl-C ends them all.
+    """Start one world, and a daemon for each of its robots; Ctrl-C ends all of these processes.
 
-    SCENARIO is a name of `swarmctl exp list` or a YAML file: its arena, robots, fields and radio,
-    with one seed. The robots start idle; `swarmctl demo SCENARIO` runs its patterns and events.
-    Command the robots from another terminal with the other verbs of swarmctl.
+    SCENARIO is a name of `swarmctl exp list` or a YAML file. The world has the arena, robots,
+    fields and radio of the scenario, with one seed. The robots start idle: the patterns and events
+    of a scenario run only with `swarmctl demo SCENARIO`. Command the robots from another terminal
+    with the other verbs of swarmctl.
     """
     need("mujoco")
     from swarmd.core.keys import check_id
@@ -86,7 +87,8 @@ def up(
 def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends.
 
-    With `page` it is served on a web page.
+    A fleet is a simulated world with a daemon for each robot. `page`: options of a web page that
+    shows the fleet; None: no page.
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
@@ -98,9 +100,9 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         check_free(operator, spec, "swarmctl sim up --swarm NAME")
         with Fleet(spec) as fleet, world_page(fleet, page):
-            up = statuses_of(await_robots(operator, fleet, warn))
+            statuses = statuses_of(await_robots(operator, fleet, warn))
             for robot in spec.robots:
-                if robot not in up or not up[robot].health.driver_up:
+                if robot not in statuses or not statuses[robot].health.driver_up:
                     warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")
             with suppress(KeyboardInterrupt):
                 _print_usage(spec)
@@ -109,7 +111,10 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
 
 def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
-    """Run a world without daemons until Ctrl-C or SIGTERM; SwarmError if it ends."""
+    """Run a world without daemons until Ctrl-C or SIGTERM; SwarmError if the world ends.
+
+    Prints the driver and its options that a daemon needs to drive a robot of this world.
+    """
     from swarmd.sim.live.fleet import Fleet, daemon_config, end_on_signals
 
     end_on_signals()
@@ -127,9 +132,9 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
 
 def _report_ends(fleet: Fleet) -> NoReturn:
-    """Report each daemon that ends, once; SwarmError if the world does.
+    """Warn once of each daemon that ends; SwarmError if the process of the world ends.
 
-    The other daemons keep running: users kill robots of a simulated swarm on purpose.
+    The other daemons keep running, since users kill robots of a simulated swarm on purpose.
     """
     from swarmd.sim.live.fleet import WORLD
 

@@ -59,7 +59,11 @@ def tour(ctx: click.Context, /, yes: bool, **world: Any) -> None:
 
 
 def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
-    """Start a swarm of a name that no other has and go through the steps; the exit code."""
+    """Start a simulated swarm with a unique name, and run the steps of the tour in it.
+
+    Each step prints its text, then runs a `swarmctl` command as a process. `is_waiting`: before a
+    command the user presses Enter. Returns 0, or the exit code of the first command that fails.
+    """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.fleet import Fleet, end_on_signals
@@ -68,7 +72,7 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     end_on_signals()
     swarm = f"tour-{secrets.token_hex(4)}"
     spec = fleet_for(swarm, folder, **world)
-    # What processes leave behind goes with the folder: sockets, and the members that they keep.
+    # Sockets and member lists of the processes lie in `folder`, which the caller removes.
     os.environ |= {"TMPDIR": str(folder), "XDG_CACHE_HOME": str(folder), "SWARM": swarm}
     count = len(spec.robots)
     click.echo(
@@ -84,10 +88,10 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
                 click.prompt("   [Enter]", default="", show_default=False, prompt_suffix=" ")
             command = [sys.executable, "-P", "-c", _ENTRY, *step.words]
             sys.stdout.flush()
-            done = subprocess.run(command, check=False)
-            if done.returncode:
-                warn(f"swarmctl {step.words[0]} ended with exit code {done.returncode}")
-                return done.returncode
+            exit_code = subprocess.run(command, check=False).returncode
+            if exit_code:
+                warn(f"swarmctl {step.words[0]} ended with exit code {exit_code}")
+                return exit_code
             time.sleep(step.seconds)
             fleet.check()
     click.echo(

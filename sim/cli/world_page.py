@@ -36,7 +36,10 @@ def page_option(function: Callable[..., R]) -> Callable[..., R]:
 
 @contextmanager
 def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
-    """Serve a page of a running fleet; without options nothing is served."""
+    """Serve a web page that shows a running fleet and commands its robots; yield the page.
+
+    `web`: options of the page; None: nothing is served, and None is yielded.
+    """
     if web is None:
         yield None
         return
@@ -50,17 +53,17 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
 
     spec = fleet.spec
 
-    def make() -> Operator:
+    def make_operator() -> Operator:
         return Operator(NetworkSettings(swarm=spec.swarm))
 
-    with ExitStack() as opened:
-        operator = opened.enter_context(make())
-        world = opened.enter_context(WorldView(spec.swarm, fleet.endpoint))
+    with ExitStack() as exit_stack:  # closes in reverse order: first the page, then its sources
+        operator = exit_stack.enter_context(make_operator())
+        world = exit_stack.enter_context(WorldView(spec.swarm, fleet.endpoint))
         describe = functools.partial(describe_patterns, (), spec.plugin_dir)
         names = sorted(pattern_names(spec.plugin_dir))
         source = WorldSource(operator, names, fleet, world, describe)
-        opened.callback(source.close)
+        exit_stack.callback(source.close)
         source.start()
-        commander = LiveCommander(make, source.expected)
-        opened.callback(commander.close)
-        yield opened.enter_context(closing(Served(source, commander, web, ENDED)))
+        commander = LiveCommander(make_operator, source.expected)
+        exit_stack.callback(commander.close)
+        yield exit_stack.enter_context(closing(Served(source, commander, web, ENDED)))
