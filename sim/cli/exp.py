@@ -192,7 +192,7 @@ def run(
             done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
             warn(f"{done}; to go on: {shlex.join(command)}")
         raise
-    _print_results(results, names, is_json)
+    _print_results(results, None if names is None else [*map(results.about, shown)], is_json)
     took = time_span(time.monotonic() - begin)
     warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {took}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")

@@ -155,7 +155,7 @@ def test_parameters_are_a_form_of_the_pattern(
     drives = [
         {
             "name": "drive",
-            **{"group": "move together", "missing": [], "refused": ""},
+            **{"group": "move together", "missing": [], "refused": "", "report_units": {}},
             "summary": "Drives straight ahead.",
             "platform": "waffle_pi",
             "params": [
@@ -331,7 +331,8 @@ def test_the_table_of_a_laptop_has_the_patterns(
 
 def described(platform: str) -> list[dict[str, Any]]:
     """Patterns in two groups, of which one cannot run on any platform."""
-    about = {"platform": platform, "params": [], "missing": [], "refused": ""}
+    about: dict[str, Any] = {"platform": platform, "params": [], "missing": [], "refused": ""}
+    about["report_units"] = {"votes": "votes", "opinion": "m"}
     return [
         {**about, "name": "drive", "summary": "Drives straight ahead.", "group": "move together"},
         {**about, "name": "attraction", "summary": "Gathers the robots.", "group": "gather"},
@@ -398,6 +399,22 @@ def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
         page.click("#pattern-list [data-name=drive]")
         page.click("#run")
         page.until(f"{heads}.join() === 'recent,gather,move together,yours'", "recent")
+
+
+def test_reported_numbers_have_the_units_of_their_patterns(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(1, capsys, describe=described) as (_, (address,)):
+        ready(page, address, 1)
+        page.until("swarm.model.unitOf('report:votes') === 'votes'", "described")
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        values = "document.getElementById('detail-values').textContent"
+        page.until(f"{values}.includes('votes0 votes') && {values}.includes('opinionA')", "values")
+        page.evaluate("swarm.map.colourBy('report:votes')")
+        page.until(f"{ENTRIES}.includes('0.00 votes')", "the legend")
+        assert page.evaluate("swarm.plots.text('report:votes', 2)") == "2 votes"
+        assert page.evaluate("swarm.plots.text('speed', 0.1)") == "0.1 m/s"
+        assert page.evaluate("swarm.model.unitOf('readings:battery')") == ""
 
 
 def test_after_an_estop_the_page_tells_one_truth(

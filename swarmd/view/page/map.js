@@ -75,7 +75,7 @@ export class SwarmMap {
   legend() {
     const now = performance.now(), all = [...this.model.robots.values()];
     const heard = all.filter((one) => this.model.isHeard(one, now)), silent = all.filter((one) => !this.model.isHeard(one, now));
-    const found = this.colouring.legend(heard);
+    const found = this.colouring.legend(heard, this.model.unitOf(this.colouring.key));
     const mark = (colour, text, line, robots) => { if (robots.length) found.push({ colour, text, line, robots }); };
     if (this.colouring.key !== 'state') { // the signs are on the map whatever the colours mean
       for (const [word, sign] of [['estopped', '\u2716'], ['stopped', '\u25a0'], ['held', '\u2016'], ['faulted', '\u26a0']]) {

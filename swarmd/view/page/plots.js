@@ -13,7 +13,6 @@ const element = (id) => document.getElementById(id);
 
 const titleOf = (key) => (TITLES[key] || [key.replace(/^\w+:/, '')])[0];
 const factorOf = (key) => (key === 'active' ? 100 : 1);
-const textOf = (key, value) => `${Number((factorOf(key) * value).toPrecision(2))}${(TITLES[key] || ['', ''])[1]}`;
 
 const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
 
@@ -80,7 +79,7 @@ export class Plots {
     note.hidden = !marks;
     if (!marks) return;
     const values = this.lanes().map((key) => [key, this.valueAt(key, time)]).filter(([, value]) => value !== null);
-    const told = values.map(([key, value]) => `${titleOf(key)} ${textOf(key, value)}`);
+    const told = values.map(([key, value]) => `${titleOf(key)} ${this.text(key, value)}`);
     const lines = marks.slice(-MAX_TOLD).map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${plain(text)}`);
     if (marks.length > MAX_TOLD) lines.unshift(`${marks.length} events, of which the last:`);
     note.textContent = [`${this.clockOf(time)} ${told.join(', ')}`, ...lines].join('\n');
@@ -91,6 +90,11 @@ export class Plots {
   valueAt(key, time) {
     const { times, values } = this.model.plots;
     return (values[key] || [])[times.findLastIndex((one) => one <= time + 0.05)] ?? null;
+  }
+
+  text(key, value) {
+    const unit = this.model.unitOf(key);
+    return Number((factorOf(key) * value).toPrecision(2)) + (TITLES[key] ? TITLES[key][1] : unit && ` ${unit}`);
   }
 
   clockOf(time) {
@@ -251,7 +255,7 @@ export class Plots {
     ctx.fillStyle = text;
     ctx.textAlign = 'right';
     ctx.font = `600 ${(isNarrow ? 0.72 : 0.85) * rem}px system-ui, sans-serif`;
-    ctx.fillText(now === null ? '-' : textOf(key, now), this.left - 0.5 * rem, middle);
+    ctx.fillText(now === null ? '-' : this.text(key, now), this.left - 0.5 * rem, middle);
   }
 
   drawBack() {
