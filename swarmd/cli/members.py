@@ -88,7 +88,7 @@ def _secured(identity: Identity | None) -> Iterator[str]:
 
 def _described(status: Status) -> Mapping[str, Any]:
     """The robot's pattern as this machine describes it; empty if this machine cannot."""
-    if not (status.params or status.report) or status.pattern not in pattern_names(None):
+    if status.pattern is None or status.pattern not in pattern_names(None):
         return {}
     try:
         (row,) = describe_patterns((status.pattern,), None, status.platform)
