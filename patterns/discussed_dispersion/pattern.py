@@ -107,6 +107,7 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
 
     group = "spread"
     params_type = DiscussedDispersionParams
+    report_units = {"distance": "m"}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: DiscussedDispersionParams, context: Context) -> None:
         _check(params, context.platform)

@@ -109,6 +109,7 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
 
     group = "move together"
     params_type = LeaderFollowingParams
+    report_units = {"speed": "m/s"}  # noqa: RUF012 - a Mapping, as in the base
     needs = frozenset({"neighbors.distance", "neighbors.bearing"})
     channels = {_CHANNEL: str}  # noqa: RUF012 - a Mapping, as in the base
 

@@ -76,6 +76,7 @@ class LevyWalk(MovementPattern[LevyWalkParams]):
 
     group = "search"
     params_type = LevyWalkParams
+    report_units = {"left": "m"}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: LevyWalkParams, context: Context) -> None:
         super().__init__(params, context)

@@ -84,6 +84,7 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
 
     group = "spread"
     params_type = LloydCoverageParams
+    report_units = {"off": "m"}  # noqa: RUF012 - a Mapping, as in the base
     needs = frozenset({"scan", "neighbors.distance", "neighbors.bearing"})
 
     def __init__(self, params: LloydCoverageParams, context: Context) -> None:

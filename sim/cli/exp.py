@@ -211,7 +211,8 @@ def run(
         raise
 
     # 5. The statistics and the exit code.
-    _print_results(results, chosen, is_json)
+    measured = None if chosen is None else [results.about(metric.name) for metric in chosen]
+    _print_results(results, measured, is_json)
     duration = time_span(time.monotonic() - start_time)
     warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")

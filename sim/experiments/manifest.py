@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,13 @@ import msgspec
 import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import as_text, whole_file
+from swarmd.pattern_host.loader import PatternLoader
+from swarmd.plugins import pattern_names
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
 from swarmd.sim.experiments.provenance import GitState, digests_of_folders, git_state, made_with
+from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.metrics.metric import Better, Metric
+from swarmd.sim.metrics.reported import PREFIXES
 
 NAME = "manifest.json"
 FORMAT = 1
@@ -58,6 +63,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     shard: Shard | None = None  # the part of the runs that the folder holds, None for all
     metrics: list[OwnMetric] = []  # beyond the catalog
     shown: list[str] = []  # names of the metrics that the user asked for
+    report_units: dict[str, str] = {}  # by the keys of reports, as the patterns declare them
 
     @property
     def plan(self) -> Plan:
@@ -84,7 +90,10 @@ def manifest_of(
 
     ConfigError if two metrics have the same name, or a path is not UTF-8.
     """
-    own = list(metrics)
+    units = _report_units(plan)
+    own = [
+        metric_of(m.name, report_units=units) if m.name.startswith(PREFIXES) else m for m in metrics
+    ]
     measured = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in own]
     measured = [
         msgspec.structs.replace(metric, origin=metric.origin or metric.name) for metric in measured
@@ -112,6 +121,7 @@ def manifest_of(
         shard=plan.shard,
         metrics=measured,
         shown=[*shown],
+        report_units=units,
     )
     try:
         msgspec.json.encode(manifest)
@@ -190,6 +200,23 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
     for name in sorted({*old.plugins, *new.plugins}):
         if old.plugins.get(name) != new.plugins.get(name):
             yield f"plugin {name} has changed"
+
+
+def _report_units(plan: Plan) -> dict[str, str]:
+    """The units of reports that the plan's patterns declare; without keys with several units."""
+    running: dict[tuple[str | None, str], None] = {}
+    for scenario in (variant.effective for variant in plan.variants):
+        names = [group.get("pattern") for group in scenario.get("groups", {}).values()]
+        names += [event.get("run") for event in scenario.get("events", ())]
+        running |= dict.fromkeys((scenario.get("plugin_dir"), name) for name in names if name)
+    units: dict[str, set[str]] = {}
+    for folder, name in running:
+        with suppress(SwarmError):  # a folder that is no longer there
+            origin = pattern_names(None if folder is None else Path(folder))[name]
+            kind = PatternLoader({name: (origin.value, origin.is_file)})(name)
+            for key, unit in kind.report_units.items():
+                units.setdefault(key, set()).add(unit)
+    return {key: of.pop() for key, of in units.items() if len(of) == 1}
 
 
 def plugin_folders(plan: Plan) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -64,12 +64,13 @@ class CustomMetrics:
     """The metrics of an experiment that are not in the catalog.
 
     `errors`: why a metric has no value, by run and metric. `is_trusted`: the files of the metrics
-    may be run, whatever is in the files now.
+    may be run, whatever is in the files now. `report_units`: units by the keys of reports.
     """
 
     by_name: Mapping[str, Metric]
     errors: Mapping[str, Mapping[str, str]]
     is_trusted: bool = False
+    report_units: Mapping[str, str] = field(default_factory=dict)
 
 
 class Results:
@@ -101,6 +102,7 @@ class Results:
         self.errors = {run: dict(why) for run, why in custom.errors.items()}
         self._own = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
+        self._report_units = custom.report_units
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
@@ -144,7 +146,7 @@ class Results:
             return self._own[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:
             return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
-        return metric_of(which)
+        return metric_of(which, report_units=self._report_units)
 
     def asked(self, name: str | Metric) -> Metric:
         """The metric of that name as it is measured now.
@@ -331,7 +333,7 @@ def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
     kernels = manifest.made_with.get("kernels", "")
     own = known_metrics(manifest, place, is_trusted=is_trusted)
     errors = {run: why for run, why in read_errors(place).items() if run in rows}
-    custom = CustomMetrics(own, errors, is_trusted=is_trusted)
+    custom = CustomMetrics(own, errors, is_trusted, manifest.report_units)
     return Results(place, plan, rows.values(), failures, metrics, kernels, custom)
 
 

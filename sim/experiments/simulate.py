@@ -255,6 +255,7 @@ def _results(store: Store) -> Results:
             known_metrics(store.manifest, store.folder, is_trusted=True),
             store.errors,
             is_trusted=True,
+            report_units=store.manifest.report_units,
         ),
     )
 

@@ -56,6 +56,8 @@ _ALL = (
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})
 """By name, in display order."""
 
+NO_UNITS: Mapping[str, str] = MappingProxyType({})
+
 
 def measure(trace: Trace, names: Iterable[str | Metric] | None = None) -> dict[str, float | None]:
     """The values of the metrics `names` (None: METRICS) for a trace, by name; true is 1.
@@ -80,19 +82,21 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
     return metric.series(trace)
 
 
-def metric_of(name: str | Metric, digest: str = "") -> Metric:
+def metric_of(
+    name: str | Metric, digest: str = "", report_units: Mapping[str, str] = NO_UNITS
+) -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
     A name is one of METRICS, `report:KEY...`, `reading:KEY...`, one of `placed.KINDS` with its
     values, `FILE.py:FUNCTION`, or the name of an installed metric. `digest`: the SHA-256 that FILE
-    must have; empty: any.
+    must have; empty: any. `report_units`: units by the keys of reports, as patterns declare them.
     """
     if isinstance(name, Metric):
         return name
     if name in METRICS:
         return METRICS[name]
     if name.startswith(PREFIXES):
-        return reported_metric(name)
+        return reported_metric(name, report_units)
     if is_placed(name):
         return placed_metric(name)
     if names_file(name):

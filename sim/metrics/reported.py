@@ -52,8 +52,11 @@ _SUFFIXES: Mapping[str, tuple[str, str]] = MappingProxyType(
 """Statistics over robots and over time, by the suffix of a name, after the last point."""
 
 
-def reported_metric(name: str) -> Metric:
-    """The metric of a name `report:...` or `reading:...`; ConfigError for a name without key."""
+def reported_metric(name: str, report_units: Mapping[str, str]) -> Metric:
+    """The metric of a name `report:...` or `reading:...`; ConfigError for a name without key.
+
+    `report_units`: units by the keys of reports.
+    """
     parts = _parts(name)
     is_report = parts.prefix == _REPORT
 
@@ -70,7 +73,7 @@ def reported_metric(name: str) -> Metric:
         what = f"share of the robots whose {parts.key} is {parts.text!r}"
     return Metric(
         name=name,
-        unit=_unit(parts),
+        unit=_unit(parts, report_units),
         meaning=f"{what}: {parts.robots} over the robots, {parts.time} over time",
         source=f"{'reports' if is_report else 'readings'} of the robots",
         value=value,
@@ -78,12 +81,12 @@ def reported_metric(name: str) -> Metric:
     )
 
 
-def _unit(parts: _Parts) -> str:
-    """The unit of a count of robots or of a reading that the world gives; empty if unknown."""
+def _unit(parts: _Parts, report_units: Mapping[str, str]) -> str:
+    """The unit of a count of robots, a report, or a reading of the world; empty if unknown."""
     if parts.text:
         return {"mean": "share", "sum": "robots"}.get(parts.robots, "")
     if parts.prefix == _REPORT:
-        return ""
+        return report_units.get(parts.key, "")
     return _UNITS.get(parts.key) or _UNITS.get(f"_{parts.key.rpartition('_')[2]}", "")
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import click
 from msgspec import to_builtins
@@ -12,9 +12,12 @@ from msgspec import to_builtins
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import line_width, print_json, print_section, print_table
+from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.send import exit_code_of, known_members, report, session_of
 from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
+from swarmd.core.errors import SwarmError
+from swarmd.plugins import pattern_names
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
 from swarmd.texts.status import sections
@@ -22,6 +25,7 @@ from swarmd.texts.values import printable
 from swarmd.texts.why import why
 
 if TYPE_CHECKING:
+    from swarmd.core.messages import Status
     from swarmd.security.identity import Identity
 
 
@@ -88,6 +92,17 @@ def _secured(identity: Identity | None) -> Iterator[str]:
             yield f"WARNING: {text}: {identity.name} (this user); {remedy}"
 
 
+def _described(status: Status) -> Mapping[str, Any]:
+    """The robot's pattern as this machine describes it; empty if this machine cannot."""
+    if status.pattern is None or status.pattern not in pattern_names(None):
+        return {}
+    try:
+        (row,) = describe_patterns((status.pattern,), None, status.platform)
+    except SwarmError:  # such as a platform of another machine: units are left out
+        return {}
+    return row
+
+
 @click.command()
 @click.argument("robot", shell_complete=completion.robots)
 @common_options
@@ -104,6 +119,6 @@ def describe(options: CommonOptions, robot: str) -> None:
             if member.status is not None:
                 for note in key_warnings([member.status], time.time()):
                     click.echo(note)
-                for title, rows in sections(member, member.status):
+                for title, rows in sections(member, member.status, _described(member.status)):
                     print_section(title, rows)
         click.get_current_context().exit(exit_code_of(view, [robot]))

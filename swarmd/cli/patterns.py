@@ -128,6 +128,7 @@ def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | 
 
 def _about(row: Record) -> list[tuple[str, str]]:
     channels = (f"{name} ({kind})" for name, kind in row["channels"].items())
+    units = [f"{name} in {unit}" for name, unit in row["report_units"].items()]
     lacking = f" (lacking: {', '.join(row['missing'])})" if row["missing"] else ""
     return [
         ("kind", row["kind"]),
@@ -135,6 +136,7 @@ def _about(row: Record) -> list[tuple[str, str]]:
         ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
         ("sends", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
+        *([("reports", ", ".join(units))] if units else []),
         ("touches", f"{row['touches']}, if granted" if row["touches"] else NOTHING),
         *([("refused", f"{row['refused']} (on {row['platform']})")] if row["refused"] else []),
     ]

@@ -74,6 +74,7 @@ class Pattern(ABC, Generic[P]):
       neighbors.distance, neighbors.bearing, neighbors.heading, gripper and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
+    - `report_units`: the units of reported numbers, by their keys; views and metrics show them.
     - `is_symmetric`: mirrored inputs give mirrored commands, as PatternContract checks.
     - `touches`: the zone in which the robot must touch obstacles, to push or to dock. The robot's
       configuration must grant the zone. `touches` of a part has no effect.
@@ -88,6 +89,7 @@ class Pattern(ABC, Generic[P]):
     needs: frozenset[str] = frozenset({"scan"})
     channels: Mapping[str, type] = {}
     rate: ClassVar[float] = 10.0
+    report_units: ClassVar[Mapping[str, str]] = {}
     is_symmetric: ClassVar[bool] = False
     touches: ClassVar[TouchZone | None] = None
     scan_delay: ClassVar[float] = 0.0

@@ -19,6 +19,7 @@ from swarmd.kit.condition_state import ConditionState, Observation
 from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find
 from swarmd.kit.params import Params, Recovery
+from swarmd.kit.params import schema as params_schema
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission import part_builder, schema
 from swarmd.mission.document import Document, fault_error, read_document
@@ -178,6 +179,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
         "needs": needs,
         "channels": _channels(document, classes),
         "rate": max(kind.rate for kind in classes.values()),
+        "report_units": _report_units(document, classes),
     }
     return type(f"Mission_{path.stem}", (Mission,), members)
 
@@ -195,6 +197,20 @@ def pattern_classes(document: Document, find: Find) -> PatternClasses:
             text = f"cannot be loaded: {part_builder.error_text(error)}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
     return classes
+
+
+def _report_units(document: Document, classes: PatternClasses) -> dict[str, str]:
+    """The units of the mission's reports, by the declarations of its parts."""
+    units: dict[str, str] = {}
+    for name, kind in classes.items():
+        units |= {f"{name}.{key}": unit for key, unit in kind.report_units.items()}
+    if not document.report:
+        return units
+    for name, kind in classes.items():  # a mission may report parameters of its parts
+        params = {f"{name}.{spec.name}": spec.unit for spec in params_schema(kind.params_type)}
+        units = params | units
+    reported = {own: units.get(".".join(at), "") for own, at in document.report.items()}
+    return {own: unit for own, unit in reported.items() if unit}
 
 
 def _params_type(document: Document, classes: PatternClasses) -> type[Params]:

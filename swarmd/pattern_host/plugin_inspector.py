@@ -172,6 +172,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "missing": sorted(kind.needs - platform.provides),
         "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},
         "rate": kind.rate,
+        "report_units": dict(kind.report_units),
         "touches": None if kind.touches is None else describe_zone(kind.touches),
         "platform": platform.name,
         "refused": refused,

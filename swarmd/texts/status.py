@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import Any
 
 from swarmd.core.messages import (
     Body,
@@ -15,12 +17,19 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.texts.keys import day
-from swarmd.texts.values import NOTHING, megabytes, sandbox_text, seconds, short_number
+from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles
 
+NOT_DESCRIBED: Mapping[str, Any] = MappingProxyType({})
 
-def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:
-    """The whole status in titled groups of (name, value) lines; a group may be empty."""
+
+def sections(
+    member: Member, status: Status, described: Mapping[str, Any] = NOT_DESCRIBED
+) -> list[tuple[str, list[tuple[str, str]]]]:
+    """The whole status in titled groups of (name, value) lines; a group may be empty.
+
+    `described`: what `describe_patterns` gives of the pattern, for the units of its values.
+    """
     seen = "now" if member.presence is Presence.ALIVE else f"{seconds(member.age)} ago"
     return [
         ("Robot", _robot(status, seen)),
@@ -28,11 +37,8 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
         ("Peers", [(f.robot, f"holds it: {f.text}" if f.holds else f.text) for f in status.peers]),
-        ("Parameters", _parameters(status)),
-        (
-            _report_title(status),
-            [(name, short_number(value)) for name, value in status.report.items()],
-        ),
+        ("Parameters", _parameters(status, described)),
+        (_report_title(status), _report(status, described)),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
@@ -44,6 +50,11 @@ def _readings(status: Status) -> list[tuple[str, str]]:
     stale = "stale: no fresh value; patterns get none"
     texts = {name: short_number(value) for name, value in status.readings.items()}
     return sorted({**texts, **dict.fromkeys(status.stale_readings, stale)}.items())
+
+
+def _report(status: Status, described: Mapping[str, Any]) -> list[tuple[str, str]]:
+    units = described.get("report_units", {})
+    return [(name, quantity(value, units.get(name))) for name, value in status.report.items()]
 
 
 def _report_title(status: Status) -> str:
@@ -152,11 +163,13 @@ def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
     return [("scan delay", text), *(("", figure.line) for figure in delay.figures), *sweep]
 
 
-def _parameters(status: Status) -> list[tuple[str, str]]:
-    width = max((len(short_number(param.value)) for param in status.params.values()), default=0)
+def _parameters(status: Status, described: Mapping[str, Any]) -> list[tuple[str, str]]:
+    units = {spec["name"]: spec["unit"] for spec in described.get("params", ())}
+    texts = {name: quantity(param.value, units.get(name)) for name, param in status.params.items()}
+    width = max(map(len, texts.values()), default=0)
     return [
-        (name, f"{short_number(param.value).ljust(width)}  from {param.source}")
-        for name, param in status.params.items()
+        (name, f"{text.ljust(width)}  from {status.params[name].source}")
+        for name, text in texts.items()
     ]
 
 

@@ -51,6 +51,12 @@ def short_number(value: object) -> str:
     return number(value)
 
 
+def quantity(value: object, unit: str | None) -> str:
+    """A value in short, a number with its unit: `0.35 m`."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return f"{short_number(value)} {unit}" if unit and is_number else short_number(value)
+
+
 def clock_cells(row: Mapping[str, Any]) -> tuple[str, str, str, str]:
     """Offset, drift, error and the robots in between of a row of `recording/merge.py`, as texts."""
     if not row["is_aligned"]:

@@ -45,6 +45,7 @@ Describe = Callable[[str], Sequence[Mapping[str, Any]]]
 
 _motion = Decoder(Motion)
 _tracks = Decoder(Tracks)
+_DESCRIBED = ("summary", "group", "platform", "params", "report_units")
 _WATCHED_AGE = 1.5  # s after which tracks and scans are not shown
 
 
@@ -214,7 +215,7 @@ class LiveSource:
         if known is None or member is None:
             return None
         status, age = known
-        *rest, _ = sections(member, status)
+        *rest, _ = sections(member, status, self.descriptions.get(status.pattern or "", {}))
         return {
             "why": why(replace(member, status=status)),
             "sections": [[title, rows] for title, rows in rest if rows],
@@ -309,7 +310,7 @@ class LiveSource:
             with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine
                 described = dict(self.descriptions)
                 for row in (row for row in describe(platform) if "error" not in row):
-                    usual = {key: row[key] for key in ("summary", "group", "platform", "params")}
+                    usual = {key: row[key] for key in _DESCRIBED}
                     known = described.get(row["name"], {"unfit": {}, **usual})
                     needs = f"lacks {', '.join(row['missing'])}" if row["missing"] else ""
                     unfit = {**known["unfit"], platform: needs or row["refused"]}

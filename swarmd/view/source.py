@@ -91,7 +91,7 @@ class Source(Protocol):
     swarm: str
     patterns: Sequence[str]
     descriptions: Mapping[str, Mapping[str, Any]]
-    """By pattern, if known, `summary` and `params`: what `patterns show -o json` prints of each."""
+    """By pattern, if known, `summary`, `params` and `report_units` of `patterns show -o json`."""
 
     @property
     def arena(self) -> ShownArena | None:

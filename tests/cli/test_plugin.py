@@ -472,7 +472,12 @@ for number in range(3, 9):
 def test_a_file_that_writes_into_the_answer_is_still_checked(tmp_path: Path) -> None:
     assert set(checked(tmp_path, top=WRITES_ALL_OVER)) >= set(POINTS)
     (row,) = describe_patterns(("own",), tmp_path, "burger")
-    assert (row["kind"], row["group"]) == ("movement", "yours")
+    assert (row["kind"], row["group"], row["report_units"]) == ("movement", "yours", {})
+
+
+def test_a_description_has_the_units_of_reports() -> None:
+    rows = describe_patterns(("levy_walk", "discuss_then_disperse"), None, "burger")
+    assert [row["report_units"] for row in rows] == [{"left": "m"}, {"distance": "m"}]
 
 
 def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:

@@ -47,6 +47,16 @@ def test_steps_of_a_sequence_follow_each_other_and_parts_keep_their_memory(tmp_p
     assert "other.steps" not in found[-1].report
 
 
+def test_reports_have_the_units_of_the_parts(tmp_path: Path) -> None:
+    root = (
+        parts("vote", "go")
+        + "sequence: [{part: go, until: {timeout: 2}}, {part: vote}]\nthen: stay\n"
+    )
+    assert mission_of(tmp_path, root).report_units == {"go.steps": "steps"}
+    text = root + "report: {count: go.steps, pace: go.speed, opinion: vote.opinion}\n"
+    assert mission_of(tmp_path, text).report_units == {"count": "steps", "pace": "m/s"}
+
+
 def test_an_old_report_does_not_end_a_repeated_step(tmp_path: Path) -> None:
     text = parts("go", "other") + (
         "sequence:\n  - {part: go, until: {report: go.steps, above: 0}}\n"

@@ -44,6 +44,7 @@ class Moody(MovementPattern[MoodyParams]):
     """Drives, or takes its process with it."""
 
     params_type = MoodyParams
+    report_units = {"turns": "rounds"}
 
     def drive(self, inputs: Inputs) -> Twist:
         if inputs.now > 0.5:

@@ -28,6 +28,7 @@ class Go(MovementPattern[GoParams]):
     """Drives and counts its steps; refuses speed 0.666."""
 
     params_type = GoParams
+    report_units = {"steps": "steps"}  # noqa: RUF012 - read only
 
     def __init__(self, params: GoParams, context: Context) -> None:
         super().__init__(params, context)

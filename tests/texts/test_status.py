@@ -52,6 +52,18 @@ def test_shows_the_status_in_groups() -> None:
     assert shown(ESTOPPED)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
 
 
+def test_numbers_of_a_described_pattern_have_their_units() -> None:
+    member = make_member(report={"left": 0.25, "state": "turn", "near": 3, "seen": True})
+    units = {"left": "m", "state": "m", "seen": "m"}
+    described = {"report_units": units, "params": [{"name": "speed", "unit": "m/s"}]}
+    assert member.status is not None
+    groups = dict(sections(member, member.status, described))
+    assert groups["Report"] == [
+        *(("left", "0.25 m"), ("state", "turn"), ("near", "3"), ("seen", "True"))
+    ]
+    assert dict(groups["Parameters"])["speed"] == "0.2 m/s  from request"
+
+
 def test_shows_that_a_reading_is_stale() -> None:
     member = make_member(readings={"light": 0.5}, stale_readings=("temperature",))
     assert shown(member)["Readings"]["light"] == "0.5"

@@ -155,7 +155,7 @@ def test_parameters_are_a_form_of_the_pattern(
     drives = [
         {
             "name": "drive",
-            **{"group": "move together", "missing": [], "refused": ""},
+            **{"group": "move together", "missing": [], "refused": "", "report_units": {}},
             "summary": "Drives straight ahead.",
             "platform": "waffle_pi",
             "params": [
@@ -331,7 +331,8 @@ def test_the_table_of_a_laptop_has_the_patterns(
 
 def described(platform: str) -> list[dict[str, Any]]:
     """Patterns in two groups, of which one cannot run on any platform."""
-    about = {"platform": platform, "params": [], "missing": [], "refused": ""}
+    about: dict[str, Any] = {"platform": platform, "params": [], "missing": [], "refused": ""}
+    about["report_units"] = {"votes": "votes", "opinion": "m"}
     return [
         {**about, "name": "drive", "summary": "Drives straight ahead.", "group": "move together"},
         {**about, "name": "attraction", "summary": "Gathers the robots.", "group": "gather"},
@@ -398,6 +399,102 @@ def test_patterns_are_grouped_with_recent_ones_and_greyed_with_the_reason(
         page.click("#pattern-list [data-name=drive]")
         page.click("#run")
         page.until(f"{heads}.join() === 'recent,gather,move together,yours'", "recent")
+
+
+COVERED = """(() => {
+  const found = [...document.querySelectorAll(%s)].filter((one) => one.offsetHeight);
+  return found.filter((one) => {
+    const b = one.getBoundingClientRect();
+    return document.elementFromPoint(b.x + b.width / 2, b.y + b.height / 2) !== one;
+  }).map((one) => one.id);
+})()"""
+
+
+@pytest.mark.parametrize("width", [320, 390, 1280])
+def test_hints_cover_no_tool_of_the_map(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        page.resize(width, 800, is_phone=width < 901)
+        ready(page, address, 3)
+        page.evaluate("document.getElementById('align').click()")
+        page.until("!document.getElementById('forget').hidden", "a tool more")
+        page.until(f"{COVERED % repr('#tools button')}.length === 0", "all tools are free")
+        page.evaluate("document.getElementById('align').click()")
+        page.evaluate("document.getElementById('large').click()")
+        page.until(f"{COVERED % repr('#tools button')}.length === 0", "all tools are free")
+
+
+def test_the_map_fits_again_when_a_robot_leaves_it_until_the_view_is_moved(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        page.evaluate("swarm.panels.open('commands', true)")
+        far = "const robot = swarm.model.robots.get('tb3-002'); robot.offset = [40, 0, 0];"
+        page.evaluate(f"(() => {{ swarm.map.fit(); {far} }})()")
+        place = "swarm.map.toScreen(robot.x, robot.y)[0] / swarm.map.ratio"
+        is_seen = (
+            "(() => { const robot = swarm.model.robots.get('tb3-001');"
+            f" return {place} > document.getElementById('commands').offsetWidth; }})()"
+        )
+        page.until("!swarm.map.isLeft([...swarm.model.robots.values()])", "all are seen again")
+        assert page.evaluate(is_seen)
+        page.evaluate("swarm.map.isTouched = true")
+        scale = page.evaluate("swarm.map.scale")
+        page.evaluate(f"(() => {{ {far.replace('40', '400')} }})()")
+        page.until("swarm.map.isLeft([...swarm.model.robots.values()])", "out of view")
+        page.evaluate("swarm.map.draw()")
+        assert page.evaluate("swarm.map.scale") == scale
+
+
+def test_a_narrow_axis_of_time_has_its_labels_inside(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        page.resize(320, 640, is_phone=True)
+        ready(page, address, 2)
+        page.click("#time-open")
+        # Texts of the axis with their horizontal extent, of an axis of five minutes.
+        page.evaluate(
+            "(() => { const { plots } = swarm, fill = plots.ctx.fillText; window.texts = [];"
+            " plots.range = () => [0.3, 299.9];"
+            " plots.ctx.fillText = function (text, x, y) {"
+            " const { width } = this.measureText(text);"
+            " const left = { left: x, right: x - width, center: x - width / 2 }[this.textAlign];"
+            " window.texts.push([String(text), left, left + width]);"
+            " fill.call(this, text, x, y); };"
+            " plots.draw(); })()"
+        )
+        texts = {text: ends for text, *ends in page.evaluate("window.texts")}
+        width = page.evaluate("document.getElementById('plots').clientWidth")
+        assert {"now", "-2 min", "-4 min"} <= texts.keys()
+        assert max(right for _, right in texts.values()) <= width
+
+
+def test_the_map_alone_has_a_way_back(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.click("#present")
+        assert page.evaluate(COVERED % repr("#present-end")) == []
+        page.click("#present-end")
+        assert page.evaluate("document.body.matches('.present')") is False
+
+
+def test_reported_numbers_have_the_units_of_their_patterns(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(1, capsys, describe=described) as (_, (address,)):
+        ready(page, address, 1)
+        page.until("swarm.model.unitOf('report:votes') === 'votes'", "described")
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        values = "document.getElementById('detail-values').textContent"
+        page.until(f"{values}.includes('votes0 votes') && {values}.includes('opinionA')", "values")
+        page.evaluate("swarm.map.colourBy('report:votes')")
+        page.until(f"{ENTRIES}.includes('0.00 votes')", "the legend")
+        assert page.evaluate("swarm.plots.text('report:votes', 2)") == "2 votes"
+        assert page.evaluate("swarm.plots.text('speed', 0.1)") == "0.1 m/s"
+        assert page.evaluate("swarm.model.unitOf('readings:battery')") == ""
 
 
 def test_after_an_estop_the_page_tells_one_truth(

@@ -154,7 +154,7 @@ export class Actions {
       const text = message.is_good ? `${message.line}: all have acknowledged.` : `${message.line}.`;
       this.showEstop(text, message.missing, message.is_good ? 'good' : 'bad');
     } else {
-      const text = lacks ? `${lacks} not acknowledged; it is repeated until they do:` : 'sent; waits for acknowledgements ...';
+      const text = lacks ? `not acknowledged by ${lacks === 1 ? '1 robot' : `${lacks} robots`}; repeated until then:` : 'sent; waits for acknowledgements ...';
       this.showEstop(`Emergency stop: ${text}`, message.missing, lacks ? 'bad' : '');
     }
   }

@@ -37,8 +37,8 @@ export class Colouring {
     return this.words.get(word);
   }
 
-  // The entries of the legend: colour, text and, for few words, the robots.
-  legend(robots) {
+  // The entries of the legend: colour, text and, for few words, the robots. `unit`: of numbers.
+  legend(robots, unit) {
     const groups = new Map(), none = [];
     for (const robot of robots) {
       const value = this.value(robot), colour = this.of(robot);
@@ -55,7 +55,8 @@ export class Colouring {
         .map((one) => ({ ...one, sign: signOf(one.text), shade: one.text === 'at rest' ? SHADE : 1 }))
       : [...groups.values()];
     if (this.high >= this.low) {
-      found.push({ colour: scale(0), text: this.low.toPrecision(3) }, { colour: scale(1), text: this.high.toPrecision(3) });
+      const [low, high] = [this.low, this.high].map((one) => `${one.toPrecision(3)} ${unit}`.trim());
+      found.push({ colour: scale(0), text: low }, { colour: scale(1), text: high });
     }
     if (none.length) found.push({ colour: UNKNOWN, text: `no ${this.key.replace(/^\w+:/, '')}`, robots: none });
     return found;

@@ -77,7 +77,8 @@ export class Detail {
   drawDial(robot) {
     const { requested, safe, limits } = robot.row;
     const rows = (robot.row.rows || []).filter((one) => one.every(Number.isFinite));
-    this.dial.hidden = !requested || !limits;
+    this.dial.hidden = !requested || !limits || [...requested, ...safe].every((one) => one === 0);
+    if (requested && limits) this.tell(requested, safe, rows);
     if (this.dial.hidden) return;
     const size = 220, ratio = Math.min(window.devicePixelRatio || 1, 2);
     if (this.dial.width !== size * ratio) this.dial.width = this.dial.height = size * ratio;
@@ -118,7 +119,6 @@ export class Detail {
       ctx.fillStyle = text;
       ctx.fillText(`${gap.toFixed(2)} m`, Math.min(Math.max(x, 22), size - 22), Math.min(Math.max(y + 4, 11), size - 4));
     }
-    this.tell(requested, safe, rows);
   }
 
   tell(requested, safe, rows) {

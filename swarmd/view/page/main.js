@@ -4,7 +4,7 @@ import { Legend } from './legend.js';
 import { RobotList } from './list.js';
 import { SwarmMap } from './map.js';
 import { Model } from './model.js';
-import { Panels } from './panels.js';
+import { Panels, isOnPhone } from './panels.js';
 import { Plots } from './plots.js';
 import { Link } from './socket.js';
 import { byOrder, wordOf } from './states.js';
@@ -19,11 +19,15 @@ const legend = new Legend(element('legend'), map, (robots) => model.select(robot
 const panels = new Panels(map);
 const banner = element('banner');
 const free = () => { // what the map shows by Fit is not covered
-  map.insets = [['tools', 'hints'], ['legend']].map((ids) => ids.reduce((sum, id) => sum + (element(id).offsetHeight ? element(id).offsetHeight + 12 : 0), 0));
-  document.documentElement.style.setProperty('--legend', `${map.insets[1]}px`);
+  const size = (id, key) => (element(id)[key] ? element(id)[key] + 12 : 0), isPhone = isOnPhone();
+  const [tools, hints, legend] = ['tools', 'hints', 'legend'].map((id) => size(id, 'offsetHeight'));
+  const side = (...ids) => (isPhone ? 0 : Math.max(...ids.map((id) => size(id, 'offsetWidth'))));
+  const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
+  map.insets = [tools + hints, Math.max(legend, sheet), side('commands'), side('detail-pane', 'look')];
+  for (const [name, value] of [['--legend', legend], ['--tools', tools]]) document.documentElement.style.setProperty(name, `${value}px`);
   if (map.hasFitted && !map.isTouched) map.fit();
 };
-for (const id of ['tools', 'hints', 'legend']) new ResizeObserver(free).observe(element(id));
+for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(free).observe(element(id));
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
 const link = new Link(model, {
@@ -160,7 +164,7 @@ const press = (id, set) => element(id).addEventListener('click', () => {
 press('follow', (isOn) => { map.isFollowing = isOn; });
 const HINTS = {
   measure: 'Drag from one place to another.',
-  align: 'Odometry knows no common origin. Drag a robot to its place; drag beside the selected robots to turn them.',
+  align: 'Odometry has no common origin. Drag a robot to its place; drag beside the selected robots to turn them.',
 };
 function hint(text) {
   show('hint', text);
@@ -189,7 +193,7 @@ element('all').addEventListener('click', () => model.select(list.chosen().map((r
 element('none').addEventListener('click', () => model.select([]));
 element('detail-close').addEventListener('click', () => model.select([]));
 element('detail-reset').addEventListener('click', () => actions.reset([[...model.selected].at(-1)], element('detail-reset')));
-element('present').addEventListener('click', () => panels.present());
+for (const id of ['present', 'present-end']) element(id).addEventListener('click', () => panels.present());
 
 document.addEventListener('keydown', (event) => {
   if (event.key === 'Escape' && event.shiftKey && document.body.matches('.operator')) { actions.estop(); return; }

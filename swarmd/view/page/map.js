@@ -14,6 +14,7 @@ const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
 const BAR = 140; // pixels of the scale bar, at most
 const EDGE = 0.6; // m around what is shown by Fit
+const REFIT = 1000; // ms from one fit to the next, while nobody has moved the view
 const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
 
@@ -32,7 +33,8 @@ export class SwarmMap {
     this.isFollowing = false;
     this.hovered = null; // the robot below the mouse
     this.nameSize = 0.78; // rem
-    this.insets = [0, 0]; // pixels above and below that something covers
+    this.insets = [0, 0, 0, 0]; // pixels above, below, left and right that something covers
+    this.fittedAt = 0;
     this.hasFitted = false;
     this.ruler = null;
     this.field = ''; // the name of the field behind the robots
@@ -75,7 +77,7 @@ export class SwarmMap {
   legend() {
     const now = performance.now(), all = [...this.model.robots.values()];
     const heard = all.filter((one) => this.model.isHeard(one, now)), silent = all.filter((one) => !this.model.isHeard(one, now));
-    const found = this.colouring.legend(heard);
+    const found = this.colouring.legend(heard, this.model.unitOf(this.colouring.key));
     const mark = (colour, text, line, robots) => { if (robots.length) found.push({ colour, text, line, robots }); };
     if (this.colouring.key !== 'state') { // the signs are on the map whatever the colours mean
       for (const [word, sign] of [['estopped', '\u2716'], ['stopped', '\u25a0'], ['held', '\u2016'], ['faulted', '\u26a0']]) {
@@ -130,13 +132,23 @@ export class SwarmMap {
     const arena = this.model.arena;
     if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
     if (left > right) return;
-    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below] = this.insets;
+    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below, before, after] = this.insets;
     const edge = arena ? EDGE / 3 : EDGE;
-    this.scale = Math.min(w / (right - left + 2 * edge), Math.max(h - above - below, 60) / (top - bottom + 2 * edge), 220);
-    this.centre = [(left + right) / 2, (bottom + top) / 2 + (above - below) / 2 / this.scale];
+    this.scale = Math.min(Math.max(w - before - after, 60) / (right - left + 2 * edge), Math.max(h - above - below, 60) / (top - bottom + 2 * edge), 220);
+    this.centre = [(left + right) / 2 + (after - before) / 2 / this.scale, (bottom + top) / 2 + (above - below) / 2 / this.scale];
+    this.fittedAt = performance.now();
     this.hasFitted = true;
     this.isTouched = false; // until then, robots that join move the view
     this.wake();
+  }
+
+  // True if a robot is outside of the part of the map that nothing covers.
+  isLeft(robots) {
+    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below, before, after] = this.insets;
+    return robots.some((robot) => {
+      const [x, y] = this.toScreen(robot.x, robot.y).map((one) => one / this.ratio);
+      return x < before || x > w - after || y < above || y > h - below;
+    });
   }
 
   follow() {
@@ -151,6 +163,8 @@ export class SwarmMap {
     if (!this.ratio) this.resize();
     if (!this.hasFitted && [...model.robots.values()].some((one) => one.x === one.x)) this.fit();
     if (this.isFollowing) this.follow();
+    const robots = [...model.robots.values()].filter((one) => one.x === one.x), now = performance.now();
+    if (this.hasFitted && !this.isTouched && !this.isFollowing && now - this.fittedAt > REFIT && this.isLeft(robots)) this.fit();
     const style = getComputedStyle(document.documentElement);
     const [line, text, dim, back] = ['--line', '--text', '--dim', '--pane'].map((name) => style.getPropertyValue(name));
     const zoom = this.scale * this.ratio;
@@ -162,8 +176,6 @@ export class SwarmMap {
       this.canvas.width / 2 - this.centre[0] * zoom, this.canvas.height / 2 + this.centre[1] * zoom);
     this.grid(line, zoom);
     this.walls(text, dim, zoom);
-    const now = performance.now();
-    const robots = [...model.robots.values()].filter((one) => one.x === one.x);
     if (this.shows.links) this.drawLinks(dim, zoom);
     if (this.shows.trails) this.drawTrails(robots, zoom);
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan && now - robot.scanned < OLD) this.drawScan(robot, zoom);
@@ -377,8 +389,8 @@ export class SwarmMap {
     ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
     stroke(silent, 1, text); // an empty outline where it was last
     ctx.setLineDash([]);
-    for (const [colour, path] of signs) { // a dark sign with a light edge; of a small robot in its colour
-      stroke(path, colour ? 4 : 5, colour ? '#16191d' : '#ffffff');
+    for (const [colour, path] of signs) { // a dark sign, of a small robot in its colour, with a light edge
+      stroke(path, 5, '#ffffff');
       stroke(path, 2.5, colour || '#16191d');
     }
     stroke(lost, 4, LOST);
@@ -427,7 +439,7 @@ export class SwarmMap {
   // The scale bar above the legend, with a round length.
   drawScale(text, back) {
     const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
-    const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = 12 * ratio;
+    const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = (this.insets[2] + 12) * ratio;
     ctx.beginPath();
     ctx.moveTo(x, y - 4 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4 * ratio);
     ctx.textAlign = 'left';

@@ -18,6 +18,7 @@ export class Model extends EventTarget {
     this.role = '';
     this.swarm = '';
     this.patterns = [];
+    this.reportUnits = new Map(); // by pattern, then by key
     this.runs = [];
     this.playback = null; // of recorded runs
     this.time = 0;
@@ -46,6 +47,7 @@ export class Model extends EventTarget {
     this.source = message.source;
     this.role = message.role;
     this.patterns = message.patterns || [];
+    this.reportUnits = new Map(this.patterns.map((one) => [one.name, one.report_units || {}]));
     this.runs = message.runs;
     this.playback = message.playback;
     if (isOther) { this.boxes = []; this.marks = []; this.plots = { times: [], values: {}, next: 0 }; }
@@ -161,6 +163,15 @@ export class Model extends EventTarget {
     robot.scan = points; // in the base frame
     robot.scanned = performance.now();
     this.tell('frame');
+  }
+
+  // The unit of a report, `report:KEY`, as the patterns that report it declare; empty if they differ.
+  unitOf(key) {
+    const [kind, name] = key.split(/:(.*)/), units = new Set();
+    for (const { row } of kind === 'report' ? this.robots.values() : []) {
+      if (name in (row.report || {})) units.add((this.reportUnits.get(row.pattern) || {})[name] || '');
+    }
+    return units.size === 1 ? [...units][0] : '';
   }
 
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }

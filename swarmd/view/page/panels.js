@@ -3,6 +3,7 @@
 const element = (id) => document.getElementById(id);
 const kept = (key, value) => { try { if (value !== undefined) localStorage.setItem(key, value); return localStorage.getItem(key); } catch { return null; } };
 const PHONE = '(max-width: 900px)';
+export const isOnPhone = () => matchMedia(PHONE).matches;
 
 // A button that shows and hides a panel; only one panel over the map is open at a time.
 const PANELS = [['robots-open', 'list-pane'], ['run-open', 'commands'], ['look-open', 'look'], ['time-open', 'time']];
@@ -18,12 +19,12 @@ export class Panels {
     for (const one of document.querySelectorAll('.close')) {
       one.addEventListener('click', () => this.open(one.closest('[data-panel]').id, false));
     }
-    this.open('time', (kept('time') ?? String(!matchMedia(PHONE).matches)) === 'true');
+    this.open('time', (kept('time') ?? String(!isOnPhone())) === 'true');
     for (const [name, usual] of [['dark', matchMedia('(prefers-color-scheme: dark)').matches], ['large', false]]) this.check(name, usual);
   }
 
   open(panel, isOpen) {
-    const isPhone = matchMedia(PHONE).matches;
+    const isPhone = isOnPhone();
     if (isOpen) for (const other of OVER) if (other !== panel && (OVER.includes(panel) || isPhone)) this.set(other, false);
     if (isOpen && isPhone && panel !== 'list-pane') this.set('list-pane', false);
     this.set(panel, isOpen);

@@ -121,7 +121,7 @@ export class PatternForm {
     };
     const [near] = all.map((one) => [edits(typed, wordsOf(one.name)), one.name]).sort(([one], [other]) => one - other);
     if (near && near[0] < FAR * typed.length) offer(`Did you mean ${wordsOf(near[1])}?`, () => this.choose(near[1]));
-    offer('The robots have it', () => { this.named.add(name); this.choose(name); });
+    offer(`Use "${typed}": only the robots have it`, () => { this.named.add(name); this.choose(name); });
     return note;
   }
 

@@ -13,7 +13,6 @@ const element = (id) => document.getElementById(id);
 
 const titleOf = (key) => (TITLES[key] || [key.replace(/^\w+:/, '')])[0];
 const factorOf = (key) => (key === 'active' ? 100 : 1);
-const textOf = (key, value) => `${Number((factorOf(key) * value).toPrecision(2))}${(TITLES[key] || ['', ''])[1]}`;
 
 const ago = (seconds) => `${Math.floor(seconds / 60)}:${String(Math.floor(seconds % 60)).padStart(2, '0')}`;
 
@@ -80,7 +79,7 @@ export class Plots {
     note.hidden = !marks;
     if (!marks) return;
     const values = this.lanes().map((key) => [key, this.valueAt(key, time)]).filter(([, value]) => value !== null);
-    const told = values.map(([key, value]) => `${titleOf(key)} ${textOf(key, value)}`);
+    const told = values.map(([key, value]) => `${titleOf(key)} ${this.text(key, value)}`);
     const lines = marks.slice(-MAX_TOLD).map(([at, text, robots, count]) => `${this.clockOf(at)} ${count > robots.length ? `${count} robots` : robots.join(', ')}: ${plain(text)}`);
     if (marks.length > MAX_TOLD) lines.unshift(`${marks.length} events, of which the last:`);
     note.textContent = [`${this.clockOf(time)} ${told.join(', ')}`, ...lines].join('\n');
@@ -91,6 +90,11 @@ export class Plots {
   valueAt(key, time) {
     const { times, values } = this.model.plots;
     return (values[key] || [])[times.findLastIndex((one) => one <= time + 0.05)] ?? null;
+  }
+
+  text(key, value) {
+    const unit = this.model.unitOf(key);
+    return Number((factorOf(key) * value).toPrecision(2)) + (TITLES[key] ? TITLES[key][1] : unit && ` ${unit}`);
   }
 
   clockOf(time) {
@@ -132,8 +136,8 @@ export class Plots {
     const [from, until] = this.range(), width = w - this.left - this.right;
     const x = (time) => this.left + (time - from) / (until - from) * width;
     this.drawAxis({ x, from, until, text, dim, line, rem, h, axis, isNarrow });
-    this.drawMarks(x, from, until, h - axis, line, dim);
     lanes.forEach((key, i) => this.drawLane(key, i * height, height, { x, from, until, text, dim, accent, line, rem, isNarrow }));
+    this.drawMarks(x, from, until, h - axis, rem, dim);
     const shown = this.shown();
     ctx.strokeStyle = ctx.fillStyle = text;
     ctx.lineWidth = 2;
@@ -150,9 +154,9 @@ export class Plots {
     return playback ? time : past ?? this.latest();
   }
 
-  drawAxis({ x, from, until, dim, line, rem, h, axis }) {
+  drawAxis({ x, from, until, dim, line, rem, h, axis, isNarrow }) {
     const { ctx } = this, span = until - from, isLive = !this.model.playback;
-    const most = Math.max(x(until) - this.left, 60) / (4.5 * rem);
+    const most = Math.max(x(until) - this.left, 60) / ((isNarrow ? 3.4 : 4.5) * rem);
     const step = [1, 2, 5, 10, 30, 60, 120, 300, 600, 1800, 3600, 7200].find((one) => span / one <= most) || span;
     ctx.font = `${0.72 * rem}px system-ui, sans-serif`;
     ctx.fillStyle = dim;
@@ -165,7 +169,7 @@ export class Plots {
       ctx.moveTo(place, 0);
       ctx.lineTo(place, h - axis);
       ctx.stroke();
-      ctx.textAlign = mark === first ? 'left' : at >= until ? 'right' : 'center';
+      ctx.textAlign = at >= until ? 'right' : mark === first ? 'left' : 'center';
       ctx.fillText(this.words(mark, step), place, h - 0.25 * rem);
     }
   }
@@ -174,7 +178,7 @@ export class Plots {
   words(mark, step) {
     if (this.model.playback) return step >= 60 ? ago(mark) : `${mark} s`;
     if (mark > -60) return mark ? `${mark} s` : 'now';
-    return mark % 60 ? `-${ago(-mark)}` : `${mark / 60} min`;
+    return step % 60 ? `-${ago(-mark)}` : `${mark / 60} min`;
   }
 
   // The events grouped by tick; `place`: pixels of the first event.
@@ -188,7 +192,7 @@ export class Plots {
     return ticks;
   }
 
-  drawMarks(x, from, until, bottom, line, dim) {
+  drawMarks(x, from, until, bottom, rem, dim) {
     const { ctx } = this;
     ctx.fillStyle = dim;
     ctx.strokeStyle = dim;
@@ -202,8 +206,9 @@ export class Plots {
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
     ctx.textAlign = 'left';
+    ctx.font = `${0.72 * rem}px system-ui, sans-serif`;
     for (const { place, marks } of ticks) {
-      if (marks.length > 1) ctx.fillText(marks.length, place + 5, bottom - 1);
+      if (marks.length > 1) this.label(marks.length, place + 5, bottom - 1);
       ctx.beginPath();
       ctx.moveTo(place - 4, bottom); ctx.lineTo(place + 4, bottom); ctx.lineTo(place, bottom - 6);
       ctx.fill();
@@ -228,7 +233,7 @@ export class Plots {
     ctx.moveTo(this.left, top + height - 0.5); ctx.lineTo(x(until), top + height - 0.5);
     ctx.stroke();
     ctx.strokeStyle = accent;
-    ctx.lineWidth = 2;
+    ctx.lineWidth = isNarrow ? 1.2 : 2;
     ctx.beginPath();
     let isOn = false;
     values.forEach((value, i) => {
@@ -241,7 +246,7 @@ export class Plots {
       ctx.textAlign = 'left';
       ctx.fillStyle = dim;
       ctx.font = `${0.62 * rem}px system-ui, sans-serif`;
-      ctx.fillText(String(Number(most.toPrecision(2))), this.left + 0.25 * rem, top + 0.75 * rem);
+      this.label(Number(most.toPrecision(2)), this.left + 0.25 * rem, top + 0.75 * rem);
     }
     const title = titleOf(key), middle = top + height / 2 + 0.28 * rem;
     ctx.textAlign = 'left';
@@ -251,7 +256,17 @@ export class Plots {
     ctx.fillStyle = text;
     ctx.textAlign = 'right';
     ctx.font = `600 ${(isNarrow ? 0.72 : 0.85) * rem}px system-ui, sans-serif`;
-    ctx.fillText(now === null ? '-' : textOf(key, now), this.left - 0.5 * rem, middle);
+    ctx.fillText(now === null ? '-' : this.text(key, now), this.left - 0.5 * rem, middle);
+  }
+
+  // A text that stays readable on lines.
+  label(text, x, y) {
+    const { ctx } = this;
+    ctx.lineWidth = 4;
+    ctx.lineJoin = 'round';
+    ctx.strokeStyle = getComputedStyle(document.documentElement).getPropertyValue('--back');
+    ctx.strokeText(text, x, y);
+    ctx.fillText(text, x, y);
   }
 
   drawBack() {

@@ -47,6 +47,7 @@ def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
     assert list(results.errors) == ["s0000"]
     assert "ZeroDivisionError" in results.errors["s0000"]["mine.py:odd"]
     assert list(results.unreported()) == ["report:none"]
+    assert results.about("report:turns.max").unit == "rounds"  # as the pattern declares
     again = load_results(out)
     assert again.metrics[-3:] == ("mine.py:seed", "mine.py:odd", "report:none")
     assert again.errors == results.errors
