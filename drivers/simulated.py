@@ -15,7 +15,7 @@ from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import NullSink, Sink, TakeLate, ZeroSenderSpec
 from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.network.carriers.robot_link import (
@@ -34,6 +34,7 @@ SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
 _WATCH_PERIOD = 0.1
+_SCAN, _ODOMETRY = "scan", "odometry"
 _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
@@ -66,6 +67,12 @@ class SimulatedDriver:
         self._link: RobotClient | None = None
         self._gate = CommandGate()
         self._last_sample = -math.inf
+        self._take_late: TakeLate | None = None
+        self._scan_size = 0  # bytes of the smallest frame of a scan
+        self._kinds: set[str] = set()  # kinds of sensor inputs that have come
+        self._lag = 0.0  # arrival minus stamp of the last reading of odometry in s
+        self._last_read = -math.inf
+        self._is_taking = False  # within `_take_frames`
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the link reconnects by itself."""
@@ -96,6 +103,24 @@ class SimulatedDriver:
         command = self._gate.filter(twist)
         if command is not None:
             self._put(command, scan_seq, requested_scan_seq)
+
+    def rest(self, take_late: TakeLate | None) -> None:
+        """Keep odometry in the socket, if the world sends scans and odometry alone.
+
+        A scan still wakes the daemon: the socket becomes readable with the bytes of a scan.
+        """
+        if self._kinds != {_SCAN, _ODOMETRY}:
+            take_late = None
+        if take_late is None:
+            self.read()
+        self._take_late = take_late
+        if self._link is not None:
+            self._link.wait_for(1 if take_late is None else self._scan_size)
+
+    def read(self) -> None:
+        """Hand over the frames that have arrived, unless frames are being handed over now."""
+        if self._link is not None and not self._is_taking:
+            self._link.read()
 
     def send_message(self, channel: str, payload: bytes) -> None:
         """Send a pattern's message by the simulated radio; dropped while there is no link."""
@@ -156,29 +181,70 @@ class SimulatedDriver:
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
         """Take all messages in order, and of each sensor the newest frame only."""
         newest: dict[str, bytes] = {}
+        take_late = self._take_late
         for name, payload in frames:
             if name == "received":
+                self._kinds.add(name)
                 self._take_messages(sink, payload)
             elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
             else:
-                if name in newest:
+                if name in newest and (take_late is None or name != _ODOMETRY):
                     sink.dropped(f"hw/{name}:overtaken")
                 newest[name] = payload
-        for name, payload in newest.items():
-            self._take(sink, name, payload)
+        last, self._last_read = self._last_read, monotonic()
+        waited: float | None = 0.0
+        if take_late is not None:
+            is_last = frames[-1].name == _ODOMETRY
+            waited = self._link.age if is_last and self._link is not None else None
+        self._is_taking = True
+        try:
+            for name, payload in newest.items():
+                self._take(sink, name, payload, take_late, waited, last)
+        finally:
+            self._is_taking = False
 
-    def _take(self, sink: Sink, name: str, payload: bytes) -> None:
+    def _take(
+        self,
+        sink: Sink,
+        name: str,
+        payload: bytes,
+        take_late: TakeLate | None,
+        waited: float | None,
+        last: float,
+    ) -> None:
+        """Take a sensor frame; `waited` and `last` are for `_age`."""
         try:
             input = hw_codec.decode_input(name, payload, self._platform)
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
-        self._last_sample = asyncio.get_running_loop().time()
+        self._kinds.add(name)
+        age = 0.0
+        if isinstance(input, ScanInput):
+            self._scan_size = min(self._scan_size or len(payload), len(payload))
+        elif isinstance(input, OdometryInput):
+            age = self._age(input.odometry.stamp, waited, last)
+        self._last_sample = self._last_read - age
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        sink.take(input)
+        if take_late is not None and isinstance(input, OdometryInput):
+            take_late(input, age)
+        else:
+            sink.take(input)
+
+    def _age(self, stamp: float, waited: float | None, last: float) -> float:
+        """Seconds since a reading of odometry arrived, which was after `last`.
+
+        `waited`: these seconds as measured. None for a reading that arrived before a scan: then its
+        stamp tells them, if it arrived as late after its stamp as the reading before.
+        """
+        now = self._last_read
+        arrival = stamp + self._lag if waited is None else now - waited
+        arrival = min(max(arrival, last), now)
+        self._lag = arrival - stamp
+        return now - arrival
 
     def _take_messages(self, sink: Sink, payload: bytes) -> None:
         if not self.carries_messages:
@@ -192,6 +258,8 @@ class SimulatedDriver:
             sink.message(wire.robot, wire.channel, wire.payload)
 
     def _watch(self, sink: Sink, now: float) -> None:
+        if now - self._last_sample > SENSOR_TIMEOUT and self._take_late is not None:
+            self.read()  # what waits in the socket is not missing
         if self._gate.is_open and now - self._last_sample > SENSOR_TIMEOUT:
             if self._gate.close(now):
                 self._put(ZERO, -1, -1)

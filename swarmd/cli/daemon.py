@@ -140,6 +140,12 @@ def swarmd(
     # 2. The settings. Their import loads numpy, whose BLAS would start a thread per core for
     #    arrays of 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if not (check or print_effective_config):
+        from swarmd.pattern_host.forked import forked_host
+
+        # Without the folder of the program: a random.py there must not shadow a module.
+        path = sys.path if sys.flags.safe_path else sys.path[1:]
+        ctx.with_resource(forked_host(path))
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)

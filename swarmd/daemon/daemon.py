@@ -56,6 +56,7 @@ from swarmd.driver_api.driver import (
     check_protected,
     gripper_of,
     message_carrier,
+    resting_driver,
     state_display,
 )
 from swarmd.driver_api.hw_codec import encode_scan
@@ -160,6 +161,8 @@ class Daemon:
         self._display = state_display(driver)
         self._shown_status: Status | None = None  # for the display, with the next motion
         self._may_rest = may_rest(base, driver)
+        self._resting_driver = resting_driver(driver)
+        self._is_driver_resting = False
         self._output = DriverOutput(
             driver, settings.driver, base.idle_output, self._on_driver_crash
         )
@@ -387,8 +390,8 @@ class Daemon:
     # Inputs
 
     @fail_stop
-    def step(self, input: events.Input, *, may_repeat: bool = True) -> None:
-        """Hand an input to the robot and carry out the actions.
+    def step(self, input: events.Input, *, may_repeat: bool = True, age: float = 0.0) -> None:
+        """Hand an input, which arrived `age` s ago, to the robot and carry out the actions.
 
         `may_repeat` as in `DriverOutput.command`.
         """
@@ -397,10 +400,23 @@ class Daemon:
             self._tell_provisional()
         if kind not in _MEASURED:
             self._active_until = boottime() + ACTIVE_TIME
-            self._timer.rest(False)
-        actions = self._recording.recorder.step(self._robot, input, boottime())
+            self._rest(False)
+        actions = self._recording.recorder.step(self._robot, input, boottime() - age)
         if actions is not None:
             self._carry_out(actions, may_repeat=may_repeat and kind not in _FREQUENT)
+        if kind is events.ScanInput and self._is_driver_resting:
+            self._timer.tick_early()
+
+    def _rest(self, is_resting: bool) -> None:
+        """Let timer and driver rest, or end their rest: the robot gets what the driver kept back.
+
+        A recording has each reading of odometry, so the driver does not rest meanwhile.
+        """
+        self._timer.rest(is_resting)
+        driver, was_resting = self._resting_driver, self._is_driver_resting
+        self._is_driver_resting = is_resting and not self._recording.recorder.is_on
+        if driver is not None and (was_resting or self._is_driver_resting):
+            driver.rest(self.sink.take_late if self._is_driver_resting else None)
 
     def _tell_provisional(self) -> None:
         """Hand the robot the generations of the present run and load that are provisional code."""
@@ -545,12 +561,16 @@ class Daemon:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
 
-        # 1. The robot. A call between two periods does not repeat an unchanged command.
+        # 1. The readings that a resting driver kept back.
+        if self._resting_driver is not None and self._is_driver_resting:
+            self._resting_driver.read()
+
+        # 2. The robot. A call between two periods does not repeat an unchanged command.
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
-        self._timer.rest(is_quiet and self._robot.is_at_rest)
+        self._rest(is_quiet and self._robot.is_at_rest)
 
-        # 2. The network.
+        # 3. The network.
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
@@ -559,7 +579,7 @@ class Daemon:
         if is_due(MOTION_PERIOD):
             self._publish_motion()
 
-        # 3. Log, disk, CPU use and neighbors.
+        # 4. Log, disk, CPU use and neighbors.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # blocks the loop, so never during a run

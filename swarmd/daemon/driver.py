@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from typing import Protocol
 
 from swarmd.core import events
 from swarmd.core.clock import boottime
@@ -141,6 +142,13 @@ class DriverOutput:
             self._on_crash(error)
 
 
+class Step(Protocol):
+    """Hands an input, which arrived `age` s ago, to the robot."""
+
+    def __call__(self, input: events.Input, *, age: float = 0.0) -> None:
+        """Hand over the input."""
+
+
 class DriverSink:
     """Takes the measurements of the driver, and hands them as inputs to `step`.
 
@@ -148,9 +156,7 @@ class DriverSink:
     senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
-    def __init__(
-        self, step: Callable[[events.Input], None], neighborhood: NeighborSelection
-    ) -> None:
+    def __init__(self, step: Step, neighborhood: NeighborSelection) -> None:
         self._step = step
         self._neighborhood = neighborhood
         self.has_neighbors = False
@@ -165,6 +171,10 @@ class DriverSink:
         elif isinstance(input, events.PoseInput):
             self._neighborhood.on_pose(input.pose)
         self._step(input)
+
+    def take_late(self, input: events.OdometryInput, age: float) -> None:
+        """Hand on a reading of odometry that arrived `age` s ago."""
+        self._step(input, age=age)
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """Take a pattern's message that the base received by radio."""

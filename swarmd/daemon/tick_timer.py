@@ -14,6 +14,8 @@ from swarmd.core.clock import STALL_TIMEOUT, TICK
 MAX_LATENESS_SAMPLES = 400
 RESTING_PERIODS = 2
 """Periods of 50 ms between two ticks while the timer rests."""
+_SLACK = 0.2 * TICK
+"""s by which ticks are later while scans bring them forward: no tick comes just before a scan."""
 
 
 class TickTimer:
@@ -28,6 +30,7 @@ class TickTimer:
         self._next = loop.time() + TICK
         self._step = 1  # periods until the next tick
         self._is_resting = False
+        self._slack = 0.0
         self._handle = loop.call_at(self._next, self._on_time)
         self._wake_at: float | None = None
         self._wake: asyncio.TimerHandle | None = None
@@ -48,6 +51,18 @@ class TickTimer:
             self._handle.cancel()
             self._next, self._step = at, 1
             self._handle = self._loop.call_at(at, self._on_time)
+
+    def tick_early(self) -> None:
+        """At rest, tick now in place of the next tick if that is due within 50 ms.
+
+        The work of a tick then needs no wake-up of its own.
+        """
+        left = self._next - self._loop.time()
+        if self._is_resting and self._step > 1 and left < TICK:
+            self._handle.cancel()
+            self._next -= max(left, 0.0)
+            self._slack = _SLACK
+            self._handle = self._loop.call_at(self._next, self._on_time)
 
     def wake_in(self, seconds: float | None) -> None:
         """Set the wake-up in place of the wake-up before; None: no wake-up between ticks."""
@@ -70,7 +85,7 @@ class TickTimer:
             self.stalls += 1
         self.periods += self._step
         self._step = RESTING_PERIODS if self._is_resting else 1
-        self._next += self._step * TICK
+        self._next += self._step * TICK + (self._slack if self._step > 1 else 0.0)
         if self._next <= now:  # more than a period late: do not catch up
             self._next = now + self._step * TICK
         self._handle = self._loop.call_at(self._next, self._on_time)

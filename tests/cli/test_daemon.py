@@ -19,7 +19,12 @@ from swarmd.cli.daemon import swarmd as command
 from swarmd.cli.swarmctl import run_cli
 from swarmd.settings.settings import load_daemon_settings, load_platform
 from tests.support.fake_body import Body
-from tests.support.processes import CAP, DaemonProcess, unique_swarm
+from tests.support.processes import (
+    CAP,
+    DaemonProcess,
+    assert_keeps_nothing_of_its_daemon,
+    unique_swarm,
+)
 from tests.support.swarmctl import fork_command
 
 DRIVER = """
@@ -193,6 +198,18 @@ def test_sighup_is_ignored_under_nohup(tmp_path: Path) -> None:
         with pytest.raises(subprocess.TimeoutExpired):
             daemon.process.wait(1.0)
         assert daemon.terminate() == 0
+
+
+@pytest.mark.integration
+def test_the_first_host_is_a_fork_of_the_daemon(tmp_path: Path) -> None:
+    with DaemonProcess(
+        tmp_path,
+        swarm=unique_swarm(),
+        robot="r1",
+        endpoint="tcp/127.0.0.1:9",
+        is_forked=False,
+    ) as daemon:
+        assert_keeps_nothing_of_its_daemon(daemon.wait_ready().process.pid)
 
 
 def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:

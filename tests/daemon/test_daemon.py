@@ -18,18 +18,27 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.events import DriverInput, HostInput, Input, RangesInput, RequestInput, ScanInput
+from swarmd.core.events import (
+    DriverInput,
+    HostInput,
+    Input,
+    NoteInput,
+    OdometryInput,
+    RangesInput,
+    RequestInput,
+    ScanInput,
+)
 from swarmd.core.files import write_whole
 from swarmd.core.finding import Finding
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import HostDied
 from swarmd.core.messages import Code, Epoch, Reply
-from swarmd.core.values import Scan, Twist
+from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import LabelRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
-from swarmd.driver_api.driver import Sink
+from swarmd.driver_api.driver import Sink, TakeLate
 from swarmd.network.datagram import Stop, pack, tag_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -134,6 +143,49 @@ async def test_the_tick_alone_repeats_the_command_of_a_real_base(
 
     await run(daemon, stop, feed)
     assert counts == [1, repeats, 1, 1, 1]
+
+
+class RestingDriver(RecordingDriver):
+    """A recording driver that keeps one reading of odometry back, which arrived 10 s ago."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.take_late: TakeLate | None = None
+
+    def rest(self, take_late: TakeLate | None) -> None:
+        if take_late is None and self.take_late is not None:
+            self.take_late(OdometryInput(Odometry(1.0, Pose(), Twist())), 10.0)
+        self.take_late = take_late
+
+    def read(self) -> None:
+        pass
+
+
+async def test_an_event_ends_the_rest_of_the_driver_before_the_robot_gets_it(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver, stop = RestingDriver(), asyncio.Event()
+    daemon = Daemon(settings, driver)
+    taken: list[tuple[type[Input], float]] = []
+    original = daemon._robot.step
+
+    def step(input: Input, now: float) -> Actions | None:
+        taken.append((type(input), now))
+        return original(input, now)
+
+    def end_rest() -> None:
+        if driver.take_late is None:
+            asyncio.get_running_loop().call_later(0.05, end_rest)
+            return
+        monkeypatch.setattr(daemon._robot, "step", step)
+        daemon.step(NoteInput("an event"))
+        monkeypatch.setattr(daemon._robot, "step", original)
+        stop.set()
+
+    await run(daemon, stop, end_rest)
+    (first, arrived), (second, now) = taken
+    assert (first, second) == (OdometryInput, NoteInput)
+    assert arrived <= now - 10.0
 
 
 class GrippingDriver(RecordingDriver):

@@ -105,6 +105,24 @@ def test_a_stall_of_a_resting_timer_counts_from_the_time_of_its_tick() -> None:
         assert timer.stalls == stalls
 
 
+def test_scans_bring_the_ticks_of_a_resting_timer_forward() -> None:
+    loop, times = HandLoop(), list[float]()
+    timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))
+    timer.tick_early()  # not at rest: nothing
+    timer.rest(True)
+    for scan in (4.5, 8.5, 12.5):  # at 5 Hz
+        loop.run_until((scan - 1.1) * TICK)
+        timer.tick_early()  # of a tick that is not due within a period: nothing
+        loop.run_until(scan * TICK)
+        timer.tick_early()
+        loop.run_until((scan + 0.01) * TICK)
+    assert times == pytest.approx([1.0, 3.0, 4.5, 6.7, 8.5, 10.7, 12.5])
+    assert timer.periods == pytest.approx(12, abs=1)
+    timer.rest(False)
+    loop.run_until(14.6 * TICK)
+    assert times[7:] == pytest.approx([13.51, 14.51])
+
+
 def test_a_resting_timer_keeps_its_wake_up() -> None:
     loop, times = HandLoop(), list[float]()
     timer = TickTimer(cast(asyncio.AbstractEventLoop, loop), lambda: times.append(loop.now / TICK))

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import DetectionsInput, NeighborsInput, PoseInput, ReadingsInput
+from swarmd.core.events import (
+    DetectionsInput,
+    NeighborsInput,
+    OdometryInput,
+    PoseInput,
+    ReadingsInput,
+)
 from swarmd.core.finding import Finding
 from swarmd.core.values import (
     Array,
@@ -323,3 +329,72 @@ async def test_the_radio_of_the_world_carries_messages_in_their_order(
     robot.send("received", b"garbage")
     await harness.until(lambda: "hw/received" in harness.sink.lost)
     assert message_carrier(make()) is None
+
+
+@story(Body)
+async def test_odometry_waits_for_a_scan_or_a_reading_while_the_robot_rests(
+    harness: DriverHarness, robot: Body
+) -> None:
+    driver, sink, loop = harness.driver, harness.sink, asyncio.get_running_loop()
+    assert isinstance(driver, SimulatedDriver)
+    late: list[tuple[float, float]] = []  # stamps and times of arrival
+
+    def take_late(input: OdometryInput, age: float) -> None:
+        late.append((input.odometry.stamp, loop.time() - age))
+
+    def publish_at(stamp: float) -> tuple[float, float]:
+        """Publish odometry; the times before and after."""
+        before = loop.time()
+        robot.send("odometry", encode_odometry(Odometry(stamp, Pose(), Twist())))
+        return before, loop.time()
+
+    def has(stamp: float) -> bool:
+        return bool(late) and late[-1][0] == stamp
+
+    def assert_time_of(stamp: float, sent: tuple[float, float], read: Callable[[], None]) -> None:
+        """`read` hands over the reading, with its time of arrival."""
+        began = loop.time()
+        read()
+        inaccuracy = loop.time() - began + 0.005  # two clocks are read, one after the other
+        assert has(stamp)
+        assert sent[0] - inaccuracy <= late[-1][1] <= sent[1] + inaccuracy
+
+    async with asyncio.timeout(TIMEOUT):
+        while not (sink.scans and sink.odometries):
+            robot.publish()
+            await asyncio.sleep(POLL_PERIOD)
+        robot.publish_scan(scan(500))
+        while sink.scans[-1].seq != 500:
+            await asyncio.sleep(POLL_PERIOD)
+        driver.rest(take_late)
+        publish_at(1.0)
+        sent = publish_at(1.05)
+        await asyncio.sleep(0.1)
+        assert not late
+        assert_time_of(1.05, sent, driver.read)  # as of a tick
+        assert len(late) == 1  # the newest reading alone
+        last_read = loop.time()
+        publish_at(1.2)
+        await asyncio.sleep(0.1)
+        robot.publish_scan(scan(501))
+        while not (has(1.2) and sink.scans[-1].seq == 501):  # the scan wakes the loop
+            await asyncio.sleep(POLL_PERIOD)
+        by_stamps = late[-2][1] + 0.15
+        assert min(by_stamps, last_read - 0.005) <= late[-1][1] <= max(by_stamps, last_read) + 1e-6
+        sent = publish_at(1.22)
+        await asyncio.sleep(0.05)
+        # As at an event of the robot: nothing waits from now on.
+        assert_time_of(1.22, sent, lambda: driver.rest(None))
+        count = len(late)
+        publish_at(1.25)
+        while sink.odometries[-1].stamp != 1.25:
+            await asyncio.sleep(POLL_PERIOD)
+        robot.send("neighbors", encode_input(NeighborsInput(())))
+        while not sink.taken["neighbors"]:
+            await asyncio.sleep(POLL_PERIOD)
+        driver.rest(take_late)  # without effect: the time of arrival of neighbours would be lost
+        publish_at(1.3)
+        while sink.odometries[-1].stamp != 1.3:
+            await asyncio.sleep(POLL_PERIOD)
+    assert len(late) == count
+    assert not any("overtaken" in kind for kind in sink.lost)

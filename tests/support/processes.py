@@ -22,6 +22,7 @@ import yaml
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.values import Value
 from swarmd.driver_api.watchdog import watchdog_name
+from swarmd.pattern_host.worker import NICE
 from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
 
@@ -215,6 +216,24 @@ def children(pid: int) -> list[int]:
         with contextlib.suppress(OSError):  # this thread has ended meanwhile
             found += [int(child) for child in task.read_text().split()]
     return sorted(found)
+
+
+def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:
+    """Assert that the only child of a daemon is a forked, confined pattern host.
+
+    The host has the descriptors of a host alone, its own session, and a lower priority.
+    """
+    (host,) = children(daemon)
+    own = Path(f"/proc/{host}")
+    wait_until(lambda: "Seccomp:\t2\n" in (own / "status").read_text(), "the host is confined")
+    assert (own / "comm").read_text() == "swarmd-host\n"
+    kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
+    assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
+    assert os.getsid(host) == os.getpgid(host) == host
+    status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
+    assert (status["Seccomp"], status["Threads"]) == ("2", "1")
+    nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
+    assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
 
 
 def end_process(pid: int) -> None:

@@ -86,6 +86,7 @@ class Connection:
         self.socket = connected
         self.is_open = True  # False from the end of the connection on; then call `close`
         self.age = 0.0  # s for which the newest frame waited before `receive`, if `is_timed`
+        self._wanted = self._least = 1  # bytes; see `wait_for`
         self._room = _ROOM if is_timed else 0
         self._received = bytearray()
         self._unsent = b""
@@ -134,7 +135,23 @@ class Connection:
             pass
         except OSError:
             self.is_open = False
-        return self._take_frames()
+        frames = self._take_frames()
+        self._wake_with(1 if self._received else self._wanted)
+        return frames
+
+    def wait_for(self, size: int) -> None:
+        """Let the socket become readable with `size` bytes, or at the end of the connection.
+
+        While a part of a frame has been received, a single byte makes the socket readable.
+        """
+        self._wanted = size
+        self._wake_with(1 if self._received else size)
+
+    def _wake_with(self, size: int) -> None:
+        if size != self._least:
+            self._least = size
+            with suppress(OSError):  # the connection has ended already
+                self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, size)
 
     def close(self) -> None:
         """Close the connection; the kernel still sends the frames that `send` has taken."""
@@ -324,6 +341,7 @@ class RobotClient:
         self._endpoint, self._on_frames = endpoint, on_frames
         self._hello = encode(hello)
         self._connection: Connection | None = None
+        self._read: Callable[[], None] | None = None
         self.is_known = False
 
     async def run(self) -> None:
@@ -342,7 +360,7 @@ class RobotClient:
                 # TCP self-connect: where nothing listens, the kernel may give the socket the very
                 # port to which it connects.
                 if made.getsockname() != made.getpeername():
-                    await self._use(Connection(made), loop)
+                    await self._use(Connection(made, is_timed=True), loop)
             except OSError:  # nothing listens or answers there now
                 pass
             finally:
@@ -369,7 +387,7 @@ class RobotClient:
                 self._on_frames(frames)
 
         file = connection.socket.fileno()
-        self._connection = connection
+        self._connection, self._read = connection, on_readable
         connection.send(HELLO, self._hello)
         loop.add_reader(file, on_readable)
         try:
@@ -377,8 +395,26 @@ class RobotClient:
         finally:
             if not ended.done() or ended.cancelled():  # this task was cancelled
                 loop.remove_reader(file)
-            self._connection, self.is_known = None, False
+            self._connection, self._read, self.is_known = None, None, False
             connection.close()
+
+    @property
+    def age(self) -> float:
+        """Seconds for which the last frame had waited when it was handed over, by the wall clock.
+
+        The wall clock may be set meanwhile.
+        """
+        return 0.0 if self._connection is None else self._connection.age
+
+    def wait_for(self, size: int) -> None:
+        """Read by itself only once `size` bytes have arrived; 1: at once. See `read`."""
+        if self._connection is not None:
+            self._connection.wait_for(size)
+
+    def read(self) -> None:
+        """Hand over the frames that have arrived."""
+        if self._read is not None:
+            self._read()
 
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if the frame is dropped for lack of room or connection."""

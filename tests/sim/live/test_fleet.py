@@ -17,11 +17,15 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.pattern_host.worker import NICE
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.starting import await_robots, statuses_of
-from tests.support.processes import children, unique_swarm, wait_until
+from tests.support.processes import (
+    assert_keeps_nothing_of_its_daemon,
+    children,
+    unique_swarm,
+    wait_until,
+)
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
 ROBOTS = {"tb3-01": "burger", "tb3-02": "waffle_pi"}
@@ -102,21 +106,6 @@ def test_options_of_the_world_and_of_daemons(
     path = tmp_path / "a.yaml"
     path.write_text(yaml.safe_dump(own))
     assert "detections" in load_daemon_settings(path, {}, {}).platform.provides
-
-
-def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:
-    """The daemon's forked pattern host."""
-    (host,) = children(daemon)
-    own = Path(f"/proc/{host}")
-    wait_until(lambda: "Seccomp:\t2\n" in (own / "status").read_text(), "the host is confined")
-    assert (own / "comm").read_text() == "swarmd-host\n"
-    kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
-    assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
-    assert os.getsid(host) == os.getpgid(host) == host
-    status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
-    assert (status["Seccomp"], status["Threads"]) == ("2", "1")
-    nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
-    assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
 
 
 @pytest.mark.integration
