@@ -12,7 +12,9 @@ def _inside(folder: str, *pages: str) -> list[str]:
 CONTENTS = {
     "Begin": ["README", *_inside("docs", "problems", "tutorial/README", "glossary")],
     "Behaviours": ["patterns/README", *_inside("docs", "patterns", "missions", "learning")],
-    "Experiments": _inside("docs", "experiments", "tuning", "figures", "benchmark_suite", "paper"),
+    "Experiments": _inside(
+        "docs", "experiments", "tuning", "figures", "benchmark_suite", "paper", "from_ros2swarm"
+    ),
     "Operating": _inside(
         "docs",
         "operating",

@@ -18,7 +18,13 @@ WINGS: Mapping[str, tuple[str, ...]] = {
         "swarmd/testing",
     ),
     "operator": (
-        *("swarmd/calibration", "swarmd/cli", "swarmd/client", "swarmd/network/operator"),
+        *(
+            "drivers/ros2swarm",
+            "swarmd/calibration",
+            "swarmd/cli",
+            "swarmd/client",
+            "swarmd/network/operator",
+        ),
         *("swarmd/replay", "swarmd/texts", "swarmd/view"),
     ),
     "laboratory": ("benchmarks", "sim", "studies"),
