@@ -77,20 +77,20 @@ class Protection:
     _right_of_way: object
     _latency: cython.double
     _is_running: cython.bint
-    _is_followed: cython.bint  # `following` has had a reading since its reset
+    _has_followed: cython.bint  # `following` has had a reading since its reset
     _scan_seq: cython.Py_ssize_t
     _scan: object
     _min_gap: object
-    _near: object  # (k, 2) returns of the ring, m in the base frame; None without one
+    _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
     _safe: object
-    _allowed: object  # the safe command before `speed_share`
+    _mode_command: object  # the safe command before `speed_share`
     _requested: object
-    _wanted: object  # `_requested` within the limits
+    _clipped_request: object  # `_requested` within the limits
     # The last decision without a hold. The decision is repeated for the same case (`_case`) in the
     # same context, in which each mode decides the same. A scan or odometry ends the context.
-    _context: object
-    _case: tuple
-    _last: object
+    _last_context: object
+    _last_case: tuple
+    _last_decision: object
 
     def __init__(self, platform: Platform, seed: str = "") -> None:
         self._limits = platform.limits
@@ -103,7 +103,7 @@ class Protection:
         self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self.events, self._scan_seq, self.moved_at = [], -1, -math.inf
-        self._safe = self._allowed = self._wanted = ZERO
+        self._safe = self._mode_command = self._clipped_request = ZERO
         self._is_recovering = False
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         if clearance is not None:
@@ -121,7 +121,7 @@ class Protection:
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
-        self._scan_seq, self._scan, self._context = scan.seq, scan, None
+        self._scan_seq, self._scan, self._last_context = scan.seq, scan, None
         arbiter, geometry = self._arbiter, self._geometry
         arbiter.observe(scan, geometry, context)
         if is_barrier(arbiter):  # which has looked at all returns
@@ -145,7 +145,7 @@ class Protection:
             if text:
                 self.events.append(text)
         if self._is_running:
-            self._is_followed = True
+            self._has_followed = True
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
@@ -180,59 +180,73 @@ class Protection:
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
     ) -> Decision:
-        """The safe command for a requested one (None: zero), with its reasons.
+        """The safe command for a requested command, with its reasons.
 
-        Exactly zero outside `running`, under any hold and before the first scan. The limits apply
-        to the requested command, so that an arbiter can rely on them, and to the result.
+        The command is exactly zero outside `running`, under any hold and before the first scan. The
+        platform's limits apply to the request, so that a mode can rely on them, and to the result.
+
+        Args:
+            requested: the command of the pattern in m/s and rad/s; None: zero.
+            context: the time, and the inputs with their ages.
+            is_running: the robot is in the state `running`.
+            hold: the reason of a hold, which zeroes the command; None without a hold.
+            permit: what the pattern permits: recovery, avoidance, a touch zone.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        # Switch avoidance on or off. A hold has no permit; avoidance then stays as it was.
+
+        # 1. Switches avoidance on or off. A hold has no permit and leaves avoidance unchanged.
         if recovery is not None and (hold is None or not is_running):
-            avoids = self._avoids if permit.avoids is None else permit.avoids
-            is_avoiding: cython.bint = is_running and permit.may_recover and avoids
+            may_avoid = self._avoids if permit.avoids is None else permit.avoids
+            is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
             if is_avoiding != self._is_avoiding:
                 self._is_avoiding = is_avoiding
                 self._tracker.reset()  # objects have moved meanwhile
                 self._avoidance.reset()
                 self._right_of_way.reset()
-        # Clip the request. Most requests are judged more than once, so the result is kept.
+
+        # 2. Clips the request. Most requests are judged more than once, so the result is stored.
         if requested is not self._requested:
-            self._requested, self._wanted = requested, _zero
+            self._requested, self._clipped_request = requested, _zero
             if requested is not None and requested.is_finite:
-                self._wanted = self._limits.clip(requested)
-        wanted = judged = self._wanted
-        self._near = context.near_points if context.near else None
-        # Decide zero outside `running` and under a hold.
+                self._clipped_request = self._limits.clip(requested)
+        clipped = candidate = self._clipped_request
+        self._ring_points = context.near_points if context.near else None
+
+        # 3. Decides zero outside `running` and under a hold.
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
-        if self._is_followed and (not is_running or hold is _driver_lost or touch is not None):
-            self._is_followed = False
-            self.following.reset()  # an object that the robot may touch may stop the robot
+        if self._has_followed and (not is_running or hold is _driver_lost or touch is not None):
+            self._has_followed = False
+            self.following.reset()  # with a touch zone, an object may stop the base
         if not is_running or hold is not None:
             if self._may_recover:
                 self._may_recover = self._is_recovering = False
                 recovery.reset()
                 self._avoidance.reset()
                 self._right_of_way.reset()
-            return self._decision(wanted, _zero, False, (), hold, context)
-        # Let right of way, avoidance and recovery replace the request.
+            return self._decision(clipped, _zero, False, (), hold, context)
+
+        # 4. Right of way, avoidance and recovery may replace the request by a candidate.
         if recovery is not None and permit.may_recover:
             self._may_recover = True
-            allows = partial(self._safe_for, context, touch)
-            passing, others = self._passing(wanted, context, allows)
-            judged = recovery.replacement(
-                passing, self._allowed, context, self._points, others, allows
+            safe_for = partial(self._safe_for, context, touch)
+            passing_request, others = self._pass_others(clipped, context, safe_for)
+            candidate = recovery.replacement(
+                passing_request, self._mode_command, context, self._points, others, safe_for
             )
             self._is_recovering = recovery.is_active
-        if context is self._context:
-            case = wanted, judged, judged is wanted, self._is_recovering, touch
-            if case == self._case:
-                return self._last
-        # Let the mode judge the request.
-        asked = judged if judged is wanted else self._limits.clip(judged)
-        decision = self._arbiter.decide(asked, context, self._safe, touch)
+
+        # 5. Repeats the last decision for the same case in the same context.
+        if context is self._last_context:
+            case = clipped, candidate, candidate is clipped, self._is_recovering, touch
+            if case == self._last_case:
+                return self._last_decision
+
+        # 6. The mode limits the candidate.
+        mode_request = candidate if candidate is clipped else self._limits.clip(candidate)
+        decision = self._arbiter.decide(mode_request, context, self._safe, touch)
         twist = decision.twist
-        is_active: cython.bint = judged is not wanted or decision.is_active
+        is_active: cython.bint = candidate is not clipped or decision.is_active
         linear: cython.double = twist.linear
         angular: cython.double = twist.angular
         lateral: cython.double = twist.lateral
@@ -246,82 +260,100 @@ class Protection:
             and fabs(lateral) <= _ZERO_TOLERANCE
         ):
             reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
-        last = self._last = self._decision(wanted, twist, is_active, decision.rows, reason, context)
-        self._context = context
-        self._case = wanted, judged, judged is wanted, self._is_recovering, touch
+        last = self._last_decision = self._decision(
+            clipped, twist, is_active, decision.rows, reason, context
+        )
+        self._last_context = context
+        self._last_case = clipped, candidate, candidate is clipped, self._is_recovering, touch
         return last
 
     def _safe_for(self, context, touch, requested):
-        """The command that the mode allows for a requested one."""
+        """The command of the mode for any requested command in the present situation."""
         return self._arbiter.decide(self._limits.clip(requested), context, self._safe, touch).twist
 
-    def _passing(
-        self, wanted: Twist, context: DecisionContext, allows: Allows
+    def _pass_others(
+        self, requested: Twist, context: DecisionContext, safe_for: Allows
     ) -> tuple[Twist, Others]:
-        """The command that leads past openings and moving objects; else `wanted`.
+        """The command that leads past openings and moving objects, and what recovery must know.
 
-        Also what recovery must know about other objects.
+        The command is `requested` if no opening and no object is in the way. `safe_for` gives the
+        command of the mode for any request. Right of way decides first. Avoidance decides unless
+        right of way or recovery has settled the command.
         """
         avoidance, recovery = self._avoidance, self._recovery
         if not self._is_avoiding:
-            return wanted, NO_OTHERS
+            return requested, NO_OTHERS
         around = self._tracker.surroundings(context)
-        way = self._right_of_way
-        wanted = way.command(wanted, context, around, allows, self._points)
-        if way.is_settled:
+        right_of_way = self._right_of_way
+        requested = right_of_way.command(requested, context, around, safe_for, self._points)
+        if right_of_way.is_settled:
             avoidance.avoiding = None
-            return wanted, Others(wanted, is_settled=True)
+            return requested, Others(requested, is_settled=True)
         if recovery.has_taken_over:
             avoidance.avoiding = None
-            return wanted, NO_OTHERS
-        passing = avoidance.command(wanted, self._allowed, context.now, around)
-        return passing, Others(wanted, avoidance.are_near, avoidance.avoiding is not None)
+            return requested, NO_OTHERS
+        passing = avoidance.command(requested, self._mode_command, context.now, around)
+        return passing, Others(requested, avoidance.are_near, avoidance.avoiding is not None)
 
     def _points(self) -> Array:
         """(k, 2) returns in m in the base frame: of the scan within the lookahead, and the ring."""
         if self._scan is None or self._recovery is None:
             return _NO_POINTS
         points = self._geometry.points(self._scan, self._recovery.lookahead)
-        return points if self._near is None else np.concatenate((points, self._near))
+        return points if self._ring_points is None else np.concatenate((points, self._ring_points))
 
     @cython.cfunc
     def _decision(
         self,
-        wanted: object,
+        clipped_request: object,
         twist: object,
         is_active: cython.bint,
         rows: tuple,
         reason: object,
         context: object,
     ):
+        """The Decision for the command `twist` of the mode; tells the monitors the safe command.
+
+        Clips the command, and reduces it to `speed_share` after a violated assumption.
+
+        Args:
+            clipped_request: the request within the limits, for the report.
+            is_active: the mode or a replacement changed the request.
+            rows: the limiting obstacles.
+            reason: why the command is zero; None if the robot moves.
+        """
         monitor, safe = self._monitor, twist
-        if twist is not wanted and twist is not _zero:
+        if twist is not clipped_request and twist is not _zero:
             safe = self._limits.clip(twist)
-        self._allowed = safe
+        self._mode_command = safe
+
+        # 1. The share that the driver gets.
         share: cython.double = 1.0
         if monitor is not None:
             share = monitor.speed_share
-            if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
+            if share < 1.0:  # a share is feasible, too: the constraints are convex and permit zero
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
             text = monitor.on_command(safe)
             if text:
                 self.events.append(text)
+
+        # 2. Stores and reports the command.
         self.following.on_command(safe)
         if safe is not _zero and not safe.is_zero:
             self.moved_at = context.now
-        self._safe, self._context = safe, None
-        gap = self._min_gap
-        if self._near is not None:
-            beside = float(self._footprint.gaps(self._near).min())
-            gap = beside if gap is None else min(gap, beside)
+        self._safe, self._last_context = safe, None
+        min_gap = self._min_gap
+        if self._ring_points is not None:
+            ring_gap = float(self._footprint.gaps(self._ring_points).min())
+            min_gap = ring_gap if min_gap is None else min(min_gap, ring_gap)
         return _decision(
             self._arbiter.mode,
-            wanted,
+            clipped_request,
             safe,
             reason,
             is_active or share < 1.0,
             rows,
-            gap,
+            min_gap,
             context.scan_age,
             self._scan_seq,
             self._is_recovering,

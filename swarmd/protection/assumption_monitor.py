@@ -18,8 +18,8 @@ Braking of the base:
 
 Speed of others: the speed at which the gap to the nearest return falls is fitted by least squares
 over several scans. All motion of the robot itself and the standard deviations are subtracted. The
-rest is compared with `others_speed`. An object that approaches is found, an object that passes is
-not.
+rest is compared with `others_speed`. The test finds an object that approaches, but no object that
+passes.
 
 A violation reduces the speed of the robot to `speed_share` until an operator ends the violation,
 since nothing that happens later proves the assumption again. For braking, the share is the measured
@@ -62,19 +62,19 @@ SOUND, WEAK = 0.85, 0.7
 ALARM = 14.0
 """The sum of the test at which it alarms: sound brakes do so once in a million stops (e^14)."""
 
-_MOST_OF_ONE = 5.0  # the most that one stop adds to the sum: an alarm needs three stops
+_MOST_OF_A_STOP = 5.0  # the most that one stop adds to the sum: an alarm needs three stops
 _SHARES = np.array((*np.geomspace(0.15, 0.63, 11), WEAK, 0.77, SOUND, 0.92, 1.0, 1.1))
 _WEAK, _SOUND = (int(np.flatnonzero(share == _SHARES)[0]) for share in (WEAK, SOUND))
 _LONGEST_DELAY = 0.6  # s from the command to the stamp at which the base responds
 _DELAYS = np.linspace(0.0, _LONGEST_DELAY, 13)
-_NEAR_DELAYS = np.linspace(-0.04, 0.04, 9)
+_FINE_DELAYS = np.linspace(-0.04, 0.04, 9)
 _PARTS = np.array((0.25, 0.75))  # of each period: the mean of the speeds there gives its distance
 # Noise of odometry as a share of a reading before any stop, and how many readings it counts for.
 _SLIP, _SLIP_FREEDOM = 0.05, 20.0
 _MAX_FREEDOM = 400.0  # readings that count for the noise at most, so that older ones fade
-_WORST = 9.0  # times the variance: the most that one stop may add to the estimate of the variance
+_MAX_VARIANCE_RATIO = 9.0  # times the variance: the most that a stop adds to its estimate
 # Share of the speed before a stop: a slower reading has the noise of that speed.
-_STILL = 0.2
+_STILL_SHARE = 0.2
 
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
 _MIN_DROP_TIME = 0.1  # s that the fall takes at the declared braking, at least
@@ -85,31 +85,32 @@ _FOLLOWED = cython.declare(cython.double, 0.15)
 # Readings before a stop that give its speed: the most and the least.
 _CRUISE = cython.declare(cython.Py_ssize_t, 6)
 _MIN_CRUISE = cython.declare(cython.Py_ssize_t, 2)
-_MIN_STEPS = 3  # readings of a stop
-_ENDS = cython.declare(cython.double, 0.1)  # share of the fall that remains when a stop ends
+_MIN_STOP_READINGS = 3  # readings of a stop
+_END_SHARE = cython.declare(cython.double, 0.1)  # share of the fall that remains when a stop ends
 # Share of the speed by which noise may raise the speed during a stop.
-_RISE = cython.declare(cython.double, 0.3)
+_NOISE_RISE = cython.declare(cython.double, 0.3)
 _MAX_WAIT = cython.declare(cython.double, 1.5)  # s in which a stop is judged
 _MAX_PERIOD = cython.declare(cython.double, 0.3)  # s between two readings
 # Share of the command before a stop by which the command may rise again.
-_RISES = cython.declare(cython.double, 0.2)
+_COMMAND_RISE = cython.declare(cython.double, 0.2)
 # Share of the fall of a stop by which the speed on the other axis may change: brakes that both
 # axes share then leave 0.96 of the braking for the stop.
-_BESIDE = cython.declare(cython.double, 0.3)
+_OTHER_AXIS_CHANGE = cython.declare(cython.double, 0.3)
 _MAX_COMMANDS = cython.declare(cython.Py_ssize_t, 40)
-_MAX_WAYS = cython.declare(cython.Py_ssize_t, 64)
+_MAX_TRAVELS = cython.declare(cython.Py_ssize_t, 64)
 
-_NEAR = cython.declare(cython.double, 1.5)  # m within which an approach counts
-_APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans from which a speed is measured: most and least
+_NEAR_GAP = cython.declare(cython.double, 1.5)  # m within which an approach counts
+# s of scans from which a speed is measured: most and least
+_MAX_APPROACH_TIME, _MIN_APPROACH_TIME = 0.85, 0.35
 _MIN_SCANS = 4  # in that time: a lidar of 5 Hz sees a pedestrian in no more
 _MAX_GAP_TIME = cython.declare(cython.double, 0.6)  # s between two scans of one approach
-_FASTER = 1.15  # times others_speed: an approach that is clearly faster
+_CLEARLY_FASTER = 1.15  # times others_speed: an approach that is clearly faster
 _RANGE_NOISE = 0.01  # m of the nearest range, at least
 # m, plus a share of the distance, by which a scan may differ from an even approach: if an object
 # appears or is lost, the nearest return jumps.
-_STEADY, _STEADY_SHARE = 0.03, 0.05
-_CERTAIN = 3.0  # standard deviations by which an approach must be too fast
-_APART, _TOGETHER = 5.0, 600.0  # s between two approaches that together are a violation
+_MAX_RESIDUAL, _MAX_RESIDUAL_SHARE = 0.03, 0.05
+_STANDARD_DEVIATIONS = 3.0  # standard deviations by which an approach must be too fast
+_MIN_APART, _MAX_APART = 5.0, 600.0  # s between two approaches that together are a violation
 
 RESPONSE = 0.05
 """s after a command within which the base responds, as mode `barrier` assumes."""
@@ -149,15 +150,18 @@ class _Stop:
     """
 
     sign: cython.double  # 1 or -1: the direction of the motion before the stop
-    begin: cython.double  # speed commanded before the stop
-    least: cython.double  # lowest speed commanded since
-    at: cython.double  # stamp of odometry at which the command fell
+    begin_speed: cython.double  # speed commanded before the stop
+    least_speed: cython.double  # lowest speed commanded since
+    fell_at: cython.double  # stamp of odometry at which the command fell
     # Periods of odometry before and after the fall: stamp at begin, stamp at end, m or rad moved.
     cruise: list
     steps: list
 
-    def __init__(self, sign: float, begin: float, least: float, at: float, cruise: list):
-        self.sign, self.begin, self.least, self.at = sign, begin, least, at
+    def __init__(
+        self, sign: float, begin_speed: float, least_speed: float, fell_at: float, cruise: list
+    ):
+        self.sign, self.fell_at = sign, fell_at
+        self.begin_speed, self.least_speed = begin_speed, least_speed
         self.cruise, self.steps = cruise, []
 
 
@@ -177,18 +181,18 @@ class _Brake:
     _command: cython.double  # the last command
     # Ring buffers (item k is at k modulo the length). The commands: how many were given, the stamp
     # since which each holds, its speed.
-    _given: cython.Py_ssize_t
+    _commands: cython.Py_ssize_t
     _stamps: cython.double[40]
-    _levels: cython.double[40]
+    _speeds: cython.double[40]
     # The periods of odometry in which the base followed a constant command: how many, and of each
     # the stamp at begin, the stamp at end, and m or rad moved.
-    _cruised: cython.Py_ssize_t
+    _cruise_count: cython.Py_ssize_t
     _cruise: cython.double[18]
     _variance: cython.double  # of the noise of odometry, as a share of a reading
     _freedom: cython.double  # degrees of freedom of this estimate
     # The CUSUM test: the sum, the stops since it was zero, and the summed misfits by share.
-    _sum: cython.double
-    _stops: cython.Py_ssize_t
+    _log_likelihood_sum: cython.double
+    _stop_count: cython.Py_ssize_t
     _misfits: object
 
     def __init__(self, declared: float, min_drop: float, unit: str) -> None:
@@ -201,8 +205,8 @@ class _Brake:
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
-        if not (0 <= self._given < 1 << 60 and 0 <= self._cruised < 1 << 60):
-            raise ValueError(f"{self._given} commands and {self._cruised} steps of a brake")
+        if not (0 <= self._commands < 1 << 60 and 0 <= self._cruise_count < 1 << 60):
+            raise ValueError(f"{self._commands} commands and {self._cruise_count} steps of a brake")
 
     def forget(self) -> None:
         """Trust the declared braking again, and begin the test anew."""
@@ -212,129 +216,154 @@ class _Brake:
     def interrupt(self) -> None:
         """Drop the stop under way, as after a jump of the clock or the pose of odometry."""
         self._stop = None
-        self._cruised = self._given = 0
+        self._cruise_count = self._commands = 0
         self._note(-math.inf, self._command)
 
     @cython.ccall
     def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
         """Drop the stop under way if the speed on another `axis` changes, too.
 
-        `speed` is the last measured speed on that axis, at `stamp`. It may follow any command of
-        the last _LONGEST_DELAY s, so all these commands are compared.
+        `speed` is the last measured speed on that axis, at `stamp`. The base may still follow any
+        command of the last _LONGEST_DELAY s, so the speed is compared with all these commands.
         """
         stop: _Stop = self._stop
         if stop is None:
             return
         change: cython.double = fabs(axis._command - speed)
         k: cython.Py_ssize_t
-        for k in range(axis._given - 1, max(axis._given - _MAX_COMMANDS, 0) - 1, -1):
-            change = max(change, fabs(axis._command - axis._levels[k % _MAX_COMMANDS]))
+        for k in range(axis._commands - 1, max(axis._commands - _MAX_COMMANDS, 0) - 1, -1):
+            change = max(change, fabs(axis._command - axis._speeds[k % _MAX_COMMANDS]))
             if axis._stamps[k % _MAX_COMMANDS] <= stamp - _LONGEST_DELAY:
                 break
-        if change > _BESIDE * (stop.begin - stop.least):
+        if change > _OTHER_AXIS_CHANGE * (stop.begin_speed - stop.least_speed):
             self._stop = None
 
     @cython.cfunc
     def _note(self, stamp: cython.double, command: cython.double):
-        """Keep a command."""
-        at: cython.Py_ssize_t = self._given % _MAX_COMMANDS
-        self._stamps[at], self._levels[at] = stamp, command
-        self._given += 1
+        """Store a command, which holds from the stamp on, in the ring buffers."""
+        place: cython.Py_ssize_t = self._commands % _MAX_COMMANDS
+        self._stamps[place], self._speeds[place] = stamp, command
+        self._commands += 1
 
     def _begin(self) -> None:
-        self._sum, self._stops = 0.0, 0
+        self._log_likelihood_sum, self._stop_count = 0.0, 0
         self._misfits = np.zeros(len(_SHARES))
 
     @cython.ccall
     def on_command(
         self, command: cython.double, speed: cython.double, stamp: cython.double
     ) -> cython.bint:
-        """Take in a command; `speed` is the last measured speed, at `stamp`. True: a violation.
+        """Take in a command of this axis; True if it ends a stop that shows weak brakes.
 
         A command that falls clearly begins a stop, if the base moved as commanded before. A command
         that rises ends the stop under way, which is then judged.
+
+        `command`: m/s or rad/s. `speed`: the last measured speed in the same unit. `stamp`: s, of
+        this measurement.
         """
-        before: cython.double = self._command
-        level: cython.double
-        if command == before:
+        previous: cython.double = self._command
+        new_speed: cython.double
+        if command == previous:
             return False
         self._command = command
         self._note(stamp, command)
+
+        # 1. A stop is under way: the command continues the stop, or ends the stop by a rise.
         stop: _Stop = self._stop
         if stop is not None:
-            level = max(stop.sign * command, 0.0)
-            stop.least = min(level, stop.least)
-            return level > stop.least + _RISES * stop.begin and self._end()
-        if (before - command if before > 0.0 else command - before) < self._min_drop:
+            new_speed = max(stop.sign * command, 0.0)
+            stop.least_speed = min(new_speed, stop.least_speed)
+            return new_speed > stop.least_speed + _COMMAND_RISE * stop.begin_speed and self._end()
+
+        # 2. Does the command fall clearly: by an absolute amount, and by a share of the speed?
+        if (previous - command if previous > 0.0 else command - previous) < self._min_drop:
             return False
-        begin: cython.double = fabs(before)
-        sign: cython.double = copysign(1.0, before)
-        level = max(sign * command, 0.0)
-        if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:
+        begin_speed: cython.double = fabs(previous)
+        sign: cython.double = copysign(1.0, previous)
+        new_speed = max(sign * command, 0.0)
+        if (
+            begin_speed - new_speed < self._min_drop
+            or begin_speed - new_speed < _MIN_DROP_SHARE * begin_speed
+        ):
             return False
-        if fabs(speed - before) <= _FOLLOWED * begin and self._cruised >= _MIN_CRUISE:
-            rows = [3 * (k % _CRUISE) for k in _last(self._cruised, _CRUISE)]
-            cruise = [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in rows]
-            self._stop = _Stop(sign, begin, level, stamp, cruise)
-        self._cruised = 0
+
+        # 3. A stop begins, if odometry shows that the base followed the command before.
+        if fabs(speed - previous) <= _FOLLOWED * begin_speed and self._cruise_count >= _MIN_CRUISE:
+            starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
+            cruise = [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
+            self._stop = _Stop(sign, begin_speed, new_speed, stamp, cruise)
+        self._cruise_count = 0
         return False
 
     @cython.ccall
-    def on_step(self, begin: cython.double, end: cython.double, way: cython.double) -> cython.bint:
-        """Take in the m or rad `way` that the base moved between two stamps. True: a violation.
+    def on_step(
+        self, begin: cython.double, end: cython.double, moved: cython.double
+    ) -> cython.bint:
+        """Take in a period of odometry; True if it ends a stop that shows weak brakes.
 
-        Without a stop under way, collects the periods in which the base follows the command.
-        During a stop, collects its periods, and judges the stop once it is over.
+        Without a stop under way, the call collects the periods in which the base follows a constant
+        command. During a stop, the call collects its periods, and judges the stop once the base has
+        followed the fall of the command, or after _MAX_WAIT s.
+
+        `begin`, `end`: s, the stamps of the two readings. `moved`: m or rad that the base moved
+        between the two readings.
         """
         stop: _Stop = self._stop
         period: cython.double = end - begin
         if stop is None:
-            wanted: cython.double = self._command * period
-            if wanted == 0.0 or fabs(way - wanted) > _FOLLOWED * fabs(wanted):
-                self._cruised = 0
+            commanded: cython.double = self._command * period
+            if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
+                self._cruise_count = 0
             else:
-                at: cython.Py_ssize_t = 3 * (self._cruised % _CRUISE)
-                self._cruise[at], self._cruise[at + 1], self._cruise[at + 2] = begin, end, way
-                self._cruised += 1
+                start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
+                self._cruise[start], self._cruise[start + 1] = begin, end
+                self._cruise[start + 2] = moved
+                self._cruise_count += 1
             return False
-        stop.steps.append((begin, end, way))
-        speed: cython.double = stop.sign * way / period
-        if speed > (1.0 + _RISE) * stop.begin or period > _MAX_PERIOD:
-            self._stop = None  # another robot pushed it, or odometry was lost
+        stop.steps.append((begin, end, moved))
+        speed: cython.double = stop.sign * moved / period
+        if speed > (1.0 + _NOISE_RISE) * stop.begin_speed or period > _MAX_PERIOD:
+            self._stop = None  # another robot pushed the robot, or odometry was lost
             return False
-        is_done: cython.bint = speed - stop.least <= _ENDS * (stop.begin - stop.least)
-        return (is_done or end - stop.at > _MAX_WAIT) and self._end()
+        is_done: cython.bint = speed - stop.least_speed <= _END_SHARE * (
+            stop.begin_speed - stop.least_speed
+        )
+        return (is_done or end - stop.fell_at > _MAX_WAIT) and self._end()
 
     @cython.cfunc
     def _end(self) -> cython.bint:
-        """End the stop and judge it: update noise and test. True: a violation."""
+        """End the stop and judge it: update noise and test. True: the brakes are too weak."""
         stop: _Stop = self._stop
         self._stop = None
-        self._cruised = 0
-        if len(stop.steps) < _MIN_STEPS:
+        self._cruise_count = 0
+        if len(stop.steps) < _MIN_STOP_READINGS:
             return False
-        kept = [k % _MAX_COMMANDS for k in _last(self._given, _MAX_COMMANDS)]
-        commands = [(self._stamps[k], self._levels[k]) for k in kept]
+
+        # 1. Fits the model base for each share of the declared braking.
+        places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
+        commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
-        self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.at) / len(stop.steps))
-        # Pool the variance of the best fit with the estimate so far.
-        least = float(misfits.min())
-        own_variance = least / freedom
-        bounded = min(own_variance, _WORST * self._variance)
-        total = self._variance * self._freedom + bounded * freedom
+        self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps))
+
+        # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
+        least_misfit = float(misfits.min())
+        stop_variance = least_misfit / freedom
+        bounded_variance = min(stop_variance, _MAX_VARIANCE_RATIO * self._variance)
+        pooled_sum = self._variance * self._freedom + bounded_variance * freedom
         self._freedom += freedom
-        self._variance = total / self._freedom
+        self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
-        # Add the logarithm of the likelihood ratio of WEAK and SOUND.
-        misfits = (misfits - least) / max(self._variance, own_variance)
-        gained = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
-        self._sum += min(gained, _MOST_OF_ONE)
-        if self._sum <= 0.0:
+
+        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND.
+        misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
+        log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
+        self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
+        if self._log_likelihood_sum <= 0.0:
             self._begin()
             return False
-        self._stops += 1
+        self._stop_count += 1
         self._misfits += misfits
-        return self._sum >= ALARM and self._conclude()
+        return self._log_likelihood_sum >= ALARM and self._conclude()
 
     def _respond(self, delay: float, period: float) -> None:
         """Note the `delay` in s of the response in a stop, and set `late`.
@@ -355,21 +384,24 @@ class _Brake:
         """Set `braking` and `evidence` by the stops of the test; always True.
 
         The measured braking is the minimum of a parabola through the misfits of three neighbouring
-        shares. The curvature of the parabola gives the standard deviation.
+        shares, as a function of the reciprocal of the share. The curvature of the parabola gives
+        the standard deviation. `braking` becomes the measured braking less two standard deviations.
         """
         best = int(self._misfits.argmin())
         slowness = 1.0 / _SHARES
         i = min(max(best, 1), len(_SHARES) - 2)
-        near = slice(i - 1, i + 2)
-        a, b, _ = np.polyfit(slowness[near], self._misfits[near], 2)
-        middle = float(-0.5 * b / a) if a > 0.0 else float(slowness[best])
-        middle = min(max(middle, float(slowness[near].min())), float(slowness[near].max()))
-        deviation = 1.0 / math.sqrt(max(float(a), 1e-6))
-        before, stops = self.braking, self._stops
-        measured = before / middle
-        spread = measured * deviation / middle
+        neighbours = slice(i - 1, i + 2)
+        curvature, gradient, _ = np.polyfit(slowness[neighbours], self._misfits[neighbours], 2)
+        optimum = float(-0.5 * gradient / curvature) if curvature > 0.0 else float(slowness[best])
+        optimum = min(
+            max(optimum, float(slowness[neighbours].min())), float(slowness[neighbours].max())
+        )
+        slowness_deviation = 1.0 / math.sqrt(max(float(curvature), 1e-6))
+        previous, stops = self.braking, self._stop_count
+        measured = previous / optimum
+        spread = measured * slowness_deviation / optimum
         self._begin()
-        self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), before)
+        self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), previous)
         unit = self._unit
         self.evidence = (
             f"{_BRAKED} {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
@@ -379,36 +411,50 @@ class _Brake:
 
 
 def _misfits(stop: _Stop, commands: list, declared: float):
-    """Fit a base to the readings of a stop, for each share of the declared braking.
+    """Fit a model base to the readings of a stop, for each share in _SHARES.
 
-    The base rises with its command at once, and brakes evenly. Delay and scale of its speeds are
-    free. `commands` are (stamp, speed) pairs.
+    The model base responds to its command after a delay, accelerates at once, and brakes evenly.
+    The delay, and the scale of the speeds, are free.
+
+    `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
+    fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
+    `declared`: m/s2 or rad/s2, the declared braking; the fit tries the shares of this braking.
 
     Returns:
-        (s,) sums of squared residuals, each relative to the squared distance of its period.
-        The degrees of freedom.
-        The delay in s of the share that fits best.
+        (s,) sums of squared residuals, each relative to the squared distance of its period. The
+            degrees of freedom. The delay in s of the share that fits best.
     """
-    rows = np.array((*stop.cruise, *stop.steps))
-    periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
-    first = rows[0, 0] - _LONGEST_DELAY
+    readings = np.array((*stop.cruise, *stop.steps))
+    periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
+
+    # 1. The commands that can matter: those that ended after the earliest stamp and changed the
+    # speed, and the last command.
+    earliest_stamp = readings[0, 0] - _LONGEST_DELAY
     last = len(commands) - 1
-    kept = [
+    used_commands = [
         command
         for k, command in enumerate(commands[:last])
-        if first < commands[k + 1][0] != command[0]
+        if earliest_stamp < commands[k + 1][0] != command[0]
     ]
-    stamps, levels = np.array((*kept, commands[last])).T
-    levels = np.maximum(stop.sign * levels, 0.0)
-    count = len(stop.cruise)
-    seen = float(ways[:count].sum() / periods[:count].sum())
-    weights = 1.0 / (ways**2 + (_STILL * seen * periods) ** 2)
-    table = _view(np.stack((rows[:, 0], periods, weights * ways, weights), axis=1))
+    stamps, speeds = np.array((*used_commands, commands[last])).T
+    speeds = np.maximum(stop.sign * speeds, 0.0)
+
+    # 2. Weights: the noise of a distance grows with the distance. A reading near standstill has the
+    # noise of a share of the speed before the stop.
+    cruise_count = len(stop.cruise)
+    cruise_speed = float(distances[:cruise_count].sum() / periods[:cruise_count].sum())
+    weights = 1.0 / (distances**2 + (_STILL_SHARE * cruise_speed * periods) ** 2)
+
+    # 3. The least squared residuals for each braking. Before the first command the speed is 0.
+    table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
     stamps = _view(np.concatenate(([-np.inf], stamps)))
-    levels = _view(np.concatenate(([0.0], levels)))
-    rates = _view(_SHARES * declared * stop.begin / seen)  # in units of the command
-    left, delays = np.asarray(_left(table, stamps, levels, rates, float(weights @ ways**2)))
-    return left, max(len(ways) - 3.0, 1.0), float(delays[left.argmin()])
+    speeds = _view(np.concatenate(([0.0], speeds)))
+    # In units of the command.
+    brakings = _view(_SHARES * declared * stop.begin_speed / cruise_speed)
+    misfits, delays = np.asarray(
+        _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
+    )
+    return misfits, max(len(distances) - 3.0, 1.0), float(delays[misfits.argmin()])
 
 
 def _view(values):
@@ -419,69 +465,84 @@ def _view(values):
 
 
 @cython.cfunc
-def _left(
-    rows: cython.double[:, ::1],
+def _weighted_residuals(
+    periods: cython.double[:, ::1],
     stamps: cython.double[::1],
-    levels: cython.double[::1],
-    rates: cython.double[::1],
+    speeds: cython.double[::1],
+    brakings: cython.double[::1],
     total: cython.double,
 ):
-    """(2, s) the weighted sums of squared residuals for each braking of `rates` (s,), and delays.
+    """The weighted sums of squared residuals of the model base, and the delays that fit best.
 
-    The delay is the best of a coarse grid, then of a fine grid around the best coarse delay.
+    (2, s), for each braking of `brakings` (s,): the sum, and the delay in s. The delay is the best
+    of a coarse grid, then of a fine grid around the best coarse delay.
 
     Args:
-        rows: (n, 4), of each period: begin, duration, weight times distance, weight.
-        stamps: since when each command holds.
-        levels: the speed of each command.
-        rates: braking in units of the command.
+        periods: (n, 4), of each period: begin, duration, weight times distance, weight.
+        stamps: (m,) s, since when each command holds.
+        speeds: (m,) the speed of each command.
+        brakings: (s,) braking in units of the command.
         total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    at: cython.Py_ssize_t
+    command: cython.Py_ssize_t
     part: cython.Py_ssize_t
     count: cython.Py_ssize_t = len(stamps)
-    delays: cython.double[::1] = _view(_DELAYS)
-    near: cython.double[::1] = _view(_NEAR_DELAYS)
+    coarse: cython.double[::1] = _view(_DELAYS)
+    fine: cython.double[::1] = _view(_FINE_DELAYS)
     parts: cython.double[::1] = _view(_PARTS)
-    # The speed at the stamp of each command, of a base that brakes from the commands before.
-    before: cython.double[::1] = _view(np.zeros(count))
-    least: cython.double[:, ::1] = _view(np.zeros((2, len(rates))))
-    for j in range(len(rates)):
-        rate: cython.double = rates[j]
+    # The speed of the model at the stamp of each command: the base brakes from the commands before.
+    model_speeds: cython.double[::1] = _view(np.zeros(count))
+    result: cython.double[:, ::1] = _view(np.zeros((2, len(brakings))))
+    for j in range(len(brakings)):
+        braking: cython.double = brakings[j]
+
+        # 1. The speed of the model at each command.
         for k in range(2, count):
-            fallen: cython.double = before[k - 1] - rate * (stamps[k] - stamps[k - 1])
-            before[k] = max(levels[k - 1], fallen)
-        best: cython.double = 0.0
-        least[0, j] = _inf
-        for k in range(len(delays) + len(near)):
-            if k == len(delays):
-                rough: cython.double = best
-                least[0, j] = _inf
-            delay: cython.double = delays[k] if k < len(delays) else rough + near[k - len(delays)]
-            both: cython.double = 0.0
-            own: cython.double = 0.0
-            at = 0
-            for i in range(len(rows)):
-                speed: cython.double = 0.0
-                for part in range(2):  # the mean of two parts
-                    since: cython.double = rows[i, 0] + parts[part] * rows[i, 1] - delay
-                    while at + 1 < count and stamps[at + 1] <= since:
-                        at += 1
-                    while stamps[at] > since:
-                        at -= 1
-                    speed += max(levels[at], before[at] - rate * (since - stamps[at]))
-                modelled: cython.double = 0.5 * speed * rows[i, 1]
-                both += modelled * rows[i, 2]
-                own += modelled * modelled * rows[i, 3]
-            # The scale of least squares: odometry and base may be off by a few percent.
-            left: cython.double = total - both * both / max(own, 1e-12)
-            if left < least[0, j]:
-                least[0, j], best = left, delay
-        least[1, j] = best
-    return least
+            braked_speed: cython.double = model_speeds[k - 1] - braking * (
+                stamps[k] - stamps[k - 1]
+            )
+            model_speeds[k] = max(speeds[k - 1], braked_speed)
+
+        # 2. The best delay: first the coarse grid, then the fine grid.
+        best_delay: cython.double = 0.0
+        result[0, j] = _inf
+        for k in range(len(coarse) + len(fine)):
+            if k == len(coarse):
+                best_coarse: cython.double = best_delay
+                result[0, j] = _inf
+            delay: cython.double = (
+                coarse[k] if k < len(coarse) else best_coarse + fine[k - len(coarse)]
+            )
+
+            # Compares the model at this delay with all periods. `command` is the index of the
+            # command that holds at the stamp.
+            cross_sum: cython.double = 0.0
+            model_sum: cython.double = 0.0
+            command = 0
+            for i in range(len(periods)):
+                speed_sum: cython.double = 0.0
+                for part in range(2):  # the mean speed of two parts of the period
+                    stamp: cython.double = periods[i, 0] + parts[part] * periods[i, 1] - delay
+                    while command + 1 < count and stamps[command + 1] <= stamp:
+                        command += 1
+                    while stamps[command] > stamp:
+                        command -= 1
+                    speed_sum += max(
+                        speeds[command], model_speeds[command] - braking * (stamp - stamps[command])
+                    )
+                modelled: cython.double = 0.5 * speed_sum * periods[i, 1]
+                cross_sum += modelled * periods[i, 2]
+                model_sum += modelled * modelled * periods[i, 3]
+            # The scale of the model is that of least squares: odometry and base may be off by a few
+            # percent.
+            residual: cython.double = total - cross_sum * cross_sum / max(model_sum, 1e-12)
+            if residual < result[0, j]:
+                result[0, j], best_delay = residual, delay
+        result[1, j] = best_delay
+    return result
 
 
 @cython.final
@@ -505,20 +566,20 @@ class AssumptionMonitor:
     _x: cython.double
     _y: cython.double
     _yaw: cython.double
-    _speed: cython.double
-    _rate: cython.double
-    _aside: cython.double
-    _moved: cython.double  # m that any corner may have moved so far
-    # A ring buffer of the last stamps of odometry, and of `_moved` at each. Item k is at k modulo
-    # the length; items from `_way_first` to before `_way_end` are in use.
-    _way_at: cython.double[64]
-    _way: cython.double[64]
-    _way_first: cython.Py_ssize_t
-    _way_end: cython.Py_ssize_t
-    # The last scans: stamp, gap, `_moved` when the oldest ray was measured, `_moved` on arrival.
-    _scans: object
-    _others: object  # text on others that are too fast; empty without a violation
-    _others_share: cython.double  # of `speed_share`
+    _linear_speed: cython.double
+    _angular_speed: cython.double
+    _lateral_speed: cython.double
+    _travelled: cython.double  # m that any corner may have moved so far
+    # A ring buffer of the last stamps of odometry, and of `_travelled` at each. Item k is at k
+    # modulo the length; items from `_travel_first` to before `_travel_end` are in use.
+    _travel_stamps: cython.double[64]
+    _travels: cython.double[64]
+    _travel_first: cython.Py_ssize_t
+    _travel_end: cython.Py_ssize_t
+    # Of the last scans: stamp, gap, `_travelled` when the oldest ray was measured, and on arrival.
+    _gaps: object
+    _approach_text: object  # text on objects that are too fast; empty without a violation
+    _approach_share: cython.double  # of `speed_share`
     _approaches: object  # the approaches that were too fast: stamp, m/s, standard deviation
 
     def __init__(self, platform: Platform) -> None:
@@ -531,13 +592,13 @@ class AssumptionMonitor:
         sideways = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[2]) if is_lateral else None
         self._lateral = sideways
         self._command, self._stamp = ZERO, -math.inf
-        self._scans, self._approaches = deque(maxlen=64), deque()
-        self._others, self._others_share, self.speed_share = "", 1.0, 1.0
+        self._gaps, self._approaches = deque(maxlen=64), deque()
+        self._approach_text, self._approach_share, self.speed_share = "", 1.0, 1.0
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
-        if not (0 <= self._way_first < 1 << 60 and 0 <= self._way_end < 1 << 60):
-            raise ValueError(f"ways from {self._way_first} to {self._way_end}")
+        if not (0 <= self._travel_first < 1 << 60 and 0 <= self._travel_end < 1 << 60):
+            raise ValueError(f"ways from {self._travel_first} to {self._travel_end}")
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -546,7 +607,7 @@ class AssumptionMonitor:
         evidence = []
         for brake in self._brakes():
             evidence.append(brake.evidence)
-        return tuple(text for text in (*evidence, self._others) if text)
+        return tuple(text for text in (*evidence, self._approach_text) if text)
 
     @property
     def late(self) -> str:
@@ -568,8 +629,8 @@ class AssumptionMonitor:
         for brake in self._brakes():
             if brake.evidence in findings:
                 brake.forget()
-        if self._others in findings:
-            self._others, self._others_share = "", 1.0
+        if self._approach_text in findings:
+            self._approach_text, self._approach_share = "", 1.0
             self._approaches.clear()
         self._reduce()
 
@@ -578,21 +639,26 @@ class AssumptionMonitor:
         if command is self._command:
             return ""
         self._command = command
-        is_linear: cython.bint = self._linear.on_command(command.linear, self._speed, self._stamp)
-        is_angular: cython.bint = self._angular.on_command(command.angular, self._rate, self._stamp)
+        is_linear: cython.bint = self._linear.on_command(
+            command.linear, self._linear_speed, self._stamp
+        )
+        is_angular: cython.bint = self._angular.on_command(
+            command.angular, self._angular_speed, self._stamp
+        )
         is_lateral: cython.bint = False
         if self._lateral is not None:
-            is_lateral = self._lateral.on_command(command.lateral, self._aside, self._stamp)
-            self._linear.share_with(self._lateral, self._aside, self._stamp)
-            self._lateral.share_with(self._linear, self._speed, self._stamp)
+            is_lateral = self._lateral.on_command(command.lateral, self._lateral_speed, self._stamp)
+            self._linear.share_with(self._lateral, self._lateral_speed, self._stamp)
+            self._lateral.share_with(self._linear, self._linear_speed, self._stamp)
         if not (is_linear or is_angular or is_lateral):
             return ""
         return self._braked(is_linear, is_angular, is_lateral)
 
     def on_odometry(self, odometry: Odometry) -> str:
-        """Take in a reading: the motion since the reading before is a step of each axis.
+        """Take in a reading of odometry; return the text of a found violation, or an empty text.
 
-        A jump of the clock or the pose drops the stops under way and the scans.
+        The motion since the reading before is a period of each axis: ahead, turning, sideways. A
+        jump of the clock or of the pose drops the stops under way and the scans.
         """
         pose, twist = odometry.pose, odometry.twist
         begin: cython.double = self._stamp
@@ -603,100 +669,121 @@ class AssumptionMonitor:
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
         turned: cython.double = remainder(yaw - self._yaw, _turn)
-        middle: cython.double = self._yaw + 0.5 * turned
-        moved: cython.double = sqrt(dx * dx + dy * dy)
+        middle_yaw: cython.double = self._yaw + 0.5 * turned
+        distance: cython.double = sqrt(dx * dx + dy * dy)
         self._stamp, self._x, self._y, self._yaw = end, x, y, yaw
-        self._speed, self._rate, self._aside = twist.linear, twist.angular, twist.lateral
-        if end < begin or max(moved, fabs(turned)) > _max_step + _max_speed * (end - begin):
+        self._linear_speed, self._angular_speed = twist.linear, twist.angular
+        self._lateral_speed = twist.lateral
+
+        # 1. A jump: begins anew.
+        if end < begin or max(distance, fabs(turned)) > _max_step + _max_speed * (end - begin):
             self._linear.interrupt()
             self._angular.interrupt()
             if self._lateral is not None:
                 self._lateral.interrupt()
-            self._way_first = self._way_end = 0
-            self._scans.clear()
+            self._travel_first = self._travel_end = 0
+            self._gaps.clear()
             return ""
         if end == begin or begin == -math.inf:
             return ""
+
+        # 2. The travel of the outermost corner, for the speed of approaching objects.
         if dx or dy or turned:
-            self._moved += moved + self._radius * fabs(turned)
-        at: cython.Py_ssize_t = self._way_end % _MAX_WAYS
-        self._way_at[at], self._way[at] = end, self._moved
-        self._way_end += 1
-        way: cython.double = cos(middle) * dx + sin(middle) * dy
-        is_linear: cython.bint = self._linear.on_step(begin, end, way)
+            self._travelled += distance + self._radius * fabs(turned)
+        place: cython.Py_ssize_t = self._travel_end % _MAX_TRAVELS
+        self._travel_stamps[place], self._travels[place] = end, self._travelled
+        self._travel_end += 1
+
+        # 3. The motion of each axis, in the direction of the mean yaw.
+        axis_distance: cython.double = cos(middle_yaw) * dx + sin(middle_yaw) * dy
+        is_linear: cython.bint = self._linear.on_step(begin, end, axis_distance)
         is_angular: cython.bint = self._angular.on_step(begin, end, turned)
         is_lateral: cython.bint = False
         if self._lateral is not None:
-            way = cos(middle) * dy - sin(middle) * dx
-            is_lateral = self._lateral.on_step(begin, end, way)
+            axis_distance = cos(middle_yaw) * dy - sin(middle_yaw) * dx
+            is_lateral = self._lateral.on_step(begin, end, axis_distance)
         if not (is_linear or is_angular or is_lateral):
             return ""
         return self._braked(is_linear, is_angular, is_lateral)
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
-        """Take in a scan with its stamp in s and the gap in m to its nearest return.
+        """Take in the gap to the nearest return; return the text of an event, or an empty text.
 
-        `delay` in s is the greatest age of its rays. All that the robot moved since then counts as
-        its own motion towards the return. None as gap: no return.
+        The event is an approach that is clearly faster than `others_speed`. A second fast approach,
+        5 s to 600 s after the first, is a violation, which slows the robot.
+
+        `stamp`: s, of the scan. `gap`: m from the outline to the nearest return; None without a
+        return. `delay`: s, the greatest age of a ray of the scan. All that the robot moved since
+        then counts as its own motion towards the return.
         """
-        scans, seen = self._scans, self._approaches
-        is_late = scans and not 0.0 < stamp - scans[len(scans) - 1][0] < _MAX_GAP_TIME
-        if gap is None or gap > _NEAR or is_late:
-            scans.clear()
-        if gap is None or gap > _NEAR:
+        gaps, approaches = self._gaps, self._approaches
+        has_pause = gaps and not 0.0 < stamp - gaps[len(gaps) - 1][0] < _MAX_GAP_TIME
+
+        # 1. Collects scans of one approach: near returns without a pause.
+        if gap is None or gap > _NEAR_GAP or has_pause:
+            gaps.clear()
+        if gap is None or gap > _NEAR_GAP:
             return ""
-        scans.append((stamp, gap, self._moved_until(self._stamp - delay), self._moved))
-        while stamp - scans[0][0] > _APPROACH:
-            scans.popleft()
-        is_apart = not seen or stamp - seen[len(seen) - 1][0] >= _APART
-        if len(scans) < _MIN_SCANS or stamp - scans[0][0] < _MIN_APPROACH or not is_apart:
+        gaps.append((stamp, gap, self._travelled_until(self._stamp - delay), self._travelled))
+        while stamp - gaps[0][0] > _MAX_APPROACH_TIME:
+            gaps.popleft()
+
+        # 2. Enough scans, and clearly faster than assumed by the first and the last gap?
+        is_new_approach = not approaches or stamp - approaches[len(approaches) - 1][0] >= _MIN_APART
+        if len(gaps) < _MIN_SCANS or stamp - gaps[0][0] < _MIN_APPROACH_TIME or not is_new_approach:
             return ""
         assumed = self._settings.others_speed
-        if (scans[0][1] - gap) < _FASTER * assumed * (stamp - scans[0][0]):
-            return ""  # the usual case, without a fit
+        if (gaps[0][1] - gap) < _CLEARLY_FASTER * assumed * (stamp - gaps[0][0]):
+            return ""  # the usual case: needs no fit
+
+        # 3. Clearly faster by the fit, too.
         speed, spread = self._approach()
-        if speed - _CERTAIN * spread < _FASTER * assumed:
+        if speed - _STANDARD_DEVIATIONS * spread < _CLEARLY_FASTER * assumed:
             return ""
-        while self._approaches and stamp - self._approaches[0][0] > _TOGETHER:
+
+        # 4. Counts the approach; of two approaches, the slower speed is the evidence.
+        while self._approaches and stamp - self._approaches[0][0] > _MAX_APART:
             self._approaches.popleft()
         self._approaches.append((stamp, speed, spread))
-        came = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
+        evidence = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:
-            return f"something {came}"
+            return f"something {evidence}"
         _, speed, spread = sorted(self._approaches, key=itemgetter(1), reverse=True)[1]
-        came = f"came at {speed:.2f} +- {spread:.2f} m/s or faster, declared at most {assumed:.2f}"
-        self._others = f"{len(self._approaches)} things {came}"
-        self._others_share = min(assumed / speed, self._others_share)
-        return self._reduced(self._others)
+        evidence = (
+            f"came at {speed:.2f} +- {spread:.2f} m/s or faster, declared at most {assumed:.2f}"
+        )
+        self._approach_text = f"{len(self._approaches)} things {evidence}"
+        self._approach_share = min(assumed / speed, self._approach_share)
+        return self._reduced(self._approach_text)
 
     def _approach(self) -> tuple[float, float]:
         """The speed in m/s of the object that approaches, and its standard deviation.
 
-        The slope of the gap over time by least squares, less all that the robot moved since the
-        first scan. (0, 0) if the approach is not even.
+        The speed is the slope of the gap over time by least squares, less the speed of the robot's
+        own travel since the first scan. (0, 0) if the gap does not fall evenly.
         """
-        times, gaps, begun, moved = np.array(self._scans).T
+        times, gaps, travelled_before, travelled = np.array(self._gaps).T
         times -= times.mean()
         slope = float(times @ gaps / (times @ times))
-        off = gaps - gaps.mean() - slope * times
+        residuals = gaps - gaps.mean() - slope * times
         last = len(times) - 1
-        way = fabs(slope * float(times[last] - times[0]))
-        if float(np.abs(off).max()) > _STEADY + _STEADY_SHARE * way:
+        fitted_distance = fabs(slope * float(times[last] - times[0]))
+        if float(np.abs(residuals).max()) > _MAX_RESIDUAL + _MAX_RESIDUAL_SHARE * fitted_distance:
             return 0.0, 0.0
-        noise = max(math.sqrt(float(off @ off) / (len(gaps) - 2)), _RANGE_NOISE)
-        own = float(moved[last] - begun[0]) / float(times[last] - times[0])
-        return -slope - own, noise / math.sqrt(float(times @ times))
+        noise = max(math.sqrt(float(residuals @ residuals) / (len(gaps) - 2)), _RANGE_NOISE)
+        robot_speed = float(travelled[last] - travelled_before[0]) / float(times[last] - times[0])
+        return -slope - robot_speed, noise / math.sqrt(float(times @ times))
 
-    def _moved_until(self, at: float) -> float:
-        """`_moved` in m at a stamp of odometry."""
-        self._way_first = max(self._way_first, self._way_end - _MAX_WAYS)
+    def _travelled_until(self, stamp: float) -> float:
+        """`_travelled` in m at a stamp of odometry."""
+        self._travel_first = max(self._travel_first, self._travel_end - _MAX_TRAVELS)
         while (
-            self._way_first + 1 < self._way_end
-            and self._way_at[(self._way_first + 1) % _MAX_WAYS] <= at
+            self._travel_first + 1 < self._travel_end
+            and self._travel_stamps[(self._travel_first + 1) % _MAX_TRAVELS] <= stamp
         ):
-            self._way_first += 1
-        has_way = self._way_first < self._way_end
-        return self._way[self._way_first % _MAX_WAYS] if has_way else self._moved
+            self._travel_first += 1
+        has_travel = self._travel_first < self._travel_end
+        return self._travels[self._travel_first % _MAX_TRAVELS] if has_travel else self._travelled
 
     def _braked(self, is_linear: bool, is_angular: bool, is_lateral: bool) -> str:
         """The event of the axes whose braking is now found too weak; sets `speed_share`."""
@@ -708,7 +795,7 @@ class AssumptionMonitor:
     def _reduce(self) -> None:
         """Set `speed_share` by all violations."""
         brake: _Brake
-        share: cython.double = self._others_share
+        share: cython.double = self._approach_share
         for brake in self._brakes():
             share = min(share, brake.braking / brake.declared)
         self.speed_share = max(share, MIN_SHARE)

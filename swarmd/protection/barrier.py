@@ -1,4 +1,4 @@
-"""Mode `barrier`: the command nearest to the requested one from which the robot can still stop.
+"""Mode `barrier`: the command nearest to the request from which the robot can still stop.
 
 The speed at which the outline closes on a near return is linear in the twist. A constraint keeps
 this speed at or below a cap. From the cap the robot can still stop before robot and obstacle touch,
@@ -140,17 +140,24 @@ class Barrier:
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        The time of a scan is the time of its newest ray. In a scan without a measured sector,
-        conditioning fills the sector with remembered rays, whose age counts. A scan whose newest
-        ray is not newer than that of the scan before is ignored: protection dead-reckons the scan
-        before, but not a remembered sector.
+        The time of a scan is the time of its newest ray. If the newest ray is not newer than that
+        of the scan before, only `min_gap` is set: protection dead-reckons the obstacles of the scan
+        before, but does not dead-reckon a remembered sector. (In a scan without a measured sector,
+        conditioning fills the sector with remembered rays, whose age counts.)
+
+        `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
+        time, the age of the scan, and odometry.
         """
         motion: ScanMotion = self._feasible.motion
         near: NearObstacles = self._feasible.near
+
+        # 1. Odometry, and the directions of the rays.
         if context.odometry is not None:
             self._feasible.reckoning.record(context.odometry)
         if scan.bearings is not near.bearings:  # each scan of a robot that turns has its own
             near.set_bearings(scan.bearings)
+
+        # 2. Time and pose of the scan. A scan that is not newer sets `min_gap` alone.
         ranges = view(scan.ranges)
         ages = NO_NUMBERS if scan.ages is None else view(scan.ages)
         age: cython.double = context.scan_age or 0.0
@@ -159,6 +166,8 @@ class Barrier:
         if not motion.begin(context.now, age, newest, context.scan_delay, odometry_age, ages):
             near.find_min_gap(ranges, scan.range_min)
             return
+
+        # 3. Obstacles in the blind zone, and near returns.
         hidden = NO_ROWS
         memory = self._hidden
         if memory is not None:
@@ -184,7 +193,18 @@ class Barrier:
     def decide(
         self, requested: Twist, context: DecisionContext, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The feasible command nearest to `requested`; `requested` itself if it is feasible."""
+        """The feasible command nearest to `requested`; `requested` itself if it is feasible.
+
+        ZERO if odometry had a reset since the last scan: then the place of the obstacles is
+        unknown.
+
+        Args:
+            requested: the command within the limits of the platform.
+            context: the time, the inputs, and their ages.
+            command: the command in force, by which the base moves until the next command.
+            touch: the granted touch zone, in which the robot may touch obstacles; None: no zone.
+        """
+        # 1. The usual cases without constraints.
         feasible: FeasibleSet = self._feasible
         feasible.take_context(context, command, touch)
         speed: cython.double = requested.linear
@@ -195,6 +215,8 @@ class Barrier:
             return _decided(requested, False)
         if not feasible.has_scan_pose():
             return _decided(ZERO, True)
+
+        # 2. The plane of two speeds: the linear speed in the request's direction, and the turn.
         along_x: cython.double = 1.0
         along_y: cython.double = 0.0
         limit: cython.double = feasible.assumptions.linear_limit
@@ -202,16 +224,24 @@ class Barrier:
             speed = hypot(requested.linear, lateral)
             along_x, along_y = requested.linear / speed, lateral / speed
             limit = linear_limit(self._limits, along_x, along_y)
-        is_known: cython.bint = feasible.enter(context, command, along_x, along_y, limit)
-        is_repeated: cython.bint = self._asked.linear == speed and self._asked.angular == angular
-        if is_known and self._is_decided and is_repeated:
+
+        # 3. Builds the constraints, or repeats the decision for the same situation and request.
+        is_same_situation: cython.bint = feasible.enter(context, command, along_x, along_y, limit)
+        is_same_request: cython.bint = (
+            self._asked.linear == speed and self._asked.angular == angular
+        )
+        if is_same_situation and self._is_decided and is_same_request:
             return self._decision if self._is_limited else _decided(requested, False)
+
+        # 4. Limits the request.
         self._is_decided = False
         self._asked.linear, self._asked.angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
         if not self._is_limited:
             return _decided(requested, False)
+
+        # 5. The limited command with the obstacles that limit it.
         linear: cython.double = self._speeds.linear
         twist = Twist(linear * along_x, self._speeds.angular, linear * along_y)
         rows = self._limiting.report(self._projection.x, self._projection.y)

@@ -34,7 +34,7 @@ REACTION = cython.declare(cython.double, REACTION_TIME)
 class Assumptions:
     """The settings of mode `barrier` for one platform, and what follows from them."""
 
-    others: cython.double  # m/s, fastest surface of any other object
+    others_speed: cython.double  # m/s, fastest surface of any other object
     is_passive: cython.bint  # others may approach; else each of two robots uses half of the gap
     unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
     margin: cython.double  # m kept free for range noise
@@ -43,30 +43,30 @@ class Assumptions:
     linear_limit: cython.double  # m/s ahead
     angular_limit: cython.double  # rad/s
     surface_speed: cython.double  # m/s, fastest corner of this robot near an obstacle
-    fastest: cython.double  # m/s, fastest place of this robot's surface anywhere
+    top_surface_speed: cython.double  # m/s, fastest place of this robot's surface anywhere
     side_reserve: cython.double  # m/s by which a corner passes an obstacle more slowly
     keep_out: cython.double  # m around the lidar that stay free; NaN: no circle
-    blind: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
-    fresh: cython.double  # m, the binding range of an obstacle of age 0
-    within: cython.double  # m from an obstacle within which `surface_speed` holds
-    stale: cython.double  # s after the middle of its scan until which a command takes effect
+    blind_radius: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
+    fresh_binding_range: cython.double  # m, the binding range of an obstacle of age 0
+    envelope_range: cython.double  # m from an obstacle within which `surface_speed` holds
+    longest_scan_age: cython.double  # s after the middle of a scan at which a command may act
     may_creep: cython.bint
 
     def __init__(self, platform: Platform, settings: BarrierSettings) -> None:
         is_passive = settings.responsibility == "passive"
-        self.others, self.is_passive = settings.others_speed, is_passive
+        self.others_speed, self.is_passive = settings.others_speed, is_passive
         self.unseen_extent, self.margin = settings.unseen_extent, settings.margin
         self.braking_linear = settings.braking_linear
         self.braking_angular = settings.braking_angular
         self.linear_limit, self.angular_limit = platform.limits.linear, platform.limits.angular
         binding = BindingRange(platform, settings, TICK)
-        self.surface_speed, self.fastest = binding.surface, binding.fastest
-        self.fresh, self.stale = binding.fresh, binding.stale
+        self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
+        self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         within = settings.envelope_within
-        self.within = binding.for_envelope() if within is None else within
+        self.envelope_range = binding.for_envelope() if within is None else within
         self.keep_out = math.nan if settings.keep_out is None else settings.keep_out
         can_hide = platform.scan.near != "reported" and settings.keep_out is None
-        self.blind = platform.scan.range_min if can_hide else 0.0
+        self.blind_radius = platform.scan.range_min if can_hide else 0.0
         reserve = settings.side_reserve
         reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
         self.side_reserve = reserve if is_passive else 0.0
@@ -84,13 +84,20 @@ class Assumptions:
     @cython.inline
     @cython.exceptval(check=False)
     def binding_range(self, age: cython.double) -> cython.double:
-        """The gap in m beyond which no return binds the robot; see BindingRange.for_scan_age."""
-        gap: cython.double = self.fresh + (self.others + self.fastest) * age
+        """The gap in m beyond which no return of a ray of this age in s constrains the robot.
+
+        With a keep-out circle around the lidar the greater of two gaps counts: that of the outline
+        and that of the circle, towards which each of two robots may use half of the distance. See
+        BindingRange.for_scan_age.
+        """
+        outline_gap: cython.double = (
+            self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age
+        )
         if not self.has_keep_out():
-            return gap
-        speed: cython.double = self.fastest
-        half: cython.double = speed * (
+            return outline_gap
+        speed: cython.double = self.top_surface_speed
+        half_of_approach: cython.double = speed * (
             2.0 * DECISION_PERIOD + age + 0.5 * speed / self.braking_linear
         )
-        of_circle: cython.double = self.keep_out + 2.0 * half + speed * age
-        return of_circle if of_circle > gap else gap
+        circle_gap: cython.double = self.keep_out + 2.0 * half_of_approach + speed * age
+        return circle_gap if circle_gap > outline_gap else outline_gap

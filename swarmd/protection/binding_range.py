@@ -21,7 +21,7 @@ class BindingRange:
         surface: m/s, the highest speed of any place of the robot's surface near obstacles.
         fastest: m/s, the highest speed of any place of the robot's surface anywhere.
         fresh: m, the gap for a scan of age 0.
-        stale: s, the longest time from the middle of a scan until a command from it takes effect.
+        stale: s, the longest time from the middle of a scan until a command by this scan acts.
     """
 
     def __init__(self, platform: Platform, settings: BarrierSettings, tick: float) -> None:

@@ -8,11 +8,11 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 1. An obstacle becomes hidden if it was near the rim, may have crossed it since, has no return near
    its place any more, and the rays there are empty. A hidden obstacle then approaches at the
    assumed speed.
-2. An obstacle too wide to vanish may cross the rim, which returns at the end of an empty sector
-   show. If it crosses at one end, the part seen there last becomes hidden. If obstacles cross at
-   both ends, they count as one obstacle that fills the sector, and is no nearer than a square
-   corner between the ends.
-3. A hidden obstacle moves with its empty sector, and fills the sector unless that is too wide.
+2. An obstacle too wide to vanish may cross the rim; returns at the end of an empty sector show
+   this. If an obstacle crosses at one end, the part seen there last becomes hidden. If obstacles
+   cross at both ends, they count as a single obstacle that fills the sector, and that is no nearer
+   than a square corner between the ends.
+3. A hidden obstacle moves with its empty sector, and fills a sector that is not too wide.
 4. A hidden obstacle is forgotten once returns show its place free, once it reappears, or once the
    robot has moved away by its own commands. Motion without commands does not count, since an
    obstacle that pushes the robot moves with it. Without these exits the memory would hold the robot
@@ -21,7 +21,7 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
 5. An obstacle has reappeared once more of it came into view beside the rim than noise can show. The
    hidden obstacles near that place are forgotten. Hidden obstacles farther away, which may have
    been the same obstacle, become doubtful, as do obstacles that only continue a face. In the open,
-   empty rays cannot show that a doubtful obstacle has left, so it expires there by time.
+   empty rays cannot show that a doubtful obstacle has left, so such an obstacle expires by time.
 """
 
 from __future__ import annotations
@@ -181,66 +181,69 @@ def _grown(old, n):
 class BlindZoneMemory:
     """The hidden obstacles of one sensor, in the base frame of the last scan.
 
-    `bearings` (n,) in rad: a hidden obstacle may lie along each. `nearest` (n,) in m from the
-    sensor: the obstacle along the bearing is no nearer.
+    `bearings` (n,) in rad: a hidden obstacle may lie along each bearing. `nearest` (n,) in m from
+    the sensor: the least distance of the obstacle along the bearing.
     """
 
     bearings = cython.declare(object, visibility="readonly")
     nearest = cython.declare(object, visibility="readonly")
-    _blind: cython.double
+    _radius: cython.double
     _speed: cython.double
     _period: cython.double
-    _narrow: cython.double
-    _given: object
-    _n: cython.Py_ssize_t
+    _narrowest_sector: cython.double
+    _given_bearings: object
+    _ray_count: cython.Py_ssize_t
     _reserved: cython.Py_ssize_t
-    # Per ray, in the order of rising bearings.
+    # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
+    # `_age_by_ray` in s is inf where no obstacle is hidden.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
     _range: cython.double[::1]
     _is_empty: cython.uchar[::1]
-    _inside: cython.uchar[::1]
-    _age_of: cython.double[::1]
-    _nearest_of: cython.double[::1]
-    _face_of: cython.uchar[::1]
-    _exact: cython.double[::1]
+    _is_in_entered_sector: cython.uchar[::1]
+    _age_by_ray: cython.double[::1]
+    _nearest_by_ray: cython.double[::1]
+    _is_face_by_ray: cython.uchar[::1]
+    _exact_bearing: cython.double[::1]
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
-    _sectors: cython.Py_ssize_t
-    _first: cython.Py_ssize_t[::1]
-    _width: cython.Py_ssize_t[::1]
+    _sector_count: cython.Py_ssize_t
+    _sector_first: cython.Py_ssize_t[::1]
+    _sector_width: cython.Py_ssize_t[::1]
     _crossings: cython.Py_ssize_t[::1]
     _corner: cython.double[::1]
     # Near points of this scan, of the last one, and rays without return of the last one.
-    _points: cython.Py_ssize_t
+    _point_count: cython.Py_ssize_t
     _x: cython.double[::1]
     _y: cython.double[::1]
-    _old_points: cython.Py_ssize_t
+    _old_point_count: cython.Py_ssize_t
     _old_x: cython.double[::1]
     _old_y: cython.double[::1]
-    _were_empty: cython.Py_ssize_t
-    _empty_bearing: cython.double[::1]
-    _turned: cython.double[::1]
-    # `_found` rising angles, in which `_nearest` searches, and the rays to which they belong.
-    _found: cython.Py_ssize_t
-    _angle: cython.double[::1]
-    _ray: cython.Py_ssize_t[::1]
-    # Hidden obstacles, then those that have vanished since.
-    _hidden: cython.Py_ssize_t
-    _candidates: cython.Py_ssize_t
+    _old_empty_count: cython.Py_ssize_t
+    _old_empty: cython.double[::1]
+    _turned_angle: cython.double[::1]
+    # `_angle_total` rising angles, in which `_nearest` searches, and the rays to which they belong.
+    _angle_total: cython.Py_ssize_t
+    _angles: cython.double[::1]
+    _angle_rays: cython.Py_ssize_t[::1]
+    # The hidden obstacles, then the candidates: near returns of the scan before that may have
+    # crossed the rim. Of each: bearing in rad, age in s, least range in m, and whether it only
+    # continues a face that is in view (1.0).
+    _hidden_count: cython.Py_ssize_t
+    _candidate_count: cython.Py_ssize_t
     _bearings: object
     _ranges: object
-    _hidden_at: cython.double[::1]
+    _hidden_bearing: cython.double[::1]
     _age: cython.double[::1]
-    _near: cython.double[::1]
+    _nearest_range: cython.double[::1]
     _is_face: cython.double[::1]
     _is_hidden: cython.uchar[::1]
     _entered_x: cython.double
     _entered_y: cython.double
     # m beside the rim that came into view since the memory was empty, and that went out of view
-    _emerged: cython.double
-    _vanished: cython.double
+    _emerged_m: cython.double
+    _vanished_m: cython.double
 
     def __init__(self, range_min: float, speed: float, period: float) -> None:
         """Begin without hidden obstacles.
@@ -248,62 +251,81 @@ class BlindZoneMemory:
         `range_min` in m is the radius of the blind zone, `speed` in m/s the highest speed at which
         obstacles approach, `period` in s the time between two scans.
         """
-        self._blind, self._speed, self._period = range_min, speed, period
+        self._radius, self._speed, self._period = range_min, speed, period
         # rad: the narrowest sector in which a robot may be hidden
-        self._narrow = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
-        self._given = None
-        self._n = self._reserved = self._points = self._old_points = self._were_empty = (
-            self._hidden
-        ) = 0
-        self._entered_x = self._entered_y = self._emerged = self._vanished = 0.0
-        self._x = self._y = self._old_x = self._old_y = self._empty_bearing = _NOTHING
-        self._hidden_at = self._age = self._near = self._is_face = _NOTHING
+        self._narrowest_sector = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
+        self._given_bearings = None
+        self._ray_count = self._reserved = self._point_count = self._old_point_count = (
+            self._old_empty_count
+        ) = self._hidden_count = 0
+        self._entered_x = self._entered_y = self._emerged_m = self._vanished_m = 0.0
+        self._x = self._y = self._old_x = self._old_y = self._old_empty = _NOTHING
+        self._hidden_bearing = self._age = self._nearest_range = self._is_face = _NOTHING
         self.bearings = self.nearest = _NOTHING
-        self._order = self._first = self._width = self._crossings = self._ray = None
-        self._bearing = self._rising = self._range = self._age_of = self._nearest_of = None
-        self._exact = self._corner = self._turned = self._angle = None
-        self._is_empty = self._inside = self._face_of = self._is_hidden = None
+        self._order = self._sector_first = self._sector_width = None
+        self._crossings = self._angle_rays = None
+        self._bearing = self._rising = self._range = self._age_by_ray = self._nearest_by_ray = None
+        self._exact_bearing = self._corner = self._turned_angle = self._angles = None
+        self._is_empty = self._is_in_entered_sector = self._is_face_by_ray = self._is_hidden = None
 
     def update(
         self, scan: Scan, geometry: ScanGeometry, moved: Pose, driven: Pose, seconds: float
     ) -> None:
-        """Take in a scan, taken `seconds` after the scan before.
+        """Take in a scan, measured `seconds` after the scan before.
 
-        `moved` is the motion since the scan before. `driven` is the part of this motion that the
-        robot's own commands explain; only this part counts as moving away (rule 4).
+        The call updates `bearings` and `nearest`. They stay empty while no obstacle is near, was
+        near or is hidden.
+
+        Args:
+            scan: the new scan.
+            geometry: the mounting of the sensor in the base frame.
+            moved: the pose of the base at this scan in the base frame of the scan before.
+            driven: the part of `moved` that the robot's own commands explain. Only this part counts
+                as moving away from a hidden obstacle (rule 4).
+            seconds: s between the two scans.
         """
         table = np.ascontiguousarray(scan.ranges, np.float64)
-        given: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-        step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
-        limit: cython.double = self._blind + 2.0 * step
+        ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
+
+        # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
+        obstacle_step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
+        near_range: cython.double = self._radius + 2.0 * obstacle_step
+
+        # 2. The near points become those of the scan before.
         self._x, self._old_x = self._old_x, self._x
         self._y, self._old_y = self._old_y, self._y
-        self._old_points, self._points = self._points, 0
-        if not (self._old_points or self._hidden or _has_near(given, limit)):
+        self._old_point_count, self._point_count = self._point_count, 0
+        if not (self._old_point_count or self._hidden_count or _has_near(ranges, near_range)):
             return  # the usual case: no obstacle is near, was near or is hidden
-        if scan.bearings is not self._given:
+        if scan.bearings is not self._given_bearings:
             self._set_bearings(scan.bearings)
-        n: cython.Py_ssize_t = self._n
-        least: cython.double = scan.range_min
-        ahead: cython.double = geometry.offset[0]
-        left: cython.double = geometry.offset[1]
+
+        # 3. Ranges in the order of rising bearings, and the near points in the base frame.
+        ray_count: cython.Py_ssize_t = self._ray_count
+        range_min: cython.double = scan.range_min
+        sensor_x: cython.double = geometry.offset[0]
+        sensor_y: cython.double = geometry.offset[1]
         i: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        for i in range(n):
+        for i in range(ray_count):
             ray = self._order[i]
-            distance = self._range[i] = given[ray]
-            if -INFINITY < distance <= limit:
-                distance = max(distance, least)
-                self._x[self._points] = ahead + distance * cos(self._bearing[i])
-                self._y[self._points] = left + distance * sin(self._bearing[i])
-                self._points += 1
+            distance = self._range[i] = ranges[ray]
+            if -INFINITY < distance <= near_range:
+                distance = max(distance, range_min)
+                self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
+                self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
+                self._point_count += 1
+
+        # 4. Finds what is hidden now.
         self._leave(driven.x, driven.y, moved.yaw)
-        self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
-        self._were_empty = 0
-        for i in range(n):
+        self._find(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
+
+        # 5. Stores the empty rays for the next scan.
+        self._old_empty_count = 0
+        for i in range(ray_count):
             if isinf(self._range[i]):
-                self._empty_bearing[self._were_empty] = self._bearing[i]
-                self._were_empty += 1
+                self._old_empty[self._old_empty_count] = self._bearing[i]
+                self._old_empty_count += 1
 
     @cython.cfunc
     def _set_bearings(self, bearings):
@@ -313,38 +335,43 @@ class BlindZoneMemory:
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
-        self._given, self._n = bearings, n
+        self._given_bearings, self._ray_count = bearings, n
         i: cython.Py_ssize_t
         for i in range(n):
-            self._turned[i] = _mod(values[i])
+            self._turned_angle[i] = _mod(values[i])
         if not self._sort(values):
             sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
             self._order[:n] = sorted_rays
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
-            self._rising[i] = self._turned[self._order[i]]
+            self._rising[i] = self._turned_angle[self._order[i]]
 
     @cython.cfunc
     def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
-        """Order the rays by rising angles with a stable insertion sort; False if this is too slow.
+        """Order the rays by rising angles; False if this takes more than 8 moves per ray.
 
-        The angles of most sensors rise or fall from the lowest angle on, with few exceptions, so an
-        insertion sort from there is fast.
+        `values` (n,) in rad are the bearings of the scan. Sets `_order` and `_rising`. The angles
+        of most sensors rise or fall from the lowest angle on, with few exceptions, so a stable
+        insertion sort that begins there is fast.
         """
-        n: cython.Py_ssize_t = self._n
-        first: cython.Py_ssize_t = 0
-        rises: cython.Py_ssize_t = 0
-        moves: cython.Py_ssize_t = 0
+        ray_count: cython.Py_ssize_t = self._ray_count
+        lowest: cython.Py_ssize_t = 0
+        rising_count: cython.Py_ssize_t = 0
+        move_count: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        for i in range(1, n):
-            rises += 1 if values[i] > values[i - 1] else -1
-            if self._turned[i] < self._turned[first]:
-                first = i
-        for i in range(n):
-            ray = _wrapped(first + i if rises >= 0 else first - i + n, n)
-            angle, k = self._turned[ray], i
+
+        # 1. The ray with the lowest angle, and whether most angles rise.
+        for i in range(1, ray_count):
+            rising_count += 1 if values[i] > values[i - 1] else -1
+            if self._turned_angle[i] < self._turned_angle[lowest]:
+                lowest = i
+
+        # 2. Inserts the rays from the lowest angle on.
+        for i in range(ray_count):
+            ray = _wrapped(lowest + i if rising_count >= 0 else lowest - i + ray_count, ray_count)
+            angle, k = self._turned_angle[ray], i
             while k > 0 and (
                 self._rising[k - 1] > angle
                 or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
@@ -352,30 +379,30 @@ class BlindZoneMemory:
                 self._rising[k], self._order[k] = self._rising[k - 1], self._order[k - 1]
                 k -= 1
             self._rising[k], self._order[k] = angle, ray
-            moves += i - k
-            if moves > 8 * n:
+            move_count += i - k
+            if move_count > 8 * ray_count:
                 return False
         return True
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t):
-        """Make room for `size` rays; the hidden obstacles and the near points are kept."""
+        """Make room for `size` rays; the hidden obstacles and the near points stay."""
         self._reserved = size
         self._order = _zeros(size, np.int64)
         self._bearing, self._rising = _zeros(size), _zeros(size)
-        self._range, self._exact, self._corner = _zeros(size), _zeros(size), _zeros(size)
-        self._age_of, self._nearest_of = _zeros(size), _zeros(size)
-        self._is_empty, self._inside = _zeros(size, np.uint8), _zeros(size, np.uint8)
-        self._face_of = _zeros(size, np.uint8)
-        self._first, self._width = _zeros(size, np.intp), _zeros(size, np.intp)
-        self._crossings, self._ray = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._range, self._exact_bearing, self._corner = _zeros(size), _zeros(size), _zeros(size)
+        self._age_by_ray, self._nearest_by_ray = _zeros(size), _zeros(size)
+        self._is_empty, self._is_in_entered_sector = _zeros(size, np.uint8), _zeros(size, np.uint8)
+        self._is_face_by_ray = _zeros(size, np.uint8)
+        self._sector_first, self._sector_width = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._crossings, self._angle_rays = _zeros(size, np.intp), _zeros(size, np.intp)
         self._x, self._y = _grown(self._x, size), _grown(self._y, size)
         self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
-        self._empty_bearing = _grown(self._empty_bearing, size)
-        self._angle, self._turned = _zeros(size), _zeros(size)
+        self._old_empty = _grown(self._old_empty, size)
+        self._angles, self._turned_angle = _zeros(size), _zeros(size)
         # Candidates: at most a hidden obstacle for each ray, and one for each earlier near point.
-        self._bearings = self._hidden_at = _grown(self._hidden_at, 2 * size)
-        self._ranges = self._near = _grown(self._near, 2 * size)
+        self._bearings = self._hidden_bearing = _grown(self._hidden_bearing, 2 * size)
+        self._ranges = self._nearest_range = _grown(self._nearest_range, 2 * size)
         self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
         self._is_hidden = _zeros(2 * size, np.uint8)
 
@@ -384,11 +411,12 @@ class BlindZoneMemory:
         self, driven_x: cython.double, driven_y: cython.double, turned: cython.double
     ) -> cython.int:
         """Update the place at which the last obstacle became hidden, in the base frame."""
-        c: cython.double = cos(turned)
-        s: cython.double = sin(turned)
+        cos_turn: cython.double = cos(turned)
+        sin_turn: cython.double = sin(turned)
         x: cython.double = self._entered_x - driven_x
         y: cython.double = self._entered_y - driven_y
-        self._entered_x, self._entered_y = c * x + s * y, c * y - s * x
+        self._entered_x = cos_turn * x + sin_turn * y
+        self._entered_y = cos_turn * y - sin_turn * x
         return 0
 
     @cython.cfunc
@@ -397,108 +425,134 @@ class BlindZoneMemory:
         moved_x: cython.double,
         moved_y: cython.double,
         turned: cython.double,
-        ahead: cython.double,
-        left: cython.double,
+        sensor_x: cython.double,
+        sensor_y: cython.double,
         seconds: cython.double,
-        step: cython.double,
+        obstacle_step: cython.double,
     ):
-        """Find the obstacles that are hidden now; `step` in m is their motion between two scans."""
-        n: cython.Py_ssize_t = self._n
+        """Find the obstacles that are hidden now.
+
+        Args:
+            moved_x, moved_y, turned: m and rad, the motion of the base since the scan before.
+            sensor_x, sensor_y: m, the place of the sensor in the base frame.
+            seconds: s since the scan before.
+            obstacle_step: m that an obstacle moves between two scans.
+        """
+        ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        c: cython.double = cos(turned)
-        s: cython.double = sin(turned)
+        cos_turn: cython.double = cos(turned)
+        sin_turn: cython.double = sin(turned)
         self._find_sectors()
-        if not self._sectors:
+        if not self._sector_count:
             self._keep(0)
             return
-        # Mark the rays of sectors that an obstacle enters across the rim.
+
+        # 1. Marks the rays of sectors that an obstacle enters across the rim.
         is_entered: cython.bint = False
-        for i in range(n):
-            self._inside[i] = False
-        for k in range(self._sectors):
+        for i in range(ray_count):
+            self._is_in_entered_sector[i] = False
+        for k in range(self._sector_count):
             if self._crossings[k]:
                 is_entered = True
-                for i in range(self._first[k], self._first[k] + self._width[k]):
-                    self._inside[_wrapped(i, n)] = True
-        # Let the hidden obstacles approach, and add those that have vanished.
-        for i in range(self._hidden):
-            self._hidden_at[i] -= turned
-            self._near[i] = max(self._near[i] - self._speed * seconds, 0.0)
-            if self._near[i] == 0.0:
+                for i in range(
+                    self._sector_first[k], self._sector_first[k] + self._sector_width[k]
+                ):
+                    self._is_in_entered_sector[_wrapped(i, ray_count)] = True
+
+        # 2. The hidden obstacles approach. Adds the returns that have vanished.
+        for i in range(self._hidden_count):
+            self._hidden_bearing[i] -= turned
+            self._nearest_range[i] = max(self._nearest_range[i] - self._speed * seconds, 0.0)
+            if self._nearest_range[i] == 0.0:
                 self._is_face[i] = 0.0
-        self._candidates = self._hidden
-        self._vanish(moved_x, moved_y, c, s, ahead, left, step, is_entered)
-        if not (self._candidates or is_entered):
+        self._candidate_count = self._hidden_count
+        self._vanish(
+            moved_x, moved_y, cos_turn, sin_turn, sensor_x, sensor_y, obstacle_step, is_entered
+        )
+        if not (self._candidate_count or is_entered):
             self._keep(0)
             return
-        if self._candidates > self._hidden or is_entered:
+        if self._candidate_count > self._hidden_count or is_entered:
             self._entered_x = self._entered_y = 0.0
-        # Give each candidate a ray, extend the obstacles over their sectors, and keep the rays.
-        self._place(turned, step)
+
+        # 3. Gives each candidate a ray, extends obstacles over their sectors, and stores the rays.
+        self._place(turned, obstacle_step)
         self._fill(seconds)
         k = 0
-        for i in range(n):
-            if self._age_of[i] < INFINITY:
-                self._hidden_at[k], self._age[k] = self._exact[i], self._age_of[i]
-                self._near[k], self._is_face[k] = self._nearest_of[i], self._face_of[i]
+        for i in range(ray_count):
+            if self._age_by_ray[i] < INFINITY:
+                self._hidden_bearing[k], self._age[k] = self._exact_bearing[i], self._age_by_ray[i]
+                self._nearest_range[k] = self._nearest_by_ray[i]
+                self._is_face[k] = self._is_face_by_ray[i]
                 k += 1
         self._keep(k)
 
     @cython.cfunc
     def _keep(self, count: cython.Py_ssize_t):
-        """Keep the first `count` hidden obstacles, and publish them in `bearings`, `nearest`."""
-        self._hidden = count
+        """Store the number of hidden obstacles, the first `count`, and publish them.
+
+        Sets `bearings` and `nearest`.
+        """
+        self._hidden_count = count
         if not count:
-            self._emerged = self._vanished = 0.0
+            self._emerged_m = self._vanished_m = 0.0
         self.bearings = np.array(self._bearings[:count]) if count else _NOTHING
         self.nearest = np.array(self._ranges[:count]) if count else _NOTHING
 
     @cython.cfunc
     def _find_sectors(self) -> cython.int:
-        """Find the empty sectors: runs of at least `_MIN_EMPTY_RUN` empty rays."""
-        n: cython.Py_ssize_t = self._n
+        """Find the empty sectors: runs of at least `_MIN_EMPTY_RUN` empty rays.
+
+        An empty ray has no return. Runs continue from the last ray to the first ray.
+        """
+        ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         first: cython.Py_ssize_t = 0
         end: cython.Py_ssize_t
-        self._sectors = 0
-        for i in range(n):
+        self._sector_count = 0
+        for i in range(ray_count):
             self._is_empty[i] = False
-        while first < n and isinf(self._range[first]):
+        while first < ray_count and isinf(self._range[first]):
             first += 1
-        if first == n:  # a ring without any return
-            if n >= _MIN_EMPTY_RUN:
-                self._add_sector(0, n)
+        if first == ray_count:  # no ray has a return
+            if ray_count >= _MIN_EMPTY_RUN:
+                self._add_sector(0, ray_count)
             return 0
         # Begin at a ray with a return, so that no run spans the end of the arrays.
-        last: cython.Py_ssize_t = first + n
+        last: cython.Py_ssize_t = first + ray_count
         i = first
         while i < last:
             end = i
-            while end < last and isinf(self._range[_wrapped(end, n)]):
+            while end < last and isinf(self._range[_wrapped(end, ray_count)]):
                 end += 1
             if end - i >= _MIN_EMPTY_RUN:
-                self._add_sector(_wrapped(i, n), end - i)
+                self._add_sector(_wrapped(i, ray_count), end - i)
             i = end + 1
         return 0
 
     @cython.cfunc
     def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
-        n: cython.Py_ssize_t = self._n
-        k: cython.Py_ssize_t = self._sectors
+        """Add an empty sector of `width` rays; `first` is the index of its first ray.
+
+        Stores at how many ends an obstacle crosses the rim, and the distance of the square corner
+        of rule 2.
+        """
+        ray_count: cython.Py_ssize_t = self._ray_count
+        k: cython.Py_ssize_t = self._sector_count
         i: cython.Py_ssize_t
         for i in range(first, first + width):
-            self._is_empty[_wrapped(i, n)] = True
-        half: cython.double = width * _PI / n
-        is_flat: cython.bint = half < _FLAT
-        self._first[k], self._width[k] = first, width
+            self._is_empty[_wrapped(i, ray_count)] = True
+        half_angle: cython.double = width * _PI / ray_count
+        is_flat: cython.bint = half_angle < _FLAT
+        self._sector_first[k], self._sector_width[k] = first, width
         self._crossings[k] = 0
-        if self._crosses_rim((first + n - 1) % n, -1, is_flat):
+        if self._crosses_rim((first + ray_count - 1) % ray_count, -1, is_flat):
             self._crossings[k] += 1
-        if self._crosses_rim((first + width) % n, 1, is_flat):
+        if self._crosses_rim((first + width) % ray_count, 1, is_flat):
             self._crossings[k] += 1
-        self._corner[k] = max(self._blind * (cos(half) - sin(half)), 0.0)
-        self._sectors += 1
+        self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
+        self._sector_count += 1
         return 0
 
     @cython.cfunc
@@ -507,31 +561,39 @@ class BlindZoneMemory:
     ) -> cython.bint:
         """True if an obstacle beside an empty sector crosses the rim into the sector.
 
-        `ray` is the ray beside the sector, `direction` (1 or -1) leads away from the sector. In a
-        narrow sector (`is_flat`) the range at the ray must be near the rim. In a wide sector the
-        ranges must fall towards the sector, so that the face lies within the rim one ray further.
+        In a narrow sector (`is_flat`) the range at the ray beside the sector must be near the rim.
+        In a wide sector the ranges must fall towards the sector, so that the extrapolated face lies
+        within the rim one ray further.
+
+        `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index
+        away from the sector. `is_flat`: the sector is so narrow that a face is level at its ends.
         """
-        n: cython.Py_ssize_t = self._n
+        ray_count: cython.Py_ssize_t = self._ray_count
         if is_flat:
-            return self._range[ray] <= self._blind + _MAX_SLOPE
-        first: cython.double = self._finite(ray)
-        last: cython.double = first
-        count: cython.Py_ssize_t = 0
+            return self._range[ray] <= self._radius + _MAX_SLOPE
+        edge_range: cython.double = self._finite(ray)
+        far_range: cython.double = edge_range
+        face_rays: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t = ray
-        while count < _EDGE_RAYS:
-            i = (i + direction + n) % n
-            after = self._finite(i)
-            if not fabs(after - last) < 2.0 * _MAX_SLOPE:
+
+        # 1. Follows the face away from the sector, up to a step in the ranges.
+        while face_rays < _EDGE_RAYS:
+            i = (i + direction + ray_count) % ray_count
+            next_range = self._finite(i)
+            if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:
                 break
-            last = after
-            count += 1
-        approach: cython.double = last - first
-        if count < 3 or approach < _MIN_APPROACH:
+            far_range = next_range
+            face_rays += 1
+
+        # 2. Extrapolates the face by one ray into the sector.
+        approach: cython.double = far_range - edge_range
+        if face_rays < 3 or approach < _MIN_APPROACH:
             return False
-        return first - min(approach / count, _MAX_SLOPE) <= self._blind + _RANGE_NOISE
+        return edge_range - min(approach / face_rays, _MAX_SLOPE) <= self._radius + _RANGE_NOISE
 
     @cython.cfunc
     def _finite(self, ray: cython.Py_ssize_t) -> cython.double:
+        """The range in m of a ray; 1e9 without a finite range."""
         return self._range[ray] if isfinite(self._range[ray]) else 1e9
 
     @cython.cfunc
@@ -539,193 +601,226 @@ class BlindZoneMemory:
         self,
         moved_x: cython.double,
         moved_y: cython.double,
-        c: cython.double,
-        s: cython.double,
-        ahead: cython.double,
-        left: cython.double,
-        step: cython.double,
+        cos_turn: cython.double,
+        sin_turn: cython.double,
+        sensor_x: cython.double,
+        sensor_y: cython.double,
+        obstacle_step: cython.double,
         is_entered: cython.bint,
     ) -> cython.int:
         """Add the near returns of the scan before that may have crossed the rim as candidates.
 
-        A return is a candidate if no return lies near its place any more, or if an obstacle enters
-        its sector. Also updates `_emerged` and `_vanished`, in m of obstacle beside the rim.
+        A return is a candidate if no return of this scan lies near its place any more, or if an
+        obstacle enters its sector. Also updates `_emerged_m` and `_vanished_m`, in m of obstacle
+        beside the rim.
+
+        Args:
+            moved_x, moved_y: m, the motion of the base since the scan before.
+            cos_turn, sin_turn: of its turn.
+            sensor_x, sensor_y: m, the place of the sensor in the base frame.
+            obstacle_step: m that an obstacle moves between two scans.
+            is_entered: an obstacle enters any sector across the rim.
         """
-        stride: cython.Py_ssize_t = 1 + self._points // _MAX_POINTS
-        limit: cython.double = step + _SHAPE_CHANGE
+        stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
+        match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
         is_gone: cython.bint
-        start: cython.Py_ssize_t = 0  # search from the last match: neighbours lie side by side
-        count: cython.Py_ssize_t = (self._points + stride - 1) // stride
+        last_match: cython.Py_ssize_t = 0  # begin to search here: neighbours lie side by side
+        count: cython.Py_ssize_t = (self._point_count + stride - 1) // stride
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        for i in range(self._old_points):
-            x_here, y_here = self._old_x[i] - moved_x, self._old_y[i] - moved_y
-            x, y = c * x_here + s * y_here, c * y_here - s * x_here
-            if not hypot(x - ahead, y - left) < self._blind + step:
+        for i in range(self._old_point_count):
+            # 1. The old return in the present base frame. Skips returns too far from the rim.
+            old_x, old_y = self._old_x[i] - moved_x, self._old_y[i] - moved_y
+            x, y = cos_turn * old_x + sin_turn * old_y, cos_turn * old_y - sin_turn * old_x
+            if not hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
                 continue
+
+            # 2. Compares the place with the near returns of this scan, every `stride`-th of them.
             is_gone = True
             for j in range(count):
-                k = start + j
+                k = last_match + j
                 if k >= count:
                     k -= count
-                x_here = self._x[k * stride] - x
-                y_here = self._y[k * stride] - y
+                difference_x = self._x[k * stride] - x
+                difference_y = self._y[k * stride] - y
                 if (
-                    fabs(x_here) <= limit
-                    and fabs(y_here) <= limit
-                    and hypot(x_here, y_here) <= limit
+                    fabs(difference_x) <= match_distance
+                    and fabs(difference_y) <= match_distance
+                    and hypot(difference_x, difference_y) <= match_distance
                 ):
-                    is_gone, start = False, k
+                    is_gone, last_match = False, k
                     break
-            bearing = atan2(y - left, x - ahead)
-            ray = _nearest(self._rising, self._n, bearing)
+
+            # 3. An empty ray there: this width of the obstacle went out of view.
+            bearing = atan2(y - sensor_y, x - sensor_x)
+            ray = _nearest(self._rising, self._ray_count, bearing)
             if isinf(self._range[ray]):
-                width = hypot(x - ahead, y - left) * _TURN / self._n
-                self._emerged -= width
-                self._vanished += width
-            if is_gone or (is_entered and self._inside[ray]):
-                k = self._candidates
-                self._hidden_at[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
-                self._near[k], self._is_face[k] = self._blind - step, not is_gone
-                self._candidates += 1
+                return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
+                self._emerged_m -= return_width
+                self._vanished_m += return_width
+
+            # 4. Adds the candidate. A return still in view only continues a face, and is doubtful.
+            if is_gone or (is_entered and self._is_in_entered_sector[ray]):
+                k = self._candidate_count
+                self._hidden_bearing[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
+                self._nearest_range[k], self._is_face[k] = self._radius - obstacle_step, not is_gone
+                self._candidate_count += 1
         return 0
 
     @cython.cfunc
-    def _place(self, turned: cython.double, step: cython.double) -> cython.int:
-        """Give each candidate that is still hidden its ray, by rules 3 to 5.
+    def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
+        """Give each candidate that is still hidden its ray, by rules 3 to 5 of the module.
 
-        Sets age, distance and kind of the obstacle of each ray; an age of inf: no obstacle.
+        Sets for each ray the age, the least range and the kind of its obstacle; an age of inf: no
+        obstacle.
+
+        `turned`: rad by which the base turned since the scan before. `obstacle_step`: m that an
+        obstacle moves between two scans.
         """
-        n: cython.Py_ssize_t = self._n
+        ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        reach: cython.double = step / (_MIN_HIDDEN_RANGE * self._blind)
-        shift: cython.double = min(reach, 0.25 * _PI)
-        is_here: cython.bint = (
-            hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._blind
+
+        # 1. rad by which a hidden obstacle may have moved around the sensor between two scans.
+        farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
+        sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
+        is_robot_near: cython.bint = (
+            hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-        self._find_reappeared(turned, step)
-        self._emerged = max(self._emerged, 0.0)
-        has_emerged: cython.bint = self._emerged >= min(_MIN_EMERGED, 0.5 * self._vanished)
-        for k in range(self._candidates):
-            self._is_hidden[k] = is_here and self._age[k] < _NARROW_MEMORY
-            if has_emerged and k < self._hidden and self._found:
-                i = _nearest(self._angle, self._found, self._hidden_at[k])
-                off = _apart(self._angle[i], self._hidden_at[k])
-                if off <= shift:
+
+        # 2. Rules 4 and 5: which candidates are still hidden. `_angles`: of reappeared returns.
+        self._find_reappeared(turned, obstacle_step)
+        self._emerged_m = max(self._emerged_m, 0.0)
+        has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
+        for k in range(self._candidate_count):
+            self._is_hidden[k] = is_robot_near and self._age[k] < _NARROW_MEMORY
+            if has_emerged and k < self._hidden_count and self._angle_total:
+                i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
+                angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+                if angle_off <= sideways_shift:
                     self._is_hidden[k] = False
-                elif off <= reach:
+                elif angle_off <= farthest_shift:
                     self._age[k] = max(self._age[k], _DOUBTFUL)
-        self._found = 0
-        for i in range(n):
-            self._exact[i] = self._bearing[i]
-            self._age_of[i] = self._nearest_of[i] = INFINITY
-            self._face_of[i] = True
+
+        # 3. Clears the rays, and lists the empty rays in `_angles`.
+        self._angle_total = 0
+        for i in range(ray_count):
+            self._exact_bearing[i] = self._bearing[i]
+            self._age_by_ray[i] = self._nearest_by_ray[i] = INFINITY
+            self._is_face_by_ray[i] = True
             if self._is_empty[i]:
-                self._angle[self._found], self._ray[self._found] = self._rising[i], i
-                self._found += 1
-        for k in range(self._candidates):
+                self._angles[self._angle_total] = self._rising[i]
+                self._angle_rays[self._angle_total] = i
+                self._angle_total += 1
+
+        # 4. Rule 3: each hidden candidate moves to the nearest empty ray.
+        for k in range(self._candidate_count):
             if not self._is_hidden[k]:
                 continue
-            i = _nearest(self._angle, self._found, self._hidden_at[k])
-            off = _apart(self._angle[i], self._hidden_at[k])
-            if off > shift:
+            i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
+            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            if angle_off > sideways_shift:
                 continue
-            ray = self._ray[i]
-            self._age_of[ray] = min(self._age_of[ray], self._age[k])
-            self._nearest_of[ray] = min(self._nearest_of[ray], self._near[k])
-            self._face_of[ray] = self._face_of[ray] and self._is_face[k] != 0.0
-            if off <= _PI / n:  # a slow turn would be lost in whole rays
-                self._exact[ray] = self._hidden_at[k]
+            ray = self._angle_rays[i]
+            self._age_by_ray[ray] = min(self._age_by_ray[ray], self._age[k])
+            self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
+            self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
+            if angle_off <= _PI / ray_count:  # whole rays would lose a slow turn
+                self._exact_bearing[ray] = self._hidden_bearing[k]
         return 0
 
     @cython.cfunc
-    def _find_reappeared(self, turned: cython.double, step: cython.double) -> cython.int:
+    def _find_reappeared(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
         """Find the returns near the rim whose rays were empty in the scan before.
 
         Sets `_angle` to their angles, `_found` to their number, and adds to `_emerged`.
         """
-        n: cython.Py_ssize_t = self._n
-        count: cython.Py_ssize_t = self._were_empty
+        ray_count: cython.Py_ssize_t = self._ray_count
+        old_empty_count: cython.Py_ssize_t = self._old_empty_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         is_turned: cython.bint = False
-        self._found = 0
-        if not count:
+        self._angle_total = 0
+        if not old_empty_count:
             return 0
-        for i in range(n):
-            if -INFINITY < self._range[i] <= self._blind + step:
+        for i in range(ray_count):
+            if -INFINITY < self._range[i] <= self._radius + obstacle_step:
                 if not is_turned:
                     self._turn_empty(turned)
                     is_turned = True
-                k = _nearest(self._turned, count, self._bearing[i])
-                if _apart(self._turned[k], self._bearing[i]) <= _PI / n:
-                    self._angle[self._found] = self._rising[i]
-                    self._found += 1
-                    self._emerged += self._range[i] * _TURN / n
+                k = _nearest(self._turned_angle, old_empty_count, self._bearing[i])
+                if _apart(self._turned_angle[k], self._bearing[i]) <= _PI / ray_count:
+                    self._angles[self._angle_total] = self._rising[i]
+                    self._angle_total += 1
+                    self._emerged_m += self._range[i] * _TURN / ray_count
         return 0
 
     @cython.cfunc
     def _turn_empty(self, turned: cython.double) -> cython.int:
         """Set `_turned` to the rising angles of the rays that were empty, in the present frame."""
-        count: cython.Py_ssize_t = self._were_empty
+        count: cython.Py_ssize_t = self._old_empty_count
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for i in range(1, count):  # they rise but for one place
-            if _mod(self._empty_bearing[i] - turned) < _mod(self._empty_bearing[i - 1] - turned):
+            if _mod(self._old_empty[i] - turned) < _mod(self._old_empty[i - 1] - turned):
                 first = i
         for i in range(count):
             k = first + i
-            angle = _mod(self._empty_bearing[k - count if k >= count else k] - turned)
+            angle = _mod(self._old_empty[k - count if k >= count else k] - turned)
             k = i
-            while k > 0 and self._turned[k - 1] > angle:  # by rounding
-                self._turned[k] = self._turned[k - 1]
+            while k > 0 and self._turned_angle[k - 1] > angle:  # by rounding
+                self._turned_angle[k] = self._turned_angle[k - 1]
                 k -= 1
-            self._turned[k] = angle
+            self._turned_angle[k] = angle
         return 0
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
-        """Extend each hidden obstacle over its empty sector, and let doubtful ones grow older.
+        """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        Four kinds of sectors, in order: obstacles cross the rim at both ends; a hidden obstacle in
-        a sector that is not too wide; no crossing; else the rays stay as they are.
+        A sector is treated by the first case that fits:
+
+        1. Obstacles cross the rim at both ends: they fill the sector, doubtful.
+        2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
+        3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
+        4. Else the rays stay as they are.
         """
-        n: cython.Py_ssize_t = self._n
+        n: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
-        end: cython.Py_ssize_t
-        for k in range(self._sectors):
-            first, end = self._first[k], self._first[k] + self._width[k]
+        after_last: cython.Py_ssize_t
+        for k in range(self._sector_count):
+            first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
+            # The youngest and the nearest hidden obstacle of the sector; inf without an obstacle.
             youngest = nearest = INFINITY
-            for i in range(first, end):
-                youngest = min(youngest, self._age_of[_wrapped(i, n)])
-                nearest = min(nearest, self._nearest_of[_wrapped(i, n)])
-            width = self._width[k] * 2.0 * _PI / n
-            if self._crossings[k] == 2 and width < _MAX_FACE:
-                for i in range(first, end):
-                    self._age_of[_wrapped(i, n)] = min(self._age_of[_wrapped(i, n)], _DOUBTFUL)
-                    if self._face_of[_wrapped(i, n)]:
-                        self._nearest_of[_wrapped(i, n)] = self._corner[k]
-            elif youngest < INFINITY and width <= _MAX_SECTOR:
-                if width >= self._narrow:
+            for i in range(first, after_last):
+                youngest = min(youngest, self._age_by_ray[_wrapped(i, n)])
+                nearest = min(nearest, self._nearest_by_ray[_wrapped(i, n)])
+            width_rad = self._sector_width[k] * 2.0 * _PI / n
+            if self._crossings[k] == 2 and width_rad < _MAX_FACE:
+                for i in range(first, after_last):
+                    self._age_by_ray[_wrapped(i, n)] = min(
+                        self._age_by_ray[_wrapped(i, n)], _DOUBTFUL
+                    )
+                    if self._is_face_by_ray[_wrapped(i, n)]:
+                        self._nearest_by_ray[_wrapped(i, n)] = self._corner[k]
+            elif youngest < INFINITY and width_rad <= _MAX_SECTOR:
+                if width_rad >= self._narrowest_sector:
                     youngest = 0.0
                 elif self._crossings[k]:
                     youngest = min(youngest, _DOUBTFUL)
                 else:
                     youngest += seconds
-                for i in range(first, end):
-                    self._age_of[_wrapped(i, n)], self._nearest_of[_wrapped(i, n)] = (
-                        youngest,
-                        nearest,
-                    )
+                for i in range(first, after_last):
+                    self._age_by_ray[_wrapped(i, n)] = youngest
+                    self._nearest_by_ray[_wrapped(i, n)] = nearest
             elif not self._crossings[k]:
-                for i in range(first, end):
-                    if 0.0 < self._age_of[_wrapped(i, n)] < INFINITY:
-                        self._age_of[_wrapped(i, n)] += seconds
+                for i in range(first, after_last):
+                    if 0.0 < self._age_by_ray[_wrapped(i, n)] < INFINITY:
+                        self._age_by_ray[_wrapped(i, n)] += seconds
         return 0

@@ -2,9 +2,9 @@
 
 Part of the library of barrier.py. A constraint is an inequality a x + b y <= cap. x and y are the
 linear and the angular speed of the command, each divided by its limit; the cap in m/s is the
-highest speed at which a place of the outline may close on a point. `ConstraintRows` holds one
-constraint a row, so names in the code say row for constraint. Units: m, s, rad, in the predicted
-base frame.
+highest speed at which a place of the outline may close on a point. `ConstraintRows` stores one
+constraint in each row, so names in the code say row for constraint. Units: m, s, rad, in the
+predicted base frame: the base frame at the pose at which the next command takes effect.
 """
 
 from __future__ import annotations
@@ -116,11 +116,11 @@ class ConstraintRows:
         source: cython.Py_ssize_t,
     ) -> cython.int:
         """Add a constraint; `reserve` must have made room."""
-        at: cython.Py_ssize_t = self.count
-        self.x[at], self.y[at] = x, y
-        self.cap[at], self.gap[at] = cap, gap
-        self.source[at] = source
-        self.count = at + 1
+        row: cython.Py_ssize_t = self.count
+        self.x[row], self.y[row] = x, y
+        self.cap[row], self.gap[row] = cap, gap
+        self.source[row] = source
+        self.count = row + 1
         return 0
 
 
@@ -129,7 +129,8 @@ class ConstraintRows:
 class PlacedPoints:
     """The points of one decision in the predicted base frame.
 
-    The returns of the scan come first, then the centres of discs (see `ToldDiscs`).
+    The returns of the scan come first, then the centres of discs in which an obstacle is (see
+    `ObstacleDiscs`).
     """
 
     seen: cython.Py_ssize_t  # number of returns
@@ -214,9 +215,9 @@ class Constraints:
             count += 1
         contacts: cython.Py_ssize_t = min(near.contacts, count)
         touch_rows: cython.Py_ssize_t = len(self.touch.corners) if self.touch.is_granted else 0
-        of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges
+        rows_of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges
         self.placed.reserve(count + discs)
-        self.rows.reserve((count + discs) * of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
+        self.rows.reserve((count + discs) * rows_of_a_point + contacts + touch_rows + ENVELOPE_ROWS)
         self.rows.count = 0
         self.placed.seen, self.placed.contacts = count, contacts
         self.placed.discs = discs
@@ -231,48 +232,57 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Place the points that `begin` counted, and add their constraints.
+        """Place the returns that `begin` counted, and add their constraints.
 
-        `frame` is the pose at which the scan was taken, in the predicted base frame. `age` in s is
-        that of the newest ray when the command takes effect. `free` m stay free around each point.
-        Points too far away to constrain any command within the limits are left out.
+        The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
+        A return is left out if it is too far away to constrain any command within the limits.
+
+        Args:
+            near: the near returns of the scan; its contacts come first.
+            frame: the pose at which the scan was taken, in the predicted base frame.
+            age: s from the newest ray of the scan until the command takes effect.
+            free: m that must stay free around each return.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = placed.seen
-        first: cython.Py_ssize_t = 0
-        point: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        c: cython.double = cos(frame.yaw)
-        s: cython.double = sin(frame.yaw)
+        first_placed: cython.Py_ssize_t = 0
+        seen: cython.Py_ssize_t = 0
+        in_chunk: cython.Py_ssize_t
+        cos_yaw: cython.double = cos(frame.yaw)
+        sin_yaw: cython.double = sin(frame.yaw)
         gaps: cython.p_double = checked(near.points.gap, count)
         ages: cython.p_double = checked(near.points.age, count)
         xs: cython.p_double = checked(near.points.x, count)
         ys: cython.p_double = checked(near.points.y, count)
-        while point < count:
-            i = 0
-            while point < count and i < CHUNK:
-                # A younger ray leaves an obstacle less time to come near: a tenth drops out.
-                if not (gaps[point] >= assumptions.binding_range(age + ages[point])):
-                    x: cython.double = xs[point]
-                    y: cython.double = ys[point]
-                    chunk.x[i] = frame.x + c * x - s * y
-                    chunk.y[i] = frame.y + s * x + c * y
-                    chunk.free[i], chunk.age[i] = free, age + ages[point]
-                    chunk.radius[i] = 0.0
-                    placed.scan_gap[first + i] = gaps[point]
-                    i += 1
-                point += 1
-            chunk.count = i
-            self._add_chunk(first, assumptions.blind)
+        while seen < count:
+            # 1. Transforms the next returns that may constrain the robot into the chunk.
+            in_chunk = 0
+            while seen < count and in_chunk < CHUNK:
+                # The binding range of each ray's own age leaves out a tenth of the returns: a
+                # younger ray leaves an obstacle less time to come near.
+                if not (gaps[seen] >= assumptions.binding_range(age + ages[seen])):
+                    x: cython.double = xs[seen]
+                    y: cython.double = ys[seen]
+                    chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
+                    chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
+                    chunk.free[in_chunk], chunk.age[in_chunk] = free, age + ages[seen]
+                    chunk.radius[in_chunk] = 0.0
+                    placed.scan_gap[first_placed + in_chunk] = gaps[seen]
+                    in_chunk += 1
+                seen += 1
+
+            # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
+            chunk.count = in_chunk
+            self._add_chunk(first_placed, assumptions.blind_radius)
             if assumptions.unseen_extent > 0.0:
-                self._add_corners(first, max(placed.contacts - first, 0))
+                self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
             if assumptions.has_keep_out():
-                self._add_keep_out(first)
-            first += chunk.count
-        placed.seen = first
-        return self._add_contacts(near.rays, c, s)
+                self._add_keep_out(first_placed)
+            first_placed += chunk.count
+        placed.seen = first_placed
+        return self._add_contacts(near.rays, cos_yaw, sin_yaw)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -306,12 +316,17 @@ class Constraints:
         age: cython.double,
         moved: cython.double,
     ) -> cython.int:
-        """Add the constraints of a disc around a place in the base frame, as placed point `point`.
+        """Add the constraints of a disc in which an obstacle is, as placed point `point`.
 
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
-        distance that must stay free around the centre, as the extent of unseen parts is for
-        returns. `age` in s is that of the place. `moved` in m is how far the outline may have moved
-        since the newest odometry.
+        distance that must stay free around the centre.
+
+        Args:
+            point: the index of the disc among the placed points.
+            x, y: the centre in m in the predicted base frame.
+            radius: m.
+            age: s since the place of the disc was measured.
+            moved: m that the outline may have moved since the newest odometry.
         """
         chunk: Chunk = self._chunk
         least: cython.double = self._assumptions.margin + radius
@@ -325,11 +340,13 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
-        """Place the points of the chunk, and add their constraints.
+        """Place the points of the chunk (up to 64), and add their constraints.
 
-        The points become the placed points from `first` on. First comes one constraint for each
-        point, that of the nearest place of the outline; then come the constraints for obstacles
-        that are passed sideways or approach from the side.
+        A constraint limits the speed at which a place of the outline closes on a point to its cap
+        in m/s. The points become the placed points from `first` on. `blind` in m is the radius of
+        the lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
+        nearest place of the outline. The constraints for obstacles that approach from the side or
+        are passed sideways follow.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -337,7 +354,7 @@ class Constraints:
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = chunk.count
-        at: cython.Py_ssize_t = rows.count
+        first_row: cython.Py_ssize_t = rows.count
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         lever: cython.p_double = chunk.lever
@@ -346,31 +363,37 @@ class Constraints:
         age: cython.p_double = chunk.age
         cap: cython.p_double = chunk.cap
         radius: cython.p_double = chunk.radius
-        new_x: cython.p_double = chunk.row_x
-        new_y: cython.p_double = chunk.row_y
+        chunk_row_x: cython.p_double = chunk.row_x
+        chunk_row_y: cython.p_double = chunk.row_y
         along_x: cython.double = axes.along_x
         along_y: cython.double = axes.along_y
         limit: cython.double = axes.limit
         angular_limit: cython.double = axes.angular_limit
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
-        others: cython.double = assumptions.others
+        others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
+
+        # 1. Finds the nearest place of the outline for each point, and the cap.
         self._outline.separate(chunk, blind)
         for j in range(count):
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
-            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others, is_passive)
-            new_x[j], new_y[j] = linear * limit, lever[j] * angular_limit
-        row_x: cython.p_double = checked(rows.x, at + count)
-        row_y: cython.p_double = checked(rows.y, at + count)
-        row_cap: cython.p_double = checked(rows.cap, at + count)
-        row_gap: cython.p_double = checked(rows.gap, at + count)
+            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others_speed, is_passive)
+            chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
+
+        # 2. Copies the constraints into the table.
+        row_x: cython.p_double = checked(rows.x, first_row + count)
+        row_y: cython.p_double = checked(rows.y, first_row + count)
+        row_cap: cython.p_double = checked(rows.cap, first_row + count)
+        row_gap: cython.p_double = checked(rows.gap, first_row + count)
         for j in range(count):
-            row_x[at + j], row_y[at + j] = new_x[j], new_y[j]
-            row_cap[at + j], row_gap[at + j] = cap[j], gap[j] - radius[j]
+            row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
+            row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
+
+        # 3. Stores the points, then adds the constraints against approach from the side.
         self._place_chunk(first)
-        rows.count = at + count
+        rows.count = first_row + count
         self._add_approaching(first)
         return self._add_sides(first)
 
@@ -379,21 +402,22 @@ class Constraints:
     def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
         """Copy the points of the chunk to the placed points from `first` on.
 
-        Sets the indices of their first constraints, which the caller adds next.
+        Links each point to its first constraint and back: row `rows.count` and the rows after it,
+        which the caller has filled but not counted yet.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
         count: cython.Py_ssize_t = chunk.count
         end: cython.Py_ssize_t = first + count
-        at: cython.Py_ssize_t = self.rows.count
-        at_x: cython.p_double = chunk.x
-        at_y: cython.p_double = chunk.y
+        row: cython.Py_ssize_t = self.rows.count
+        chunk_x: cython.p_double = chunk.x
+        chunk_y: cython.p_double = chunk.y
         free: cython.p_double = chunk.free
         age: cython.p_double = chunk.age
         hidden: cython.p_double = chunk.hidden
-        nx: cython.p_double = chunk.normal_x
-        ny: cython.p_double = chunk.normal_y
+        chunk_normal_x: cython.p_double = chunk.normal_x
+        chunk_normal_y: cython.p_double = chunk.normal_y
         gap: cython.p_double = chunk.gap
         radius: cython.p_double = chunk.radius
         placed_x: cython.p_double = checked(placed.x, end)
@@ -402,20 +426,20 @@ class Constraints:
         placed_age: cython.p_double = checked(placed.age, end)
         placed_contact: cython.p_double = checked(placed.contact, end)
         placed_gap: cython.p_double = checked(placed.gap, end)
-        normal_x: cython.p_double = checked(placed.normal_x, end)
-        normal_y: cython.p_double = checked(placed.normal_y, end)
-        radius_of: cython.p_double = checked(placed.radius, end)
+        placed_normal_x: cython.p_double = checked(placed.normal_x, end)
+        placed_normal_y: cython.p_double = checked(placed.normal_y, end)
+        placed_radius: cython.p_double = checked(placed.radius, end)
         for j in range(count):
             i = first + j
-            placed_x[i], placed_y[i] = at_x[j], at_y[j]
+            placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
             placed_free[i], placed_age[i] = free[j], age[j]
             placed_contact[i] = free[j] + hidden[j]
-            normal_x[i], normal_y[i] = nx[j], ny[j]
-            placed_gap[i], radius_of[i] = gap[j], radius[j]
+            placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
+            placed_gap[i], placed_radius[i] = gap[j], radius[j]
         first_row: cython.p_longlong = checked_indices(placed.first_row, end)
-        source: cython.p_longlong = checked_indices(self.rows.source, at + count)
+        source: cython.p_longlong = checked_indices(self.rows.source, row + count)
         for j in range(count):
-            first_row[first + j], source[at + j] = at + j, first + j
+            first_row[first + j], source[row + j] = row + j, first + j
         return 0
 
     @cython.cfunc
@@ -428,10 +452,14 @@ class Constraints:
         gap: cython.double,
         source: cython.Py_ssize_t,
     ) -> cython.int:
-        """Add the constraint of a place of the outline in one direction.
+        """Add the constraint of one place of the outline in one direction.
 
-        `linear` is the share of the linear speed in this direction. `lever` in m is the speed of
-        the place in this direction, for each rad/s of the angular speed.
+        Args:
+            linear: the part of the linear speed in this direction, from -1 to 1.
+            lever: m, the speed of the place in this direction for each rad/s of the angular speed.
+            cap: m/s, the highest speed of the place in this direction.
+            gap: m to the obstacle, for reports.
+            source: the index of the placed point.
         """
         axes: SpeedAxes = self.axes
         self.rows.add(linear * axes.limit, lever * axes.angular_limit, cap, gap, source)
@@ -442,12 +470,15 @@ class Constraints:
     def _add_sides(self, first: cython.Py_ssize_t) -> cython.int:
         """Add two side constraints for each point of the chunk whose cap is 0.
 
-        The cap of a point is 0 where the obstacle is so near that the robot must not close on it.
-        The robot may still pass the obstacle sideways. But a moving obstacle may no longer be where
-        the scan showed it: two robots may slide past each other's last place until their corners
-        meet. So the two corners that are foremost 60 degrees to either side of the direction to the
-        point get a speed limit in these directions. Under the limit, two such robots do not touch
-        before both have a new scan. CREEP_SPEED is always allowed, and moving away stays free.
+        The cap of a point is 0 where the obstacle is so near that the robot must not close on the
+        obstacle. The robot may still pass the obstacle sideways. But a moving obstacle may have
+        left the place that the scan showed: two robots may slide past the last seen place of each
+        other until their corners meet. So the function limits two corners of the outline: the
+        foremost corners in the two directions 60 degrees to either side of the direction to the
+        point. Under these limits, two such robots do not touch before both have a new scan.
+        CREEP_SPEED is always allowed, and moving away stays free.
+
+        Points behind the last cap of 0 in the chunk are skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -458,37 +489,43 @@ class Constraints:
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         cap: cython.p_double = chunk.cap
-        most: cython.p_double = chunk.least
-        lever: cython.p_double = chunk.highest
-        ax: cython.p_double = chunk.edge_x
-        ay: cython.p_double = chunk.edge_y
+        foremost: cython.p_double = chunk.nearest_square
+        lever: cython.p_double = chunk.greatest_height
+        side_x: cython.p_double = chunk.edge_x
+        side_y: cython.p_double = chunk.edge_y
         while count > 0 and not (cap[count - 1] <= 0.0):
             count -= 1
         for side in range(2):
-            turn: cython.double = _side_sin if side == 0 else -_side_sin
+            sine: cython.double = _side_sin if side == 0 else -_side_sin  # left, then right
             for j in range(count):
-                ax[j] = _side_cos * nx[j] - turn * ny[j]
-                ay[j] = turn * nx[j] + _side_cos * ny[j]
-                most[j], lever[j] = -INFINITY, 0.0
+                side_x[j] = _side_cos * nx[j] - sine * ny[j]
+                side_y[j] = sine * nx[j] + _side_cos * ny[j]
+                foremost[j], lever[j] = -INFINITY, 0.0
+            # For each point: the foremost corner in the side direction, and its lever.
             for k in range(outline.edges):
-                own_x: cython.double = outline.corner_x[k]
-                own_y: cython.double = outline.corner_y[k]
+                corner_x: cython.double = outline.corner_x[k]
+                corner_y: cython.double = outline.corner_y[k]
                 for j in range(count):
-                    ahead: cython.double = own_x * ax[j] + own_y * ay[j]
-                    swung: cython.double = own_x * ay[j] - own_y * ax[j]
-                    was_most: cython.double = most[j]
-                    was_lever: cython.double = lever[j]
-                    lever[j] = swung if ahead > was_most else was_lever
-                    most[j] = ahead if ahead > was_most else was_most
+                    forward: cython.double = corner_x * side_x[j] + corner_y * side_y[j]
+                    corner_lever: cython.double = corner_x * side_y[j] - corner_y * side_x[j]
+                    previous_most: cython.double = foremost[j]
+                    previous_lever: cython.double = lever[j]
+                    lever[j] = corner_lever if forward > previous_most else previous_lever
+                    foremost[j] = forward if forward > previous_most else previous_most
             self._add_side(first, count)
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
-        """Add the side constraints of one side, for the points whose cap is 0.
+        """Add the side constraints of one side of the robot, for the points whose cap is 0.
 
-        The corner that is foremost in the direction `edge_x`, `edge_y` of a point is constrained.
+        `_add_sides` has stored for each of the first `count` points of the chunk: the side
+        direction (`edge_x`, `edge_y`), and the lever of the foremost corner in this direction
+        (`greatest_height`). The chunk's first point is placed point `first`.
+
+        The corner may use half of the gap that is left after the free distance and the hidden part
+        of the obstacle, until the next decision. `side_reserve` lowers this speed.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -497,25 +534,26 @@ class Constraints:
         reserve: cython.double = self._assumptions.side_reserve
         gap: cython.p_double = chunk.gap
         cap: cython.p_double = chunk.cap
-        lever: cython.p_double = chunk.highest
-        ax: cython.p_double = chunk.edge_x
-        ay: cython.p_double = chunk.edge_y
-        at: cython.Py_ssize_t = rows.count
-        row_x: cython.p_double = checked(rows.x, at + count)
-        row_y: cython.p_double = checked(rows.y, at + count)
-        row_cap: cython.p_double = checked(rows.cap, at + count)
-        row_gap: cython.p_double = checked(rows.gap, at + count)
+        lever: cython.p_double = chunk.greatest_height
+        side_x: cython.p_double = chunk.edge_x
+        side_y: cython.p_double = chunk.edge_y
+        row: cython.Py_ssize_t = rows.count
+        row_x: cython.p_double = checked(rows.x, row + count)
+        row_y: cython.p_double = checked(rows.y, row + count)
+        row_cap: cython.p_double = checked(rows.cap, row + count)
+        row_gap: cython.p_double = checked(rows.gap, row + count)
         for j in range(count):
             if cap[j] <= 0.0:
-                rest: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
-                rest /= chunk.age[j] + DECISION_PERIOD
-                rest -= reserve
-                linear: cython.double = ax[j] * axes.along_x + ay[j] * axes.along_y
-                row_x[at], row_y[at] = linear * axes.limit, lever[j] * axes.angular_limit
-                row_cap[at] = maximum(rest, CREEP_SPEED)
-                row_gap[at], rows.source[at] = gap[j] - chunk.radius[j], first + j
-                at += 1
-        rows.count = at
+                # m, then m/s: half of the gap, used up when the next command takes effect
+                allowed: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
+                allowed /= chunk.age[j] + DECISION_PERIOD
+                allowed -= reserve
+                linear: cython.double = side_x[j] * axes.along_x + side_y[j] * axes.along_y
+                row_x[row], row_y[row] = linear * axes.limit, lever[j] * axes.angular_limit
+                row_cap[row] = maximum(allowed, CREEP_SPEED)
+                row_gap[row], rows.source[row] = gap[j] - chunk.radius[j], first + j
+                row += 1
+        rows.count = row
         return 0
 
     @cython.cfunc
@@ -523,16 +561,18 @@ class Constraints:
     def _add_approaching(self, first: cython.Py_ssize_t) -> cython.int:
         """Limit the linear speed early, for obstacles that may approach from the side.
 
-        The side constraints of an obstacle beside the robot begin to hold once its cap is 0. To
-        brake only then is too late: a Waffle Pi still moved at 0.09 m/s. So this function assumes
-        that the obstacle approaches at `others_speed`, and limits the linear speed now to
+        The side constraints of an obstacle beside the robot (`_add_sides`) begin to hold once the
+        cap of the obstacle is 0. To brake only then is too late: a Waffle Pi still moved at 0.09
+        m/s. So this function assumes that the obstacle approaches at `others_speed`, and limits the
+        linear speed now to
 
             the speed that the side constraints will allow once the cap is 0
             + the speed that the brake can take off until then.
 
-        Only the strictest limit ahead and the strictest limit back are added, so at most two
-        constraints. The angular speed is not limited here: braking a turn does not reduce the speed
-        ahead, and the stop check (stopping.py) covers corners that swing outwards.
+        The function adds at most two constraints: the strictest limit ahead and the strictest limit
+        back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
+        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index of
+        the chunk's first point among the placed points.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -541,36 +581,40 @@ class Constraints:
         reserve: cython.double = self._assumptions.side_reserve
         if reserve <= 0.0:
             return 0
-        others: cython.double = self._assumptions.others
+        others_speed: cython.double = self._assumptions.others_speed
         slowing: cython.double = self._assumptions.braking_linear
         # m that an obstacle moves while the robot brakes from its highest speed
-        early: cython.double = others * axes.limit / slowing
+        longest_approach: cython.double = others_speed * axes.limit / slowing
         ahead_cap: cython.double = axes.limit
         back_cap: cython.double = axes.limit
         ahead_point: cython.Py_ssize_t = -1
         back_point: cython.Py_ssize_t = -1
+
+        # 1. Finds the strictest limits. A point of -1 means: no limit below that of the platform.
         for j in range(chunk.count):
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]
             age: cython.double = chunk.age[j] + DECISION_PERIOD
             # m that the obstacle may still approach until its cap is 0
-            left: cython.double = chunk.gap[j] - chunk.free[j] - others * age
-            if not 0.0 < left < early:
-                continue
+            approach_room: cython.double = chunk.gap[j] - chunk.free[j] - others_speed * age
+            if not 0.0 < approach_room < longest_approach:
+                continue  # the cap is 0 already, or there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
             # m/s that the side constraints will then allow in their directions (see `_add_side`)
-            rest: cython.double = 0.5 * (others - chunk.hidden[j] / age)
-            rest = maximum(rest - reserve, CREEP_SPEED)
+            side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
+            side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
-            shed: cython.double = slowing * left / others
+            braked_speed: cython.double = slowing * approach_room / others_speed
             # Shares of the linear speed in the two side directions: aside + along, aside - along.
             along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
             aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
-            if aside + along > 0.0 and rest / (aside + along) + shed < ahead_cap:
-                ahead_cap, ahead_point = rest / (aside + along) + shed, j
-            if aside - along > 0.0 and rest / (aside - along) + shed < back_cap:
-                back_cap, back_point = rest / (aside - along) + shed, j
+            if aside + along > 0.0 and side_speed / (aside + along) + braked_speed < ahead_cap:
+                ahead_cap, ahead_point = side_speed / (aside + along) + braked_speed, j
+            if aside - along > 0.0 and side_speed / (aside - along) + braked_speed < back_cap:
+                back_cap, back_point = side_speed / (aside - along) + braked_speed, j
+
+        # 2. Adds the strictest limit ahead, and the strictest limit back.
         if ahead_point >= 0:
             gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
             self._add(1.0, 0.0, ahead_cap, gap, first + ahead_point)
@@ -587,7 +631,9 @@ class Constraints:
         An obstacle may extend beyond the part that the scan shows (`unseen_extent`). Then a corner
         that swings past the point can touch the obstacle, not only the place of the outline nearest
         to the point. The points are those of the chunk from `begin` on. The first point of the
-        chunk is placed point `first`.
+        chunk is placed point `first`. A point is near if its gap is within twice the free distance
+        plus the way of the obstacle until the next decision. The last points that are not near are
+        skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -611,27 +657,33 @@ class Constraints:
         angular_limit: cython.double = axes.angular_limit
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
-        others: cython.double = assumptions.others
+        others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
+
+        # 1. Leaves out points at the end of the chunk that are not near.
         while end > begin and not (
-            gap[end - 1] <= 2.0 * free[end - 1] + others * (age[end - 1] + DECISION_PERIOD)
+            gap[end - 1] <= 2.0 * free[end - 1] + others_speed * (age[end - 1] + DECISION_PERIOD)
         ):
             end -= 1
+
+        # 2. For each corner: the unit vector to each point, and the cap in this direction.
         for k in range(outline.edges):
-            own_x: cython.double = outline.corner_x[k]
-            own_y: cython.double = outline.corner_y[k]
+            corner_x: cython.double = outline.corner_x[k]
+            corner_y: cython.double = outline.corner_y[k]
             for j in range(begin, end):
-                dx: cython.double = x[j] - own_x
-                dy: cython.double = y[j] - own_y
-                away: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
-                dx /= away
-                dy /= away
+                dx: cython.double = x[j] - corner_x
+                dy: cython.double = y[j] - corner_y
+                distance: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+                dx /= distance
+                dy /= distance
                 linear: cython.double = dx * along_x + dy * along_y
-                lever: cython.double = own_x * dy - own_y * dx
+                lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
-                new_cap[j] = closing_cap(away - free[j], braking, age[j], others, is_passive)
+                new_cap[j] = closing_cap(
+                    distance - free[j], braking, age[j], others_speed, is_passive
+                )
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
-                new_gap[j] = away
+                new_gap[j] = distance
             self._add_corner(first, begin, end)
         return 0
 
@@ -640,27 +692,32 @@ class Constraints:
     def _add_corner(
         self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
     ) -> cython.int:
-        """Add the constraints of one corner that some twist within the limits violates."""
+        """Add the constraints of one corner of the outline, computed by `_add_corners`.
+
+        A constraint is left out if no twist within the limits violates the constraint, or if its
+        point is not near (see `_add_corners`). The points are those of the chunk from `begin` to
+        before `end`.
+        """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
-        others: cython.double = self._assumptions.others
+        others_speed: cython.double = self._assumptions.others_speed
         gap: cython.p_double = chunk.gap
         free: cython.p_double = chunk.free
         age: cython.p_double = chunk.age
         new_x: cython.p_double = chunk.row_x
         new_y: cython.p_double = chunk.row_y
         new_cap: cython.p_double = chunk.row_cap
-        at: cython.Py_ssize_t = rows.count
+        row: cython.Py_ssize_t = rows.count
         for j in range(begin, end):
             if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
-                continue
-            if gap[j] <= 2.0 * free[j] + others * (age[j] + DECISION_PERIOD):
-                rows.x[at], rows.y[at] = new_x[j], new_y[j]
-                rows.cap[at], rows.gap[at] = new_cap[j], chunk.row_gap[j] - chunk.radius[j]
-                rows.source[at] = first + j
-                at += 1
-        rows.count = at
+                continue  # |x| and |y| are at most 1 within the limits
+            if gap[j] <= 2.0 * free[j] + others_speed * (age[j] + DECISION_PERIOD):
+                rows.x[row], rows.y[row] = new_x[j], new_y[j]
+                rows.cap[row], rows.gap[row] = new_cap[j], chunk.row_gap[j] - chunk.radius[j]
+                rows.source[row] = first + j
+                row += 1
+        rows.count = row
         return 0
 
     @cython.cfunc
@@ -669,7 +726,8 @@ class Constraints:
         """Add a constraint for each point of the chunk that keeps a circle around the lidar free.
 
         The circle of `keep_out` m covers the blind zone of the lidar. Two robots that both use this
-        constraint each use at most half of the distance to the circle.
+        constraint each use at most half of the distance to the circle. The first point of the chunk
+        is placed point `first`.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -680,15 +738,17 @@ class Constraints:
         for j in range(chunk.count):
             dx: cython.double = chunk.x[j] - lidar_x
             dy: cython.double = chunk.y[j] - lidar_y
-            away: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
-            dx /= away
-            dy /= away
+            distance: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+            dx /= distance
+            dy /= distance
             linear: cython.double = dx * axes.along_x + dy * axes.along_y
             lever: cython.double = lidar_x * dy - lidar_y * dx
             braking: cython.double = closing_deceleration(
                 linear, lever, assumptions.braking_linear, assumptions.braking_angular
             )
-            cap: cython.double = reciprocal_cap(away - assumptions.keep_out, braking, chunk.age[j])
+            cap: cython.double = reciprocal_cap(
+                distance - assumptions.keep_out, braking, chunk.age[j]
+            )
             self._add(linear, lever, cap, chunk.gap[j] - chunk.radius[j], first + j)
         return 0
 
@@ -697,10 +757,12 @@ class Constraints:
     def allow_touch(self) -> cython.int:
         """Raise the caps in a granted touch zone to its speed, and limit all motion in the zone.
 
-        A point is in the zone if the direction from the outline to the point is in the zone. The
-        bearing from the axle is not used: seen from the axle, a pushed box is wider than any zone.
-        No corner may move faster than the zone's speed in the directions of the zone, also without
-        a return there, since the lidar may not see a pushed object.
+        A cap is the highest speed in m/s at which the outline may close on a point. A touch zone is
+        a range of directions in which the pattern may touch obstacles. A point is in the zone if
+        the direction from the outline to the point is in the zone. The bearing from the axle is not
+        used: seen from the axle, a pushed box is wider than any zone. No corner may move faster
+        than the zone's speed in the directions of the zone, also without a return there, since the
+        lidar may not see a pushed object.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self.rows
@@ -708,11 +770,15 @@ class Constraints:
         placed: PlacedPoints = self.placed
         touch: TouchSector = self.touch
         corners: cython.double[:, ::1] = touch.corners
+
+        # 1. Raises the caps of the returns in the zone.
         for i in range(placed.seen):
             placed.in_touch_zone[i] = touch.holds(placed.normal_x[i], placed.normal_y[i])
         for i in range(rows.count):
             if placed.in_touch_zone[rows.source[i]]:
                 rows.cap[i] = maximum(rows.cap[i], touch.speed)
+
+        # 2. Limits each corner in each direction. Rows: direction (x, y), corner (x, y) in m.
         for i in range(len(corners)):
             nx: cython.double = corners[i, 0]
             ny: cython.double = corners[i, 1]

@@ -29,7 +29,7 @@ _AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of a
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
-_FIELDS = cython.declare(cython.Py_ssize_t, 7)  # of a reading
+_FIELDS = cython.declare(cython.Py_ssize_t, 7)  # of a reading: see `DeadReckoning._readings`
 _turn = cython.declare(cython.double, 2.0 * math.pi)
 
 
@@ -84,20 +84,22 @@ class DeadReckoning:
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
-    # A ring buffer of readings (stamp, x, y, yaw and three speeds); the newest is at `_last`.
+    # A ring buffer of readings, each with seven numbers: stamp in s; x, y, yaw; the linear, angular
+    # and lateral speed. `_count` readings are in use; `_newest` is the number of the newest.
     _readings: cython.double[::1]
-    _last: cython.Py_ssize_t
-    _known: cython.Py_ssize_t
+    _newest: cython.Py_ssize_t
+    _count: cython.Py_ssize_t
 
     def __init__(self, assumptions: Assumptions) -> None:
         self._assumptions, self._readings = assumptions, doubles(_FIELDS * _history)
 
     @cython.cfunc
     def record(self, odometry):
-        """Record a reading of odometry if it is new.
+        """Store a reading of odometry if it differs from the newest stored reading.
 
-        A new reading whose stamp does not rise, or whose pose jumps, is a reset: poses before it
-        are not valid any more.
+        A new reading whose stamp does not rise, or whose pose jumps, is a reset: the function drops
+        the readings before, and `resets` rises. A jump is a step beyond MAX_STEP (m or rad) and
+        MAX_SPEED.
         """
         self.odometry = odometry
         pose, twist = odometry.pose, odometry.twist
@@ -109,68 +111,75 @@ class DeadReckoning:
         angular: cython.double = twist.angular
         lateral: cython.double = twist.lateral
         r: cython.double[::1] = self._readings
-        at: cython.Py_ssize_t = _FIELDS * self._last
-        if self._known:
+        start: cython.Py_ssize_t = _FIELDS * self._newest  # of the newest reading in the buffer
+        if self._count:
             if (
-                r[at] == stamp
-                and r[at + 1] == x
-                and r[at + 2] == y
-                and r[at + 3] == yaw
-                and r[at + 4] == linear
-                and r[at + 5] == angular
-                and r[at + 6] == lateral
+                r[start] == stamp
+                and r[start + 1] == x
+                and r[start + 2] == y
+                and r[start + 3] == yaw
+                and r[start + 4] == linear
+                and r[start + 5] == angular
+                and r[start + 6] == lateral
             ):
                 return
+            # m or rad, whichever is greater
             jump: cython.double = maximum(
-                hypot(x - r[at + 1], y - r[at + 2]), fabs(remainder(yaw - r[at + 3], _turn))
+                hypot(x - r[start + 1], y - r[start + 2]),
+                fabs(remainder(yaw - r[start + 3], _turn)),
             )
-            if stamp <= r[at] or jump > _max_step + _max_speed * (stamp - r[at]):
-                self._known = 0
+            if stamp <= r[start] or jump > _max_step + _max_speed * (stamp - r[start]):
+                self._count = 0
                 self.resets += 1
-        self._last = (self._last + 1) % _history
-        self._known = min(self._known + 1, _history)
+        # Overwrites the oldest reading.
+        self._newest = (self._newest + 1) % _history
+        self._count = min(self._count + 1, _history)
         self.version += 1
-        at = _FIELDS * self._last
-        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
-        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+        start = _FIELDS * self._newest
+        r[start], r[start + 1], r[start + 2], r[start + 3] = stamp, x, y, yaw
+        r[start + 4], r[start + 5], r[start + 6] = linear, angular, lateral
 
     @cython.cfunc
     @cython.exceptval(-1)
     def find_pose(
-        self, odometry_age: cython.double, ago: cython.double, into: PlanarPose
+        self, odometry_age: cython.double, seconds_before: cython.double, into: PlanarPose
     ) -> cython.int:
-        """Set `into` to the pose `ago` s before a decision.
+        """Set `into` to the pose `seconds_before` s before a decision.
 
-        The pose is interpolated between two readings, or extrapolated beyond the first or the last.
-        `odometry_age` in s is that of the last reading at the decision. Without a reading the pose
-        is (0, 0, 0).
+        The pose is interpolated between two readings. Before the oldest reading the pose is
+        extrapolated at the twist of that reading; after the newest reading likewise, for
+        LONGEST_EXTRAPOLATION s at most. Without a reading the pose is (0, 0, 0). `odometry_age` in
+        s is the age of the newest reading at the decision.
         """
         r: cython.double[::1] = self._readings
-        if self._known == 0:
+        if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
         k: cython.Py_ssize_t
-        early: cython.Py_ssize_t
-        late: cython.Py_ssize_t = _FIELDS * self._last
-        at: cython.double = r[late] + odometry_age - ago
-        for k in range(self._known):
-            early = _FIELDS * ((self._last - k + _history) % _history)
-            if r[early] <= at:
+        earlier: cython.Py_ssize_t
+        later: cython.Py_ssize_t = _FIELDS * self._newest
+        stamp: cython.double = r[later] + odometry_age - seconds_before
+        # Goes back from the newest reading to the first reading that is not after `stamp`.
+        for k in range(self._count):
+            earlier = _FIELDS * ((self._newest - k + _history) % _history)
+            if r[earlier] <= stamp:
                 if k == 0:
-                    seconds: cython.double = at - r[early]
+                    seconds: cython.double = stamp - r[earlier]
                     if seconds > LONGEST_EXTRAPOLATION:
                         seconds = LONGEST_EXTRAPOLATION
                     return self._extrapolate(
-                        early, r[early + 4], r[early + 5], r[early + 6], seconds, into
+                        earlier, r[earlier + 4], r[earlier + 5], r[earlier + 6], seconds, into
                     )
-                share: cython.double = (at - r[early]) / (r[late] - r[early])
-                turn: cython.double = remainder(r[late + 3] - r[early + 3], _turn)
+                fraction: cython.double = (stamp - r[earlier]) / (r[later] - r[earlier])
+                turn: cython.double = remainder(r[later + 3] - r[earlier + 3], _turn)
                 return into.set(
-                    r[early + 1] + share * (r[late + 1] - r[early + 1]),
-                    r[early + 2] + share * (r[late + 2] - r[early + 2]),
-                    r[early + 3] + share * turn,
+                    r[earlier + 1] + fraction * (r[later + 1] - r[earlier + 1]),
+                    r[earlier + 2] + fraction * (r[later + 2] - r[earlier + 2]),
+                    r[earlier + 3] + fraction * turn,
                 )
-            late = early
-        return self._extrapolate(late, r[late + 4], r[late + 5], r[late + 6], at - r[late], into)
+            later = earlier
+        return self._extrapolate(
+            later, r[later + 4], r[later + 5], r[later + 6], stamp - r[later], into
+        )
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -184,24 +193,26 @@ class DeadReckoning:
     ) -> cython.int:
         """Set `into` to the pose at which the next command takes effect.
 
-        From the last reading on, each speed changes towards the command in force, at the assumed
-        braking. Without a reading the pose is (0, 0, 0).
+        The prediction begins at the newest reading, `odometry_age` s old at the decision, and ends
+        REACTION s after the decision. Meanwhile each speed changes at the assumed braking towards
+        the command in force (`linear`, `angular`, `lateral`). The age counts up to
+        LONGEST_EXTRAPOLATION. Without a reading the pose is (0, 0, 0).
         """
         r: cython.double[::1] = self._readings
-        if self._known == 0:
+        if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
-        last: cython.Py_ssize_t = _FIELDS * self._last
-        slowing: cython.double = self._assumptions.braking_linear
-        turning: cython.double = self._assumptions.braking_angular
+        newest: cython.Py_ssize_t = _FIELDS * self._newest
+        linear_braking: cython.double = self._assumptions.braking_linear
+        angular_braking: cython.double = self._assumptions.braking_angular
         seconds: cython.double = odometry_age
         if seconds > LONGEST_EXTRAPOLATION:
             seconds = LONGEST_EXTRAPOLATION
         seconds += REACTION
         return self._extrapolate(
-            last,
-            _mean_speed(r[last + 4], linear, slowing, seconds),
-            _mean_speed(r[last + 5], angular, turning, seconds),
-            _mean_speed(r[last + 6], lateral, slowing, seconds),
+            newest,
+            _mean_speed(r[newest + 4], linear, linear_braking, seconds),
+            _mean_speed(r[newest + 5], angular, angular_braking, seconds),
+            _mean_speed(r[newest + 6], lateral, linear_braking, seconds),
             seconds,
             into,
         )
@@ -210,26 +221,29 @@ class DeadReckoning:
     @cython.exceptval(-1)
     def _extrapolate(
         self,
-        at: cython.Py_ssize_t,
+        start: cython.Py_ssize_t,
         linear: cython.double,
         angular: cython.double,
         lateral: cython.double,
         seconds: cython.double,
         into: PlanarPose,
     ) -> cython.int:
-        """Set `into` to the pose `seconds` after the reading at `at`, at a constant twist.
+        """Set `into` to the pose `seconds` after the reading at index `start`, at a constant twist.
 
-        The robot moves along the chord of the arc; `linear` and `lateral` give its length.
+        The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
+        of the turn.
         """
         r: cython.double[::1] = self._readings
         turn: cython.double = angular * seconds
-        yaw: cython.double = r[at + 3] + 0.5 * turn
+        yaw: cython.double = r[start + 3] + 0.5 * turn
         ahead: cython.double = linear * seconds
         left: cython.double = lateral * seconds
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
         return into.set(
-            r[at + 1] + c * ahead - s * left, r[at + 2] + s * ahead + c * left, r[at + 3] + turn
+            r[start + 1] + cos_yaw * ahead - sin_yaw * left,
+            r[start + 2] + sin_yaw * ahead + cos_yaw * left,
+            r[start + 3] + turn,
         )
 
 
@@ -238,8 +252,8 @@ class DeadReckoning:
 class CommandRange:
     """The range of the commands along one direction, in m/s; the range includes 0.
 
-    The base responds late. So the motion between two scans is explained by the commands between
-    these scans, and by those between the two scans before.
+    The base responds late. So two groups of commands explain the motion between two scans: the
+    commands between these scans, and the commands between the two scans before.
     """
 
     _least: cython.double
@@ -260,17 +274,19 @@ class CommandRange:
     def explained(self, moved: cython.double, seconds: cython.double) -> cython.double:
         """The part in m of a motion between two scans that the commands explain.
 
-        The call also ends the interval: later commands belong to the next two scans.
+        `moved` in m is the motion by odometry, `seconds` the time between the scans. The motion is
+        clamped to what the lowest and the highest command give in this time. The call also ends the
+        interval: later commands belong to the next two scans.
         """
-        least: cython.double = min(self._least, self._least_before)
-        most: cython.double = maximum(self._most, self._most_before)
+        slowest: cython.double = min(self._least, self._least_before)
+        fastest: cython.double = maximum(self._most, self._most_before)
         self._least_before, self._least = self._least, 0.0
         self._most_before, self._most = self._most, 0.0
-        least *= seconds
-        most *= seconds
-        if not moved >= least:  # NaN too
-            return least
-        return moved if moved <= most else most
+        least_way: cython.double = slowest * seconds
+        most_way: cython.double = fastest * seconds
+        if not moved >= least_way:  # also for NaN
+            return least_way
+        return moved if moved <= most_way else most_way
 
 
 @cython.final
@@ -279,12 +295,12 @@ class ScanMotion:
     """When and where the last scan was taken, and the motion between the last two scans."""
 
     pose: PlanarPose  # of the last scan, by odometry
-    taken: cython.double  # s, the time of its newest ray; -inf before the first scan
-    lag: cython.double  # s from its arrival to its first use
-    oldest: cython.double  # s, the age of its oldest ray against the newest
-    late: cython.double  # s by which its oldest ray is later than the platform's latency says
-    resets: cython.Py_ssize_t  # of odometry before it
-    moved: PlanarPose  # since the scan before, in its frame
+    measured_at: cython.double  # s, time of the newest ray of the scan; -inf before the first scan
+    first_use_delay: cython.double  # s from the arrival of the scan to its first use
+    oldest: cython.double  # s, the age of the oldest ray against the newest
+    extra_age: cython.double  # s by which the oldest ray is older than the platform's latency says
+    resets: cython.Py_ssize_t  # of odometry before the scan
+    moved: PlanarPose  # since the scan before, in the frame of that scan
     ahead: CommandRange
     left: CommandRange
     seconds: cython.double  # between the last two scans
@@ -297,7 +313,7 @@ class ScanMotion:
         self.pose, self.moved = PlanarPose(), PlanarPose()
         self._now = PlanarPose()
         self.ahead, self.left = CommandRange(), CommandRange()
-        self.taken = -INFINITY
+        self.measured_at = -INFINITY
 
     @cython.cfunc
     def begin(
@@ -309,9 +325,10 @@ class ScanMotion:
         odometry_age: cython.double,
         ages: cython.const[cython.double][::1],
     ):
-        """Take time and pose of a scan, and the motion since the scan before.
+        """Store time and pose of a scan, and the motion since the scan before.
 
-        False if the scan is not newer than the scan before; then nothing changes. All in s:
+        False if the newest ray is not newer than that of the scan before; then nothing changes.
+        Times in s:
 
         Args:
             now: the time of the call.
@@ -322,24 +339,28 @@ class ScanMotion:
             ages: (n,) of the rays against the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
-        oldest: cython.double = 0.0
+        oldest_age: cython.double = 0.0
+
+        # 1. When the scan was measured.
         for i in range(len(ages)):
-            if ages[i] > oldest:
-                oldest = ages[i]
+            if ages[i] > oldest_age:
+                oldest_age = ages[i]
         latency: cython.double = newest_age + delay
-        taken: cython.double = now - latency - age
-        if age > 0.0 and taken < self.taken + _AGE_TOLERANCE:
+        measured_at: cython.double = now - latency - age
+        if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
-        self.oldest, self.late = oldest, delay + oldest
-        self.seconds = maximum(taken - self.taken, 0.0)
+
+        # 2. Where the scan was measured by odometry, and the motion since the scan before.
+        self.oldest, self.extra_age = oldest_age, delay + oldest_age
+        self.seconds = maximum(measured_at - self.measured_at, 0.0)
         reckoning: DeadReckoning = self._reckoning
-        if self.resets != reckoning.resets:  # find the pose of the last scan by the speed alone
-            stale: cython.double = self._assumptions.stale
-            reckoning.find_pose(odometry_age, latency + min(self.seconds, stale), self.pose)
+        if self.resets != reckoning.resets:  # odometry jumped: find the last pose by speed
+            longest_age: cython.double = self._assumptions.longest_scan_age
+            reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)
         reckoning.find_pose(odometry_age, latency, self._now)
         self.moved.set_relative(self._now, self.pose)
         self.pose.set(self._now.x, self._now.y, self._now.yaw)
-        self.taken, self.lag = taken, age
+        self.measured_at, self.first_use_delay = measured_at, age
         self.resets = reckoning.resets
         return True
 
@@ -347,14 +368,21 @@ class ScanMotion:
     def driven(self):
         """The part of the motion between the last two scans that the robot's commands explain.
 
-        A pose in the frame of the scan before. The turn is the measured turn.
+        A Pose in the frame of the scan before. Its way along the chord of the arc, and across the
+        chord, is clamped to the way of the commands. The turn is the measured turn.
         """
-        half: cython.double = 0.5 * self.moved.yaw  # rad, the direction of the chord of the arc
-        c: cython.double = cos(half)
-        s: cython.double = sin(half)
+        chord_angle: cython.double = 0.5 * self.moved.yaw  # rad, of the chord of the arc
+        cos_chord: cython.double = cos(chord_angle)
+        sin_chord: cython.double = sin(chord_angle)
         x: cython.double = self.moved.x
         y: cython.double = self.moved.y
-        seconds: cython.double = min(self.seconds, self._assumptions.stale)  # a hold follows
-        ahead: cython.double = self.ahead.explained(c * x + s * y, seconds)
-        left: cython.double = self.left.explained(c * y - s * x, seconds)
-        return Pose(c * ahead - s * left, s * ahead + c * left, self.moved.yaw)
+        seconds: cython.double = min(
+            self.seconds, self._assumptions.longest_scan_age
+        )  # a hold follows
+        ahead: cython.double = self.ahead.explained(cos_chord * x + sin_chord * y, seconds)
+        left: cython.double = self.left.explained(cos_chord * y - sin_chord * x, seconds)
+        return Pose(
+            cos_chord * ahead - sin_chord * left,
+            sin_chord * ahead + cos_chord * left,
+            self.moved.yaw,
+        )

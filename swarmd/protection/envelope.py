@@ -45,9 +45,9 @@ class Envelope:
     """The constraints within which no corner of the robot moves faster than `speed`.
 
     Every robot assumes that no surface around it moves faster than `others_speed`. The envelope
-    makes this true of this robot, corners in a turn included. In the plane of the two speeds the
-    permitted set is convex. The constraints are the sides of a polygon inside this set, whose
-    vertices lie on its border.
+    makes this assumption true of this robot, corners in a turn included. In the plane of the two
+    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set,
+    whose vertices lie on its border.
     """
 
     speed: cython.double  # m/s
@@ -81,8 +81,8 @@ class Envelope:
         if not (self._along_x == axes.along_x and self._along_y == axes.along_y):
             self.find_rows(axes)
             self._along_x, self._along_y = axes.along_x, axes.along_y
-        at: cython.Py_ssize_t = rows.count
-        rows.all = at + ENVELOPE_ROWS
+        first: cython.Py_ssize_t = rows.count
+        rows.all = first + ENVELOPE_ROWS
         to_x: cython.p_double = checked(rows.x, rows.all)
         to_y: cython.p_double = checked(rows.y, rows.all)
         to_cap: cython.p_double = checked(rows.cap, rows.all)
@@ -90,39 +90,49 @@ class Envelope:
         y: cython.p_double = checked(self.row_y, ENVELOPE_ROWS)
         cap: cython.p_double = checked(self.row_cap, ENVELOPE_ROWS)
         for i in range(ENVELOPE_ROWS):
-            to_x[at + i], to_y[at + i] = x[i], y[i]
-            to_cap[at + i] = cap[i]
+            to_x[first + i], to_y[first + i] = x[i], y[i]
+            to_cap[first + i] = cap[i]
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
     def find_rows(self, axes: SpeedAxes) -> cython.int:
-        """Find the vertices and the constraints for a direction of the linear speed."""
+        """Find the vertices and the constraints for a direction of the linear speed.
+
+        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in its
+        direction (row of _BOX_DIRECTIONS) for which no corner of the outline moves faster than
+        `speed`. A constraint is the line through two neighbouring vertices.
+        """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        after: cython.Py_ssize_t
+        following: cython.Py_ssize_t
         outline: Outline = self._outline
-        table: cython.double[:, ::1] = _BOX_DIRECTIONS
+        directions: cython.double[:, ::1] = _BOX_DIRECTIONS
+
+        # 1. Vertices: speeds in each direction, scaled so that the fastest corner has `speed`.
         for i in range(ENVELOPE_ROWS):
-            linear: cython.double = table[i, 0] * axes.limit
-            angular: cython.double = table[i, 1] * axes.angular_limit
+            linear: cython.double = directions[i, 0] * axes.limit
+            angular: cython.double = directions[i, 1] * axes.angular_limit
             fastest: cython.double = 0.0
             for k in range(outline.edges):
-                x: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
-                y: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
-                fastest = maximum(fastest, hypot(x, y))
-            share: cython.double = self.speed / maximum(fastest, _SLOWEST)
-            if share > 1.0:
-                share = 1.0
-            self.vertex_x[i], self.vertex_y[i] = table[i, 0] * share, table[i, 1] * share
+                corner_vx: cython.double = linear * axes.along_x - angular * outline.corner_y[k]
+                corner_vy: cython.double = linear * axes.along_y + angular * outline.corner_x[k]
+                fastest = maximum(fastest, hypot(corner_vx, corner_vy))
+            scale: cython.double = self.speed / maximum(fastest, _SLOWEST)
+            if scale > 1.0:
+                scale = 1.0
+            self.vertex_x[i], self.vertex_y[i] = directions[i, 0] * scale, directions[i, 1] * scale
+
+        # 2. Constraints: the outward unit normal of each side of the polygon.
         for i in range(ENVELOPE_ROWS):
-            after = i + 1 if i + 1 < ENVELOPE_ROWS else 0
-            x = self.vertex_x[after] - self.vertex_x[i]
-            y = self.vertex_y[after] - self.vertex_y[i]
-            length: cython.double = hypot(y, -x)
-            y, x = y / length, -x / length
-            self.row_x[i], self.row_y[i] = y, x
-            self.row_cap[i] = y * self.vertex_x[i] + x * self.vertex_y[i]
+            following = i + 1 if i + 1 < ENVELOPE_ROWS else 0
+            side_x: cython.double = self.vertex_x[following] - self.vertex_x[i]
+            side_y: cython.double = self.vertex_y[following] - self.vertex_y[i]
+            length: cython.double = hypot(side_y, -side_x)
+            normal_x: cython.double = side_y / length
+            normal_y: cython.double = -side_x / length
+            self.row_x[i], self.row_y[i] = normal_x, normal_y
+            self.row_cap[i] = normal_x * self.vertex_x[i] + normal_y * self.vertex_y[i]
         return 0
 
 
@@ -146,16 +156,17 @@ class Creeping:
     @cython.cfunc
     @cython.exceptval(-1)
     def allow(self, placed: PlacedPoints) -> cython.int:
-        """Set the cap: CREEP_SPEED, or less where an obstacle could touch the robot before a scan.
+        """Set `cap` for the placed points of a decision.
 
-        Robot and obstacle each use half of the gap.
+        The cap is CREEP_SPEED, or less where an obstacle could touch the robot before the next
+        scan. Robot and obstacle each use half of the gap.
         """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED
         for i in range(placed.seen):
-            rest: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
-            rest /= placed.age[i] + DECISION_PERIOD
-            self.cap = min(self.cap, rest)
+            allowed: cython.double = 0.5 * (placed.gap[i] - placed.contact[i])
+            allowed /= placed.age[i] + DECISION_PERIOD
+            self.cap = min(self.cap, allowed)
         return 0
 
     @cython.cfunc

@@ -19,7 +19,7 @@ from swarmd.protection.dead_reckoning import (
     ScanMotion,
 )
 from swarmd.protection.envelope import Creeping
-from swarmd.protection.obstacles import NearObstacles, ToldDiscs
+from swarmd.protection.obstacles import NearObstacles, ObstacleDiscs
 from swarmd.protection.outline import Outline
 from swarmd.protection.touch_zone import TouchSector
 
@@ -62,7 +62,11 @@ class Situation:
         along_x: cython.double,
         along_y: cython.double,
     ) -> cython.int:
-        """1 if all values equal the kept ones; else keep the new values, set `is_known` False."""
+        """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
+
+        In the second case the constraints of the last decision do not hold any more: sets
+        `is_known` to False. The arguments are those of the class.
+        """
         if (
             self.is_known
             and self.now == now
@@ -90,33 +94,33 @@ class FeasibleSet:
     reckoning: DeadReckoning
     motion: ScanMotion
     near: NearObstacles
-    told: ToldDiscs
+    discs: ObstacleDiscs
     touch: TouchSector
     situation: Situation
     constraints: Constraints
     creeping: Creeping
     _predicted: PlanarPose  # at which the next command takes effect
     _frame: PlanarPose  # of the last scan in the predicted base frame
-    _told_pose: PlanarPose  # at which a disc was measured, in the same frame
+    _disc_pose: PlanarPose  # at which a disc was measured, in the same frame
 
     def __init__(self, assumptions: Assumptions, outline: Outline) -> None:
         self.assumptions, self.outline = assumptions, outline
         self.reckoning = DeadReckoning(assumptions)
         self.motion = ScanMotion(assumptions, self.reckoning)
         self.near = NearObstacles(assumptions, outline, self.motion)
-        self.told, self.touch = ToldDiscs(), TouchSector()
+        self.discs, self.touch = ObstacleDiscs(), TouchSector()
         self.situation = Situation()
         self.constraints = Constraints(assumptions, outline, self.touch)
         self.creeping = Creeping(assumptions, outline)
         self._predicted, self._frame = PlanarPose(), PlanarPose()
-        self._told_pose = PlanarPose()
+        self._disc_pose = PlanarPose()
 
     @cython.cfunc
     @cython.exceptval(-1)
     def is_unbounded(self) -> cython.int:
         """1 if no obstacle and no touch zone constrains the robot."""
         return not (
-            self.touch.is_granted or self.near.is_near or self.near.points.count or self.told.count
+            self.touch.is_granted or self.near.is_near or self.near.points.count or self.discs.count
         )
 
     @cython.cfunc
@@ -130,10 +134,10 @@ class FeasibleSet:
             self.touch.grant(touch, self.outline.corners)
             self.situation.is_known = False
         told = context.told + context.near if context.near else context.told
-        if told is not self.told.obstacles and told != self.told.obstacles:
-            self.told.set(told)
+        if told is not self.discs.obstacles and told != self.discs.obstacles:
+            self.discs.set(told)
             self.situation.is_known = False
-        self.told.find_binding(self.assumptions, self.outline.radius)
+        self.discs.find_binding(self.assumptions, self.outline.radius)
         self.motion.ahead.note(command.linear)
         self.motion.left.note(command.lateral)
         return 0
@@ -156,7 +160,11 @@ class FeasibleSet:
     ) -> cython.int:
         """1 if the constraints of the last decision still hold; else 0, and build them anew.
 
-        The linear speed has the direction `along_x`, `along_y` and the limit `limit` m/s.
+        Args:
+            context: the DecisionContext: time, odometry, and the ages of the inputs.
+            command: the command in force (a Twist), by which the base moves until the next command.
+            along_x, along_y: unit vector of the linear speed of the request.
+            limit: m/s, the limit of the linear speed in this direction.
         """
         is_known: cython.bint = self.situation.keep(
             context.now,
@@ -180,65 +188,87 @@ class FeasibleSet:
     def _build(
         self, linear: cython.double, angular: cython.double, lateral: cython.double
     ) -> cython.int:
-        """Build all constraints of the situation; the arguments are the command in force."""
+        """Build all constraints of the situation: linear bounds on the speeds of the next command.
+
+        `linear`, `angular` and `lateral` are the command in force. The constraints come in this
+        order: near returns, the touch zone (directions in which the robot may touch), discs of
+        obstacles, the envelope (a bound on the speed of all corners near an obstacle).
+        """
         near: NearObstacles = self.near
         assumptions: Assumptions = self.assumptions
         constraints: Constraints = self.constraints
         rows: ConstraintRows = constraints.rows
+
+        # 1. Predicts the pose at which the command takes effect, and the pose of the scan there.
         odometry_age: cython.double = self.situation.odometry_age
         if odometry_age != odometry_age:
             odometry_age = 0.0
         self.reckoning.predict_pose(odometry_age, linear, angular, lateral, self._predicted)
         self._frame.set_relative(self.motion.pose, self._predicted)
-        age: cython.double = self.situation.now - self.motion.taken + REACTION
-        late: cython.double = maximum(odometry_age - LONGEST_EXTRAPOLATION, 0.0)
-        unknown: cython.double = (late + self.motion.lag) * assumptions.surface_speed
-        free: cython.double = assumptions.margin + assumptions.unseen_extent + unknown
-        furthest: cython.double = assumptions.binding_range(age + self.motion.oldest)
-        constraints.begin(near, self.told.count, furthest)
+
+        # 2. Distances that must stay free. The pose of the scan is off by the motion that odometry
+        # does not show: after the extrapolation ends, and while the scan waited for its first use.
+        age: cython.double = self.situation.now - self.motion.measured_at + REACTION
+        not_extrapolated: cython.double = maximum(odometry_age - LONGEST_EXTRAPOLATION, 0.0)
+        odometry_error: cython.double = (
+            not_extrapolated + self.motion.first_use_delay
+        ) * assumptions.surface_speed
+        free: cython.double = assumptions.margin + assumptions.unseen_extent + odometry_error
+        binding_range: cython.double = assumptions.binding_range(age + self.motion.oldest)
+
+        # 3. Adds the constraints of returns, touch zone and discs.
+        constraints.begin(near, self.discs.count, binding_range)
         constraints.add_seen(near, self._frame, age, free)
         if self.touch.is_granted:
             constraints.allow_touch()
-        self._add_told(odometry_age, late)
+        self._add_discs(odometry_age, not_extrapolated)
+
+        # 4. Adds the envelope: the slow envelope if an obstacle may touch the robot.
         rows.all = rows.count
-        if near.is_near or self.told.count:
+        if near.is_near or self.discs.count:
             if self._is_touching():
                 self.creeping.slow.put(rows, constraints.axes)
             else:
                 self.creeping.usual.put(rows, constraints.axes)
+
+        # 5. Allows creeping, where the scan alone shows the obstacles.
         self.creeping.is_active, self.creeping.cap = False, 0.0
-        is_seen_alone: cython.bint = not (self.touch.is_granted or self.told.count)
-        if assumptions.may_creep and near.is_near and is_seen_alone:
+        has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
+        if assumptions.may_creep and near.is_near and has_only_returns:
             self.creeping.allow(constraints.placed)
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_told(self, odometry_age: cython.double, late: cython.double) -> cython.int:
-        """Add the constraints of the discs, moved to where odometry now places them.
+    def _add_discs(
+        self, odometry_age: cython.double, not_extrapolated: cython.double
+    ) -> cython.int:
+        """Add the constraints of the discs in which an obstacle is.
 
-        `late` in s: the part of the age of odometry that is not extrapolated.
+        A disc has its centre in the base frame at the time of its measurement. Odometry since then
+        moves the centre into the predicted base frame. `not_extrapolated` in s: the part of the age
+        of odometry that is not extrapolated.
         """
         k: cython.Py_ssize_t
-        told: ToldDiscs = self.told
-        table: cython.double[:, ::1] = told.table
-        pose: PlanarPose = self._told_pose
-        seen: cython.Py_ssize_t = self.constraints.placed.seen
-        moved: cython.double = late * self.assumptions.surface_speed
-        for k in range(told.count):
-            row: cython.Py_ssize_t = told.row[k]
-            self.reckoning.find_pose(odometry_age, table[row, 3], pose)
+        discs: ObstacleDiscs = self.discs
+        table: cython.double[:, ::1] = discs.table
+        pose: PlanarPose = self._disc_pose
+        first_disc: cython.Py_ssize_t = self.constraints.placed.seen
+        moved: cython.double = not_extrapolated * self.assumptions.surface_speed
+        for k in range(discs.count):
+            disc: cython.Py_ssize_t = discs.binding[k]
+            self.reckoning.find_pose(odometry_age, table[disc, 3], pose)
             pose.set_relative(pose, self._predicted)
-            c: cython.double = cos(pose.yaw)
-            s: cython.double = sin(pose.yaw)
-            x: cython.double = c * table[row, 0] - s * table[row, 1]
-            y: cython.double = s * table[row, 0] + c * table[row, 1]
+            cos_yaw: cython.double = cos(pose.yaw)
+            sin_yaw: cython.double = sin(pose.yaw)
+            x: cython.double = cos_yaw * table[disc, 0] - sin_yaw * table[disc, 1]
+            y: cython.double = sin_yaw * table[disc, 0] + cos_yaw * table[disc, 1]
             self.constraints.add_disc(
-                seen + k,
+                first_disc + k,
                 pose.x + x,
                 pose.y + y,
-                table[row, 2],
-                table[row, 3],
+                table[disc, 2],
+                table[disc, 3],
                 moved,
             )
         return 0
@@ -248,8 +278,9 @@ class FeasibleSet:
     def _is_touching(self) -> cython.int:
         """1 if an obstacle may touch the robot.
 
-        Contact with a return of the scan lasts until the next scan: an obstacle that pushes the
-        robot follows it, but by odometry the robot moves away, at 0.3 m/s by 4.6 cm within 0.15 s.
+        Contact with a return of the scan lasts until the next scan (`near.has_contact`): an
+        obstacle that pushes the robot follows the robot, but by odometry the robot moves away, at
+        0.3 m/s by 4.6 cm within 0.15 s.
         """
         i: cython.Py_ssize_t
         near: NearObstacles = self.near
@@ -262,10 +293,10 @@ class FeasibleSet:
                 break
         if near.has_contact:
             return 1
-        # A told obstacle is somewhere in its disc. Once the disc may have reached the outline, the
-        # direction to its middle does not show on which side the obstacle is.
+        # An obstacle is anywhere in its disc. Once the disc may have reached the outline, the
+        # direction to the centre does not show on which side of the robot the obstacle is.
         for i in range(placed.seen, placed.seen + placed.discs):
-            left: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
-            if left <= self.assumptions.others * (placed.age[i] + DECISION_PERIOD):
+            room: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
+            if room <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):
                 return 1
         return 0

@@ -76,11 +76,11 @@ class _Axis:
     _first: cython.Py_ssize_t
     _held: cython.Py_ssize_t
     _end: cython.Py_ssize_t
-    _slow: cython.double  # the speed of the slow base
+    _slow_speed: cython.double  # the speed of the slow base
     _command: cython.double  # the last command
-    _begun: cython.double  # when the comparison began
-    _off_since: cython.double  # since when the speed is outside the bounds; inf: it is not
-    _readings: cython.Py_ssize_t  # outside the bounds
+    _begun_at: cython.double  # when the comparison began
+    _outside_since: cython.double  # since when the speed is outside the bounds; inf: it is not
+    _outside_readings: cython.Py_ssize_t  # outside the bounds
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
@@ -97,9 +97,9 @@ class _Axis:
     def reset(self, command: cython.double, stamp: cython.double):
         """Begin again; for WINDOW s, the base may have any speed."""
         self._first = self._held = self._end = 0
-        self._slow = self._command = command
+        self._slow_speed = self._command = command
         self._add(command, stamp)
-        self._begun = stamp
+        self._begun_at = stamp
         self._follow()
 
     @cython.ccall
@@ -132,7 +132,7 @@ class _Axis:
     @cython.cfunc
     def _follow(self):
         """Note that the speed is within the bounds: `text` becomes empty."""
-        self._off_since, self._readings, self.text = _inf, 0, ""
+        self._outside_since, self._outside_readings, self.text = _inf, 0, ""
 
     @cython.ccall
     def on_reading(
@@ -142,26 +142,36 @@ class _Axis:
         by_twist: cython.double,
         by_pose: cython.double,
     ):
-        """Compare the speed of the last `period` s with the bounds; sets `text`.
+        """Compare the speed of the last period with the bounds; sets `text`.
 
-        The speed is known twice: `by_twist`, and `by_pose` from the change of the pose. The base
-        follows if either is within the bounds.
+        The bounds are the speeds of a slow base, which responds late and accelerates slowly, and of
+        a fast base, which responds at once to any command of the last WINDOW s. The speed is known
+        twice. The base follows if either speed is within the bounds.
+
+        `period`: s since the reading before. `stamp`: s, of this reading. `by_twist`: the measured
+        speed in m/s or rad/s. `by_pose`: the speed by the change of the pose.
         """
         i: cython.Py_ssize_t
-        # Move the slow base on. Commands have the stamp of the reading before, so a command may
+
+        # 1. Moves the slow base on. Commands have the stamp of the reading before, so a command may
         # hold up to a period later.
-        begin: cython.double = stamp - DELAY - 2.0 * period
-        while self._held + 1 < self._end and self._stamps[self._held + 1] <= begin:
+        response: cython.double = stamp - DELAY - 2.0 * period
+        while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
             self._held += 1
-        while self._held > self._first and self._stamps[self._held] > begin:  # the period has grown
+        # Goes back if the period has grown.
+        while self._held > self._first and self._stamps[self._held] > response:
             self._held -= 1
         while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
             self._first += 1
         step: cython.double = self._acceleration * period
-        off: cython.double = self._speeds[self._held] - self._slow
-        self._slow += -step if off < -step else step if off > step else off
-        # The usual case, decided fast: the speed is between the last command and the slow base.
-        low: cython.double = self._slow
+        change: cython.double = self._speeds[self._held] - self._slow_speed
+        if change < -step:
+            self._slow_speed += -step
+        else:
+            self._slow_speed += step if change > step else change
+
+        # 2. The usual case, decided fast: the speed is between the last command and the slow base.
+        low: cython.double = self._slow_speed
         high: cython.double = self._command
         least: cython.double = self._least
         if low > high:
@@ -169,23 +179,27 @@ class _Axis:
         if low - least <= by_twist <= high + least or low - least <= by_pose <= high + least:
             self._follow()
             return
-        # The bounds: the slow base, and all commands of the last WINDOW.
-        low = high = self._slow
+
+        # 3. The bounds: the slow base, and all commands of the last WINDOW. Of the two speeds, the
+        # speed nearer to the bounds counts.
+        low = high = self._slow_speed
         for i in range(self._first, self._end):
             low, high = min(self._speeds[i], low), max(self._speeds[i], high)
-        allowed: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
+        tolerance: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
         is_nearer: cython.bint = max(low - by_pose, by_pose - high) < max(
             low - by_twist, by_twist - high
         )
         measured: cython.double = by_pose if is_nearer else by_twist
-        is_off: cython.bint = not low - allowed <= measured <= high + allowed
-        if not is_off or stamp - self._begun < WINDOW:
+        is_outside: cython.bint = not low - tolerance <= measured <= high + tolerance
+        if not is_outside or stamp - self._begun_at < WINDOW:
             self._follow()
             return
-        self._off_since = min(self._off_since, stamp - period)
-        self._readings += 1
-        duration = stamp - self._off_since
-        if duration >= MIN_DURATION - 1e-9 and self._readings >= _MIN_READINGS:
+
+        # 4. The base does not follow once the speed stays outside the bounds.
+        self._outside_since = min(self._outside_since, stamp - period)
+        self._outside_readings += 1
+        duration = stamp - self._outside_since
+        if duration >= MIN_DURATION - 1e-9 and self._outside_readings >= _MIN_READINGS:
             moves = f"{measured:.2f} {self._unit}"
             self.text = (
                 f"the base does not follow: commanded {self._command:.2f} {self._unit}, moves"
@@ -196,10 +210,11 @@ class _Axis:
 @cython.final
 @cython.cclass
 class FollowingMonitor:
-    """Watches whether the base of one robot follows its safe commands while it runs.
+    """Watches whether the base of one robot follows its safe commands while the robot runs.
 
-    Forward, in turns, and sideways where the platform's `limits.lateral` lets the base slide.
-    `text`: how the base differs from its commands; empty while it follows them.
+    Watched are the forward speed, the turn, and the sideways speed of a base that can slide
+    (`limits.lateral`). `text`: how the base differs from its commands; empty while the base
+    follows.
     """
 
     text = cython.declare(object, visibility="readonly")
@@ -257,15 +272,17 @@ class FollowingMonitor:
         dx: cython.double = x - self._x
         dy: cython.double = y - self._y
         turned: cython.double = remainder(yaw - self._yaw, _turn)
-        middle: cython.double = self._yaw + 0.5 * turned
+        middle_yaw: cython.double = self._yaw + 0.5 * turned
         self._has_last, self._stamp, self._x, self._y, self._yaw = True, stamp, x, y, yaw
         if had_last and period == 0.0:
             return
-        apart: cython.double = max(sqrt(dx * dx + dy * dy), fabs(turned))
+
+        # 1. Begins again after a gap in the readings, or a jump of the pose.
+        jump: cython.double = max(sqrt(dx * dx + dy * dy), fabs(turned))
         if (
             not had_last
             or not 0.0 < period <= _MAX_PERIOD
-            or apart > _max_step + _max_speed * period  # an estimator has moved the pose
+            or jump > _max_step + _max_speed * period  # an estimator corrected the pose
         ):
             self._linear.reset(self._command.linear, stamp)
             self._angular.reset(self._command.angular, stamp)
@@ -273,12 +290,14 @@ class FollowingMonitor:
                 self._lateral.reset(self._command.lateral, stamp)
             self.text = ""
             return
-        ahead: cython.double = cos(middle)
-        aside: cython.double = sin(middle)
-        self._linear.on_reading(period, stamp, twist.linear, (ahead * dx + aside * dy) / period)
+
+        # 2. Compares each axis. Speeds by the pose are in the direction of the mean yaw.
+        cos_yaw: cython.double = cos(middle_yaw)
+        sin_yaw: cython.double = sin(middle_yaw)
+        self._linear.on_reading(period, stamp, twist.linear, (cos_yaw * dx + sin_yaw * dy) / period)
         self._angular.on_reading(period, stamp, twist.angular, turned / period)
-        self.text = self._linear.text or self._angular.text  # the first axis that is off
+        self.text = self._linear.text or self._angular.text  # the first axis that does not follow
         if self._is_lateral:
-            way: cython.double = ahead * dy - aside * dx
-            self._lateral.on_reading(period, stamp, twist.lateral, way / period)
+            lateral_m: cython.double = cos_yaw * dy - sin_yaw * dx
+            self._lateral.on_reading(period, stamp, twist.lateral, lateral_m / period)
             self.text = self.text or self._lateral.text

@@ -115,10 +115,10 @@ class Footprint:
         return None if nearest is None else nearest[0]
 
     def circles(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Radii in m of two circles around a place: the largest within the outline, the smallest
-        that contains the outline.
+        """Radii in m of two circles around a place: inside of, and around, the outline.
 
-        For a place outside, the first is minus the distance to the outline.
+        The first is the largest circle within the outline; for a place outside, minus the distance
+        to the outline. The second is the smallest circle that contains the outline.
         """
         if place not in self._known:
             at = np.array(place)

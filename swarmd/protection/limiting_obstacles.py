@@ -50,36 +50,44 @@ class LimitingRows:
 
     @cython.cfunc
     def report(self, x: cython.double, y: cython.double) -> tuple:
-        """The obstacles whose constraints are tight at the speeds x, y; the lowest caps first.
+        """The obstacles whose constraints are tight at the speeds x, y; at most four.
 
-        If no constraint is tight, the stop check alone limits the command: then the nearest
-        obstacle is reported. The gap is measured from the outline, also for a constraint of one
-        corner. Constraints of the envelope and of a touch zone have no obstacle, and are not
-        reported. The bearing of a place at the axle is 0.
+        `x` and `y` are the linear and the angular speed over their limits. A constraint a x + b y
+        <= cap is tight if both sides are equal. Obstacles with the lowest caps come first. If no
+        constraint is tight, the stop check alone limits the command: the result is then the nearest
+        obstacle. Constraints of the envelope and of a touch zone have no obstacle, and are left
+        out. The gap is measured from the outline, also for a constraint of a single corner. The
+        bearing of a place at the axle is 0.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self._constraints.rows
         placed: PlacedPoints = self._constraints.placed
-        tight: cython.Py_ssize_t = 0
+        tight_count: cython.Py_ssize_t = 0
         row_x: cython.p_double = checked(rows.x, rows.all)
         row_y: cython.p_double = checked(rows.y, rows.all)
         row_cap: cython.p_double = checked(rows.cap, rows.all)
+
+        # 1. Ranks the tight constraints that have an obstacle (the rows before `rows.count`).
         self.count = 0
         for i in range(rows.all):
             if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
-                tight += 1
+                tight_count += 1
                 if i < rows.count and (
                     self.count < MAX_REPORTED
                     or not (row_cap[i] > row_cap[self.row[MAX_REPORTED - 1]])
                 ):
                     self._rank(rows, i)
+
+        # 2. Without a tight constraint: the first constraint of the nearest point.
         points: cython.Py_ssize_t = placed.seen + placed.discs
-        if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
-            nearest: cython.Py_ssize_t = placed.first_row[0]
+        if tight_count == 0 and points:
+            nearest_row: cython.Py_ssize_t = placed.first_row[0]
             for i in range(1, points):
-                if rows.gap[placed.first_row[i]] < rows.gap[nearest]:
-                    nearest = placed.first_row[i]
-            self._rank(rows, nearest)
+                if rows.gap[placed.first_row[i]] < rows.gap[nearest_row]:
+                    nearest_row = placed.first_row[i]
+            self._rank(rows, nearest_row)
+
+        # 3. Makes the report.
         obstacles: list = []
         for i in range(self.count):
             obstacles.append(self._obstacle(rows, placed, self.row[i]))
@@ -98,23 +106,27 @@ class LimitingRows:
     @cython.cfunc
     @cython.exceptval(-1)
     def _rank(self, rows: ConstraintRows, row: cython.Py_ssize_t) -> cython.int:
-        """Insert a constraint into the ranking; beyond MAX_REPORTED the last is dropped."""
+        """Insert a constraint into the ranking by rising caps, then by rising gaps.
+
+        A constraint without a finite gap is left out. The constraint behind MAX_REPORTED is
+        dropped.
+        """
         cap: cython.double = rows.cap[row]
         gap: cython.double = rows.gap[row]
         if not gap < INFINITY:
             return 0
-        at: cython.Py_ssize_t = self.count
+        rank: cython.Py_ssize_t = self.count
         place: cython.Py_ssize_t
-        ranked: cython.Py_ssize_t
-        while at > 0:
-            ranked = self.row[at - 1]
-            if rows.cap[ranked] < cap or (rows.cap[ranked] == cap and rows.gap[ranked] <= gap):
+        before: cython.Py_ssize_t
+        while rank > 0:
+            before = self.row[rank - 1]
+            if rows.cap[before] < cap or (rows.cap[before] == cap and rows.gap[before] <= gap):
                 break
-            at -= 1
-        if at == MAX_REPORTED:
+            rank -= 1
+        if rank == MAX_REPORTED:
             return 0
         self.count = min(self.count + 1, MAX_REPORTED)
-        for place in range(self.count - 1, at, -1):
+        for place in range(self.count - 1, rank, -1):
             self.row[place] = self.row[place - 1]
-        self.row[at] = row
+        self.row[rank] = row
         return 0

@@ -46,11 +46,8 @@ class Arbiter(Protocol):
 
         For the same command in the same context, a mode always decides the same.
 
-        Args:
-            requested: within the limits.
-            context: has a scan age.
-            command: the safe command in force.
-            touch: the zone in which contact is granted; None: no contact.
+        `requested`: within the limits. `context`: has a scan age. `command`: the safe command in
+        force. `touch`: the zone in which contact is granted; None: no contact.
         """
 
 
@@ -80,10 +77,10 @@ class PotentialField:
 
     Source: Kaiser et al., ICRA 2022, section III. More than `rays` returns within `threshold` m of
     the lidar suppress the pattern's command, and a repulsive potential field drives instead, at
-    full speed. Our deviations: a return below range_min counts as one at range_min (in the original
-    it counts as free), and the arbiter clips the command to the limits. A return of a ring of range
-    sensors is rare and near: one is enough, its field has no forward bias, and the two fields have
-    equal weight.
+    full speed. Our deviations: a return below range_min counts as a return at range_min (in the
+    original, as no return), and the arbiter clips the command to the limits. A return of a ring of
+    range sensors is rare and near: one is enough, its field has no forward bias, and the two fields
+    have equal weight.
     """
 
     mode = "potential_field"

@@ -1,4 +1,4 @@
-"""The obstacles of mode `barrier`: near returns of the last scan, hidden ones, and told discs.
+"""The obstacles of mode `barrier`: returns of the last scan, hidden obstacles, and discs.
 
 Part of the library of barrier.py. Units: m, s, rad, in the base frame.
 """
@@ -73,8 +73,8 @@ class Points:
 class NearObstacles:
     """The returns of the last scan that are near enough to constrain the robot.
 
-    First come the contacts: returns too close to measure. For these the directions of the rays are
-    kept, too. The other returns follow by rising gaps.
+    First come the contacts: returns too close to measure. The directions of their rays are stored,
+    too. The other returns follow by rising gaps.
     """
 
     points: Points
@@ -129,31 +129,31 @@ class NearObstacles:
 
     @cython.cfunc
     def find_min_gap(self, ranges: cython.const[cython.double][::1], range_min: cython.double):
-        """Set `min_gap` by a scan whose obstacles are not taken."""
+        """Set `min_gap` by a scan whose obstacles do not replace those of the last scan."""
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         nearest: cython.double = _least_of(ranges)
-        within: cython.double = outline.nearest_within(nearest, range_min)
-        smallest: cython.double = INFINITY
+        range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
+        smallest_gap: cython.double = INFINITY
         for i in range(len(ranges)):
-            if ranges[i] <= within:
-                away: cython.double = range_min if ranges[i] < range_min else ranges[i]
+            if ranges[i] <= range_of_nearest:
+                measured_range: cython.double = range_min if ranges[i] < range_min else ranges[i]
                 self._find_direction(i)
-                x: cython.double = outline.lidar_x + away * self._directions[2 * i]
-                y: cython.double = outline.lidar_y + away * self._directions[2 * i + 1]
+                x: cython.double = outline.lidar_x + measured_range * self._directions[2 * i]
+                y: cython.double = outline.lidar_y + measured_range * self._directions[2 * i + 1]
                 gap: cython.double = outline.gap_of(x, y)
-                if gap < smallest:
-                    smallest = gap
-        self._set_min_gap(nearest, smallest)
+                if gap < smallest_gap:
+                    smallest_gap = gap
+        self._set_min_gap(nearest, smallest_gap)
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _set_min_gap(self, nearest: cython.double, smallest: cython.double) -> cython.int:
+    def _set_min_gap(self, nearest: cython.double, smallest_gap: cython.double) -> cython.int:
         """Set `min_gap` by the least range of the scan and the smallest gap of its returns."""
         if nearest == INFINITY:
             self.min_gap = None
         else:
-            self.min_gap = 0.0 if nearest == -INFINITY else smallest
+            self.min_gap = 0.0 if nearest == -INFINITY else smallest_gap
         return 0
 
     @cython.cfunc
@@ -164,12 +164,18 @@ class NearObstacles:
         ages: cython.const[cython.double][::1],
         hidden: cython.double[:, ::1],
     ):
-        """Take the near obstacles of a scan, and the near hidden obstacles.
+        """Replace the near obstacles by those of a scan, hidden obstacles included.
 
-        `ages` (n,) in s are those of the rays; empty: all are 0. `hidden` (m, 3) has the ray (unit
-        vector) to a hidden obstacle, and its least distance in m from the lidar. A hidden obstacle
-        that may touch the robot counts as a contact. IndexError if the lengths do not match; then
-        the obstacles of the last scan stay.
+        A hidden obstacle is in the blind zone of the lidar, and is known from earlier scans. A
+        hidden obstacle that may touch the robot counts as a contact. IndexError if the lengths do
+        not match; the obstacles of the last scan then stay.
+
+        Args:
+            ranges: (n,) m; -inf: a return too close to measure; inf: no return.
+            range_min: m, the least range that the lidar measures.
+            ages: (n,) s of the rays against the newest ray; empty: all are 0.
+            hidden: (m, 3) unit vector from the lidar to a hidden obstacle, and its least distance
+                in m.
         """
         count: cython.Py_ssize_t = len(ranges)
         room: cython.Py_ssize_t = count + len(hidden)
@@ -177,6 +183,8 @@ class NearObstacles:
             raise IndexError(f"{count} ranges, but {len(self._bearings)} rays")
         if len(ages) > 0 and len(ages) != count:
             raise IndexError(f"{count} ranges, but {len(ages)} ages")
+
+        # 1. Makes room, and drops the obstacles of the last scan.
         self.points.reserve(room)
         self.rays.reserve(room)
         self._unsorted.reserve(room)
@@ -185,15 +193,26 @@ class NearObstacles:
             self._spare = indices(len(self._unsorted.x))
         self.has_contact = False
         self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
-        late: cython.double = self._motion.late
-        within: cython.double = self._assumptions.within + self._assumptions.others * late
-        furthest: cython.double = self._assumptions.binding_range(self._assumptions.stale + late)
-        outermost: cython.double = (within if within > furthest else furthest) + self._outline.outer
-        closest: cython.double = self._take_returns(ranges, range_min, ages, outermost, furthest)
-        of_hidden: cython.double = self._take_hidden(hidden, furthest)
-        if of_hidden < closest:
-            closest = of_hidden
-        self.is_near = self.rays.count > 0 or closest <= within
+
+        # 2. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the
+        # oldest ray may be.
+        extra_age: cython.double = self._motion.extra_age
+        envelope_range: cython.double = (
+            self._assumptions.envelope_range + self._assumptions.others_speed * extra_age
+        )
+        binding_range: cython.double = self._assumptions.binding_range(
+            self._assumptions.longest_scan_age + extra_age
+        )
+        reach: cython.double = (
+            envelope_range if envelope_range > binding_range else binding_range
+        ) + self._outline.outer
+
+        # 3. Takes returns and hidden obstacles, and sorts them.
+        closest: cython.double = self._take_returns(ranges, range_min, ages, reach, binding_range)
+        closest_hidden: cython.double = self._take_hidden(hidden, binding_range)
+        if closest_hidden < closest:
+            closest = closest_hidden
+        self.is_near = self.rays.count > 0 or closest <= envelope_range
         self._sort_points()
 
     @cython.cfunc
@@ -203,12 +222,16 @@ class NearObstacles:
         ranges: cython.const[cython.double][::1],
         range_min: cython.double,
         ages: cython.const[cython.double][::1],
-        outermost: cython.double,
-        furthest: cython.double,
+        longest_range: cython.double,
+        binding_range: cython.double,
     ) -> cython.double:
-        """Add the returns up to `furthest` m from the outline, and set `min_gap`.
+        """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
-        The result is the least gap in m among the returns up to `outermost` m from the lidar.
+        The result is the least gap in m among the returns with a range up to `longest_range`; inf
+        without such a return. Returns too close to measure go to `rays`, and have no gap.
+
+        `ranges`, `range_min`, `ages`: as in `take_scan`. `longest_range`: m from the lidar.
+        `binding_range`: m from the outline.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
@@ -217,53 +240,59 @@ class NearObstacles:
         rays: Points = self.rays
         unsorted: Points = self._unsorted
         directions: cython.p_double = checked(self._directions, 2 * count)
-        to_x: cython.p_double = checked(unsorted.x, count)
-        to_y: cython.p_double = checked(unsorted.y, count)
-        to_gap: cython.p_double = checked(unsorted.gap, count)
-        to_age: cython.p_double = checked(unsorted.age, count)
-        near: cython.Py_ssize_t = 0
+        near_x: cython.p_double = checked(unsorted.x, count)
+        near_y: cython.p_double = checked(unsorted.y, count)
+        near_gap: cython.p_double = checked(unsorted.gap, count)
+        near_age: cython.p_double = checked(unsorted.age, count)
+        near_count: cython.Py_ssize_t = 0
         nearest: cython.double = _least_of(ranges)
-        # All returns among which the nearest to the outline is; see Footprint.nearest.
-        ring: cython.double = outline.nearest_within(nearest, range_min)
-        smallest: cython.double = INFINITY  # gap of all returns
-        closest: cython.double = INFINITY  # gap of the near ones
+        # m: the return nearest to the outline has at most this range; see `Outline.nearest_within`.
+        range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
+        smallest_gap: cython.double = INFINITY  # of all returns
+        closest_gap: cython.double = INFINITY  # of the returns up to `longest_range`
         for i in range(count):
-            away: cython.double = ranges[i]
-            if not (away <= outermost or away <= ring):
+            measured_range: cython.double = ranges[i]
+            if not (measured_range <= longest_range or measured_range <= range_of_nearest):
                 continue
+            # Finds the direction of the ray, if it is not known yet (NaN).
             if directions[2 * i] != directions[2 * i]:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
-            if away == -INFINITY:
+            if measured_range == -INFINITY:
                 rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age)
                 continue
-            away = range_min if away < range_min else away
-            to_x[near] = outline.lidar_x + away * directions[2 * i]
-            to_y[near] = outline.lidar_y + away * directions[2 * i + 1]
-            gap: cython.double = outline.gap_of(to_x[near], to_y[near])
-            to_gap[near], to_age[near] = gap, age
-            if gap < smallest:
-                smallest = gap
-            if ranges[i] <= outermost:
-                if gap < closest:
-                    closest = gap
-                if gap <= furthest:
-                    near += 1
-        unsorted.count = near
-        self._set_min_gap(nearest, smallest)
-        return closest
+            measured_range = range_min if measured_range < range_min else measured_range
+            # Writes the return behind the near returns; `near_count` rises if it is near.
+            near_x[near_count] = outline.lidar_x + measured_range * directions[2 * i]
+            near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
+            gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
+            near_gap[near_count], near_age[near_count] = gap, age
+            if gap < smallest_gap:
+                smallest_gap = gap
+            if ranges[i] <= longest_range:
+                if gap < closest_gap:
+                    closest_gap = gap
+                if gap <= binding_range:
+                    near_count += 1
+        unsorted.count = near_count
+        self._set_min_gap(nearest, smallest_gap)
+        return closest_gap
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
-    def _take_hidden(self, hidden: cython.double[:, ::1], furthest: cython.double) -> cython.double:
-        """Add the hidden obstacles that are contacts, or up to `furthest` m from the outline.
+    def _take_hidden(
+        self, hidden: cython.double[:, ::1], binding_range: cython.double
+    ) -> cython.double:
+        """Add the hidden obstacles (see `take_scan`) that may constrain the robot.
 
-        The result is the least gap in m of those that are no contacts.
+        A hidden obstacle that may be within the outline becomes a contact. An obstacle farther than
+        `binding_range` m from the outline is left out. The result is the least gap in m of the
+        obstacles that are not contacts; inf without such an obstacle.
         """
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         age: cython.double = self._motion.oldest
-        closest: cython.double = INFINITY
+        closest_gap: cython.double = INFINITY
         for i in range(len(hidden)):
             ray_x: cython.double = hidden[i, 0]
             ray_y: cython.double = hidden[i, 1]
@@ -271,20 +300,20 @@ class NearObstacles:
                 x: cython.double = outline.lidar_x + hidden[i, 2] * ray_x
                 y: cython.double = outline.lidar_y + hidden[i, 2] * ray_y
                 gap: cython.double = outline.gap_of(x, y)
-                if gap < closest:
-                    closest = gap
-                if gap <= furthest:
+                if gap < closest_gap:
+                    closest_gap = gap
+                if gap <= binding_range:
                     self._unsorted.add(x, y, gap, age)
             else:
                 self.rays.add(ray_x, ray_y, 0.0, age)
-        return closest
+        return closest_gap
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _sort_points(self) -> cython.int:
-        """Fill `points`: contacts at the place where the ray leaves the outline, then the others.
+        """Fill `points`: first the contacts, then the other near obstacles by rising gaps.
 
-        The others have rising gaps.
+        A contact is placed where its ray leaves the outline.
         """
         i: cython.Py_ssize_t
         outline: Outline = self._outline
@@ -293,9 +322,9 @@ class NearObstacles:
         unsorted: Points = self._unsorted
         self._sort(unsorted.count)
         for i in range(rays.count):
-            away: cython.double = outline.along_ray(rays.x[i], rays.y[i])
-            x: cython.double = outline.lidar_x + away * rays.x[i]
-            points.add(x, outline.lidar_y + away * rays.y[i], 0.0, rays.age[i])
+            to_outline: cython.double = outline.along_ray(rays.x[i], rays.y[i])
+            x: cython.double = outline.lidar_x + to_outline * rays.x[i]
+            points.add(x, outline.lidar_y + to_outline * rays.y[i], 0.0, rays.age[i])
         self.contacts = rays.count
         take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
         take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
@@ -307,41 +336,48 @@ class NearObstacles:
     @cython.cfunc
     @cython.exceptval(-1)
     def _sort(self, count: cython.Py_ssize_t) -> cython.int:
-        """Merge sort of runs that are sorted by insertion; equal gaps keep their order."""
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        """Write into `_order` the indices of the first `count` unsorted points by rising gaps.
+
+        A merge sort of runs that are sorted by insertion first. Equal gaps keep their order.
+        """
+        left: cython.Py_ssize_t
+        right: cython.Py_ssize_t
+        target: cython.Py_ssize_t
         first: cython.Py_ssize_t
         middle: cython.Py_ssize_t
         end: cython.Py_ssize_t
-        run: cython.Py_ssize_t = _FIRST_RUN
+        run_length: cython.Py_ssize_t = _FIRST_RUN
         gaps: cython.p_double = checked(self._unsorted.gap, count)
         order: cython.p_longlong = checked_indices(self._order, count)
         spare: cython.p_longlong = checked_indices(self._spare, count)
-        for i in range(count):
-            gap: cython.double = gaps[i]
-            first, j = i - i % run, i
-            while j > first and gaps[order[j - 1]] > gap:
-                order[j] = order[j - 1]
-                j -= 1
-            order[j] = i
-        while run < count:
+
+        # 1. Sorts each run of `_FIRST_RUN` points by insertion.
+        for left in range(count):
+            gap: cython.double = gaps[left]
+            first, right = left - left % run_length, left
+            while right > first and gaps[order[right - 1]] > gap:
+                order[right] = order[right - 1]
+                right -= 1
+            order[right] = left
+
+        # 2. Merges pairs of neighbouring runs into `spare`, until a single run is left.
+        while run_length < count:
             first = 0
             while first < count:
-                middle = min(first + run, count)
-                end = min(first + 2 * run, count)
-                i, j = first, middle
-                for k in range(first, end):
-                    if i < middle and (j >= end or gaps[order[i]] <= gaps[order[j]]):
-                        spare[k] = order[i]
-                        i += 1
+                middle = min(first + run_length, count)
+                end = min(first + 2 * run_length, count)
+                left, right = first, middle
+                for target in range(first, end):
+                    if left < middle and (right >= end or gaps[order[left]] <= gaps[order[right]]):
+                        spare[target] = order[left]
+                        left += 1
                     else:
-                        spare[k] = order[j]
-                        j += 1
+                        spare[target] = order[right]
+                        right += 1
                 first = end
             order, spare = spare, order
             self._order, self._spare = self._spare, self._order
-            run *= 2
+            run_length *= 2
         return 0
 
 
@@ -359,39 +395,42 @@ def _least_of(ranges: cython.const[cython.double][::1]) -> cython.double:
 
 @cython.final
 @cython.cclass
-class ToldDiscs:
-    """Discs in which an obstacle is (see `ToldObstacle`), and which of them can bind the robot."""
+class ObstacleDiscs:
+    """Discs in which an obstacle is (see `ToldObstacle`), with those that can constrain a robot."""
 
-    obstacles: tuple  # as they were given
+    obstacles: tuple  # the argument of `set`
     table: cython.double[:, ::1]  # (n, 4) x, y, radius, age
     count: cython.Py_ssize_t  # number of discs that can bind
-    row: cython.longlong[::1]  # the places of these discs in `table`
+    binding: cython.longlong[::1]  # the indices of these discs in `table`
 
     def __init__(self) -> None:
         self.obstacles, self.table = (), NO_ROWS
-        self.row = indices(8)
+        self.binding = indices(8)
 
     @cython.cfunc
     def set(self, told):
-        """Take other obstacles."""
+        """Replace the discs by `told`, a tuple of ToldObstacle."""
         self.obstacles = told
         rows = [(disc.x, disc.y, disc.radius, disc.age) for disc in told]
         self.table = view(np.array(rows, np.float64).reshape(-1, 4))
-        if len(self.row) < len(told):
-            self.row = indices(len(told))
+        if len(self.binding) < len(told):
+            self.binding = indices(len(told))
 
     @cython.cfunc
     @cython.exceptval(-1)
     def find_binding(self, assumptions: Assumptions, radius: cython.double) -> cython.int:
-        """Find the discs that can bind a robot whose outline reaches `radius` m from its axle."""
+        """List in `binding` the discs that can constrain a robot.
+
+        `radius` in m: how far the outline of the robot reaches from its axle.
+        """
         i: cython.Py_ssize_t
         table: cython.double[:, ::1] = self.table
-        approach: cython.double = assumptions.others + assumptions.fastest
+        approach_speed: cython.double = assumptions.others_speed + assumptions.top_surface_speed
         self.count = 0
         for i in range(len(table)):
             gap: cython.double = hypot(table[i, 0], table[i, 1]) - table[i, 2] - radius
             age: cython.double = table[i, 3] + REACTION
-            if not (gap > assumptions.fresh + approach * age):
-                self.row[self.count] = i
+            if not (gap > assumptions.fresh_binding_range + approach_speed * age):
+                self.binding[self.count] = i
                 self.count += 1
         return 0

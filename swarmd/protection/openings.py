@@ -43,24 +43,24 @@ else:
         sin,
     )
 
-_REACH = cython.declare(cython.double, 2.5)  # m from the lidar within which openings are seen
+_MAX_RANGE = cython.declare(cython.double, 2.5)  # m from the lidar within which openings are seen
 _JUMP = cython.declare(cython.double, 0.25)  # m between neighbouring ranges at the end of a wall
 # Widths of the robot, and m: through a wider opening two robots pass side by side.
-_NARROWEST, _WIDEST = 1.5, 1.0
-_LEAST_RETURNS = 10  # a scan with fewer returns shows no opening
-_LEAST_RAYS = cython.declare(cython.int, 3)  # between the posts of an opening
+_NARROWEST_SHARE, _WIDEST = 1.5, 1.0
+_MIN_RETURNS = 10  # a scan with fewer returns shows no opening
+_MIN_RAYS = cython.declare(cython.int, 3)  # between the posts of an opening
 # m by which a return between the posts may be nearer than the farther post
-_BETWEEN = cython.declare(cython.double, 0.02)
+_POST_SLACK = cython.declare(cython.double, 0.02)
 # Share of the returns between the posts that must be farther.
-_CLEAR = cython.declare(cython.double, 0.9)
-_WALL = cython.declare(cython.double, 0.2)  # m of wall to each side of an opening at least
-_FACE = cython.declare(cython.double, 0.8)  # m of this wall whose returns give its direction
-_LEAST_FACE = cython.declare(cython.int, 6)  # of these returns at least
+_CLEAR_SHARE = cython.declare(cython.double, 0.9)
+_MIN_WALL = cython.declare(cython.double, 0.2)  # m of wall to each side of an opening at least
+_FACE_LENGTH = cython.declare(cython.double, 0.8)  # m of this wall whose returns give its direction
+_MIN_FACE_RETURNS = cython.declare(cython.int, 6)  # of these returns at least
 # m from the line of a wall within which a return belongs to it
-_ALONG = cython.declare(cython.double, 0.1)
-_HOLE = cython.declare(cython.double, 0.22)  # m between neighbouring returns of a wall at most
+_ON_WALL = cython.declare(cython.double, 0.1)
+_MAX_HOLE = cython.declare(cython.double, 0.22)  # m between neighbouring returns of a wall at most
 # m from the outline of a track within which a return is no wall
-_AT_TRACK = cython.declare(cython.double, 0.12)
+_TRACK_SLACK = cython.declare(cython.double, 0.12)
 # Two sightings with differences below these are the same opening: m, m, m, rad.
 _SAME_AXIS = cython.declare(cython.double, 0.14)
 _SAME_HALF = cython.declare(cython.double, 0.08)
@@ -68,9 +68,9 @@ _SAME_SPAN = cython.declare(cython.double, 0.2)
 _SAME_ANGLE = cython.declare(cython.double, 0.4)
 SIGHTINGS = 2
 """Sightings of an opening before right of way uses it."""
-_FORGET_ONE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
-_MOST = 8  # openings
-_MOST_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
+_FORGET_SINGLE, _FORGET = 5.0, 120.0  # s without a sighting after which an opening is forgotten
+_MAX_OPENINGS = 8  # openings
+_MAX_WALL_ENDS = 40  # of walls in one scan, the nearest: more are rain, grass or a fence
 
 _half_turn = cython.declare(cython.double, math.pi)
 
@@ -89,14 +89,14 @@ def _doubles(n: cython.Py_ssize_t) -> cython.double[::1]:
 
 @cython.cfunc
 def _reach(places: cython.double[::1], count: cython.Py_ssize_t) -> cython.double:
-    """How far in m the first `count` places reach from 0 without a gap of more than _HOLE."""
+    """How far in m the first `count` places reach from 0 without a gap of more than _MAX_HOLE."""
     i: cython.Py_ssize_t
     reach: cython.double = 0.0
     before: cython.double = -1.0
     while reach > before:
         before = reach
         for i in range(count):
-            if reach < places[i] and places[i] - reach <= _HOLE:
+            if reach < places[i] and places[i] - reach <= _MAX_HOLE:
                 reach = places[i]
     return reach
 
@@ -110,7 +110,7 @@ def _grown(old: cython.double, new: cython.double, is_more: cython.bint) -> cyth
 @cython.final
 @cython.auto_pickle(False)
 @cython.cclass
-class _Sight:
+class _ScanReturns:
     """The returns of one scan in order of bearing, in the frame of the odometry. All in m."""
 
     ranges: cython.double[::1]
@@ -128,7 +128,8 @@ class _Sight:
     def ends(self) -> list:
         """The ends of surfaces where the range jumps, as (range, order, return, direction).
 
-        The direction is 1 or -1: the step in index towards the farther neighbour.
+        The direction is 1 or -1: the step of the index towards the farther neighbour. `order` is
+        the order of bearing, `return` the index of the nearer return.
         """
         n: cython.Py_ssize_t = len(self.ranges)
         i: cython.Py_ssize_t
@@ -136,9 +137,9 @@ class _Sight:
         for i in range(n):
             j: cython.Py_ssize_t = i + 1 if i + 1 < n else 0
             step: cython.double = self.ranges[j] - self.ranges[i]
-            if step > _JUMP and self.ranges[i] < _REACH:
+            if step > _JUMP and self.ranges[i] < _MAX_RANGE:
                 ends.append((self.ranges[i], i, i, 1))
-            elif step < -_JUMP and self.ranges[j] < _REACH:
+            elif step < -_JUMP and self.ranges[j] < _MAX_RANGE:
                 ends.append((self.ranges[j], i, j, -1))
         return ends
 
@@ -149,7 +150,7 @@ class _Sight:
         for i in range(len(self.tracks)):
             dx: cython.double = self.x[row] - self.tracks[i, 0]
             dy: cython.double = self.y[row] - self.tracks[i, 1]
-            radius: cython.double = self.tracks[i, 2] + _AT_TRACK
+            radius: cython.double = self.tracks[i, 2] + _TRACK_SLACK
             if dx * dx + dy * dy <= radius * radius:
                 return False
         return True
@@ -162,51 +163,58 @@ class _Sight:
         self.is_wall = memoryview(np.empty(n, np.uint8))
         self.along, self.side, self.places = _doubles(n), _doubles(n), _doubles(n)
         for row in range(n):
-            self.is_wall[row] = self.ranges[row] < _REACH and self.is_free(row)
+            self.is_wall[row] = self.ranges[row] < _MAX_RANGE and self.is_free(row)
         return 0
 
     @cython.cfunc
     def partner(
-        self, post: cython.Py_ssize_t, way: cython.int, narrowest: cython.double
+        self, post: cython.Py_ssize_t, direction: cython.int, narrowest: cython.double
     ) -> cython.Py_ssize_t:
-        """The index of the return of a wall nearest to the end `post` of a wall: the other post.
+        """The index of the other post of an opening: the return of a wall nearest to `post`.
 
-        `way` is 1 or -1, the direction of the gap. -1 if there is no opening: the gap is narrower
-        than `narrowest` m, wider than _WIDEST, or too few returns in it are farther than the posts.
+        -1 if there is no opening: the gap is narrower than `narrowest` m or wider than _WIDEST, or
+        too few returns between the posts are farther away than the posts.
+
+        `post`: the index of the return at the end of a wall, where the range jumps. `direction`: 1
+        or -1, the step of the index into the gap. `narrowest`: m.
         """
-        n: cython.Py_ssize_t = len(self.ranges)
-        row: cython.Py_ssize_t = post + way
+        count: cython.Py_ssize_t = len(self.ranges)
+        row: cython.Py_ssize_t = post + direction
         step: cython.Py_ssize_t
-        steps: cython.Py_ssize_t = 0
+        steps_to_partner: cython.Py_ssize_t = 0
         partner: cython.Py_ssize_t = -1
         least_square: cython.double = _WIDEST * _WIDEST
-        for step in range(2, n // 2):
-            row = self.beside(row, way)
+
+        # 1. The nearest return of a wall, looking over half of the scan.
+        for step in range(2, count // 2):
+            row = self.beside(row, direction)
             if not self.is_wall[row]:
                 continue
             dx: cython.double = self.x[row] - self.x[post]
             dy: cython.double = self.y[row] - self.y[post]
-            away: cython.double = dx * dx + dy * dy
-            if away < least_square:
-                if away <= narrowest * narrowest:
+            square: cython.double = dx * dx + dy * dy
+            if square < least_square:
+                if square <= narrowest * narrowest:
                     return -1
-                steps, partner, least_square = step, row, away
-        if steps <= _LEAST_RAYS:
+                steps_to_partner, partner, least_square = step, row, square
+        if steps_to_partner <= _MIN_RAYS:
             return -1
-        farthest: cython.double = max(self.ranges[post], self.ranges[partner]) - _BETWEEN
-        clear: cython.double = 0.0
-        row = self.beside(post, way)
+
+        # 2. Counts the returns between the posts that are farther away than the posts.
+        clear_range: cython.double = max(self.ranges[post], self.ranges[partner]) - _POST_SLACK
+        clear_count: cython.double = 0.0
+        row = self.beside(post, direction)
         while row != partner:
-            if self.ranges[row] > farthest:
-                clear += 1.0
-            row = self.beside(row, way)
-        return partner if clear / (steps - 1) >= _CLEAR else -1
+            if self.ranges[row] > clear_range:
+                clear_count += 1.0
+            row = self.beside(row, direction)
+        return partner if clear_count / (steps_to_partner - 1) >= _CLEAR_SHARE else -1
 
     @cython.cfunc
     @cython.inline
-    def beside(self, row: cython.Py_ssize_t, way: cython.int) -> cython.Py_ssize_t:
-        """The index of the next return, to the left (`way` 1) or to the right (-1)."""
-        row += way
+    def beside(self, row: cython.Py_ssize_t, direction: cython.int) -> cython.Py_ssize_t:
+        """The index of the next return, to the left (`direction` 1) or to the right (-1)."""
+        row += direction
         n: cython.Py_ssize_t = len(self.ranges)
         return row + n if row < 0 else row - n if row >= n else row
 
@@ -215,14 +223,14 @@ class _Sight:
         """Set `along` and `side`: the returns of walls in the frame of an opening."""
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
-        c: cython.double = cos(opening.angle)
-        s: cython.double = sin(opening.angle)
+        cos_angle: cython.double = cos(opening.angle)
+        sin_angle: cython.double = sin(opening.angle)
         for row in range(len(self.ranges)):
             if self.is_wall[row]:
                 dx: cython.double = self.x[row] - opening.x
                 dy: cython.double = self.y[row] - opening.y
-                self.along[k] = c * dx + s * dy
-                self.side[k] = c * dy - s * dx
+                self.along[k] = cos_angle * dx + sin_angle * dy
+                self.side[k] = cos_angle * dy - sin_angle * dx
                 k += 1
         self.count = k
         return 0
@@ -267,19 +275,19 @@ class Opening:
         return (self.first, self.last) if sign > 0.0 else (-self.last, -self.first)
 
     @cython.cfunc
-    def measure(self, sight: _Sight) -> cython.int:
+    def measure(self, returns: _ScanReturns) -> cython.int:
         """Measure direction, begin, end and the lengths of the walls by the returns of walls."""
-        sight.turn_into(self)
-        if self.align(sight):
-            sight.turn_into(self)
-        self.first = -self.reach_along(sight, -1.0)
-        self.last = self.reach_along(sight, 1.0)
-        self.left = self.half + self.reach_beside(sight, 1.0)
-        self.right = self.half + self.reach_beside(sight, -1.0)
+        returns.turn_into(self)
+        if self.align(returns):
+            returns.turn_into(self)
+        self.first = -self.reach_along(returns, -1.0)
+        self.last = self.reach_along(returns, 1.0)
+        self.left = self.half + self.reach_beside(returns, 1.0)
+        self.right = self.half + self.reach_beside(returns, -1.0)
         return 0
 
     @cython.cfunc
-    def align(self, sight: _Sight) -> cython.bint:
+    def align(self, returns: _ScanReturns) -> cython.bint:
         """Set `angle` to the normal of the walls beside the opening, by least squares.
 
         False with too few returns. Walls are longer than the gap, so their angle is more exact than
@@ -289,49 +297,50 @@ class Opening:
         count: cython.Py_ssize_t = 0
         along: cython.double = 0.0
         side: cython.double = 0.0
-        for i in range(sight.count):
-            if self.is_face(sight, i):
-                along, side, count = along + sight.along[i], side + sight.side[i], count + 1
-        if count < _LEAST_FACE:
+        for i in range(returns.count):
+            if self.is_face(returns, i):
+                along, side, count = along + returns.along[i], side + returns.side[i], count + 1
+        if count < _MIN_FACE_RETURNS:
             return False
         along, side = along / count, side / count
-        rise: cython.double = 0.0
-        run: cython.double = 0.0
-        for i in range(sight.count):
-            if self.is_face(sight, i):
-                off: cython.double = sight.side[i] - side
-                rise, run = rise + (sight.along[i] - along) * off, run + off * off
-        self.angle -= atan(rise / max(run, 1e-9))
+        covariance: cython.double = 0.0
+        variance: cython.double = 0.0
+        for i in range(returns.count):
+            if self.is_face(returns, i):
+                from_mean: cython.double = returns.side[i] - side
+                covariance += (returns.along[i] - along) * from_mean
+                variance += from_mean * from_mean
+        self.angle -= atan(covariance / max(variance, 1e-9))
         return True
 
     @cython.cfunc
-    def is_face(self, sight: _Sight, i: cython.Py_ssize_t) -> cython.bint:
+    def is_face(self, returns: _ScanReturns, i: cython.Py_ssize_t) -> cython.bint:
         """True if return `i` belongs to the face of the wall beside the opening."""
-        off: cython.double = fabs(sight.side[i])
-        return fabs(sight.along[i]) < _ALONG and self.half < off < self.half + _FACE
+        off: cython.double = fabs(returns.side[i])
+        return fabs(returns.along[i]) < _ON_WALL and self.half < off < self.half + _FACE_LENGTH
 
     @cython.cfunc
-    def reach_along(self, sight: _Sight, way: cython.double) -> cython.double:
-        """How far in m the sides of the opening reach along it; `way` (1 or -1): the direction."""
+    def reach_along(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
+        """How far in m the sides of the opening reach along its axis, in `direction` 1 or -1."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        for i in range(sight.count):
-            if fabs(fabs(sight.side[i]) - self.half) < _ALONG:
-                sight.places[count] = way * sight.along[i]
+        for i in range(returns.count):
+            if fabs(fabs(returns.side[i]) - self.half) < _ON_WALL:
+                returns.places[count] = direction * returns.along[i]
                 count += 1
-        return _reach(sight.places, count)
+        return _reach(returns.places, count)
 
     @cython.cfunc
-    def reach_beside(self, sight: _Sight, way: cython.double) -> cython.double:
-        """How far in m the wall reaches beyond one side of the opening (`way` 1 left, -1 right)."""
+    def reach_beside(self, returns: _ScanReturns, direction: cython.double) -> cython.double:
+        """How far in m the wall reaches beyond one side of the opening (1 left, -1 right)."""
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        for i in range(sight.count):
-            along: cython.double = sight.along[i]
-            if fabs(along - self.first) < _ALONG or fabs(along - self.last) < _ALONG:
-                sight.places[count] = way * sight.side[i] - self.half
+        for i in range(returns.count):
+            along: cython.double = returns.along[i]
+            if fabs(along - self.first) < _ON_WALL or fabs(along - self.last) < _ON_WALL:
+                returns.places[count] = direction * returns.side[i] - self.half
                 count += 1
-        return _reach(sight.places, count)
+        return _reach(returns.places, count)
 
     @cython.cfunc
     def is_same(self, sighting: Opening) -> cython.bint:
@@ -348,32 +357,40 @@ class Opening:
         )
 
     @cython.cfunc
-    def update(self, seen: Opening) -> cython.int:
-        """Take in another sighting: a weighted mean of place, angle and lengths."""
-        share: cython.double = 1.0 / min(self.hits + 1, 10)
-        turn: cython.double = seen.angle - self.angle
-        c: cython.double = cos(self.angle)
-        s: cython.double = sin(self.angle)
-        dx: cython.double = seen.x - self.x
-        dy: cython.double = seen.y - self.y
-        along: cython.double = c * dx + s * dy
-        side: cython.double = c * dy - s * dx
-        first: cython.double = seen.first
-        last: cython.double = seen.last
-        left: cython.double = seen.left
-        right: cython.double = seen.right
+    def update(self, sighting: Opening) -> cython.int:
+        """Take in another sighting: a weighted mean of place, angle and lengths.
+
+        The weight of a sighting falls with the number of sightings. The middle moves only across
+        the axis of the opening.
+        """
+        weight: cython.double = 1.0 / min(self.hits + 1, 10)
+        turn: cython.double = sighting.angle - self.angle
+        cos_angle: cython.double = cos(self.angle)
+        sin_angle: cython.double = sin(self.angle)
+        dx: cython.double = sighting.x - self.x
+        dy: cython.double = sighting.y - self.y
+        along: cython.double = cos_angle * dx + sin_angle * dy
+        side: cython.double = cos_angle * dy - sin_angle * dx
+        first: cython.double = sighting.first
+        last: cython.double = sighting.last
+        left: cython.double = sighting.left
+        right: cython.double = sighting.right
+
+        # 1. Begin, end and walls of the sighting in the frame of this opening.
         if fabs(remainder(turn, 2.0 * _half_turn)) > 0.5 * _half_turn:  # seen from the other side
             first, last, left, right = -last, -first, right, left
         first, last = first + along, last + along
-        self.x += share * -s * side
-        self.y += share * c * side
-        self.angle += share * remainder(turn, _half_turn)
-        self.half += share * (seen.half - self.half)
+
+        # 2. The weighted mean.
+        self.x += weight * -sin_angle * side
+        self.y += weight * cos_angle * side
+        self.angle += weight * remainder(turn, _half_turn)
+        self.half += weight * (sighting.half - self.half)
         self.first = _grown(self.first, first, first < self.first)
         self.last = _grown(self.last, last, last > self.last)
         self.left = _grown(self.left, left, left > self.left)
         self.right = _grown(self.right, right, right > self.right)
-        self.hits, self.seen_at = self.hits + 1, seen.seen_at
+        self.hits, self.seen_at = self.hits + 1, sighting.seen_at
         return 0
 
 
@@ -387,7 +404,7 @@ class Openings:
 
     def __init__(self, body: float) -> None:
         """`body`: half of the robot's width in m."""
-        self._narrowest = 2.0 * _NARROWEST * body
+        self._narrowest = 2.0 * _NARROWEST_SHARE * body
         self._known = []
 
     def __iter__(self) -> Iterator[Opening]:
@@ -406,14 +423,21 @@ class Openings:
     def observe(
         self, scan: Scan, offset: tuple, pose: Pose, now: cython.double, tracks: tuple, kept: object
     ) -> None:
-        """Take in a conditioned scan from a pose in the frame of the odometry.
+        """Take in a conditioned scan: update or add the openings that the scan shows.
 
-        `offset`: place of the sensor in the base frame. `tracks`: x, y, radius of moving objects in
-        the frame of the odometry. `kept`: an opening that is not forgotten, or None.
+        Openings without a recent sighting are forgotten; at most _MAX_OPENINGS remain.
+
+        Args:
+            scan: the scan.
+            offset: m, the place of the sensor in the base frame.
+            pose: of the base in the frame of the odometry, when the scan was taken.
+            now: s.
+            tracks: (x, y, radius) in m of moving objects in the frame of the odometry.
+            kept: an opening that is never forgotten; None: no such opening.
         """
         sighting: Opening
         known: Opening
-        for sighting in self._found(scan, offset, pose, now, tracks):
+        for sighting in self._openings_in(scan, offset, pose, now, tracks):
             for known in self._known:
                 if known.is_same(sighting):
                     known.update(sighting)
@@ -422,69 +446,82 @@ class Openings:
                 self._known.append(sighting)
         if not self._known:
             return
+
+        # Forgets openings without a recent sighting.
         remembered: list = []
         for known in self._known:
-            longest: cython.double = _FORGET if known.hits >= SIGHTINGS else _FORGET_ONE
-            if now - known.seen_at < longest or known is kept:
+            memory_time: cython.double = _FORGET if known.hits >= SIGHTINGS else _FORGET_SINGLE
+            if now - known.seen_at < memory_time or known is kept:
                 remembered.append(known)
-        if len(remembered) > _MOST:  # those that were seen once go first
+        if len(remembered) > _MAX_OPENINGS:  # openings with a single sighting go first
             remembered.sort(
                 key=lambda known: (known is kept, known.hits >= SIGHTINGS, known.seen_at)
             )
-            del remembered[: len(remembered) - _MOST]
+            del remembered[: len(remembered) - _MAX_OPENINGS]
         self._known = remembered
 
     @cython.cfunc
-    def _found(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
-        """The openings in a scan: measured, and each once."""
+    def _openings_in(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
+        """The openings in a scan, measured; several sightings of an opening count as the first.
+
+        Arguments as in `observe`.
+        """
         opening: Opening
-        before: Opening
+        known: Opening
         post: cython.Py_ssize_t
-        row: cython.Py_ssize_t
-        way: cython.int
-        seen: list = []
+        partner: cython.Py_ssize_t
+        direction: cython.int
+        openings: list = []
+
+        # 1. The returns in the order of their bearings.
         ranges, bearings = scan.ranges, scan.bearings
         rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
-        if len(rays) < _LEAST_RETURNS:
-            return seen
+        if len(rays) < _MIN_RETURNS:
+            return openings
         bearings = bearings[rays]
         order = bearings.argsort(kind="stable")
         ranges = ranges[rays[order]].astype(np.float64, copy=False)
-        sight: _Sight = _Sight()
-        sight.ranges = _view(ranges)
-        ends: list = sight.ends()
-        if not ends:
-            return seen
+        returns: _ScanReturns = _ScanReturns()
+        returns.ranges = _view(ranges)
+
+        # 2. The ends of walls: returns where the range jumps. An end on a track is no wall.
+        wall_ends: list = returns.ends()
+        if not wall_ends:
+            return openings
         bearings = bearings[order]
         x, y = np.empty(len(rays)), np.empty(len(rays))
-        sight.x, sight.y = _view(x), _view(y)
-        sight.tracks = _view(np.array(tracks, np.float64).reshape(-1, 3))
-        rows = np.array([end[2] for end in ends])
-        x[rows], y[rows] = _places(ranges[rows], bearings[rows], offset, pose)
-        ends = [end for end in ends if sight.is_free(end[2])]
-        if not ends:
-            return seen
-        if len(ends) > _MOST_ENDS:
-            ends.sort()
-            del ends[_MOST_ENDS:]
-            ends.sort(key=itemgetter(1))
-        rows = (ranges < _REACH).nonzero()[0]
-        x[rows], y[rows] = _places(ranges[rows], bearings[rows], offset, pose)
-        sight.mark_walls()
-        for _, _, post, way in ends:
-            row = sight.partner(post, way, self._narrowest)
-            if row < 0:
+        returns.x, returns.y = _view(x), _view(y)
+        returns.tracks = _view(np.array(tracks, np.float64).reshape(-1, 3))
+        indices = np.array([end[2] for end in wall_ends])
+        x[indices], y[indices] = _places(ranges[indices], bearings[indices], offset, pose)
+        wall_ends = [end for end in wall_ends if returns.is_free(end[2])]
+        if not wall_ends:
+            return openings
+
+        # 3. The nearest ends, in the order of bearing. Then the places of all near returns.
+        if len(wall_ends) > _MAX_WALL_ENDS:
+            wall_ends.sort()
+            del wall_ends[_MAX_WALL_ENDS:]
+            wall_ends.sort(key=itemgetter(1))
+        indices = (ranges < _MAX_RANGE).nonzero()[0]
+        x[indices], y[indices] = _places(ranges[indices], bearings[indices], offset, pose)
+        returns.mark_walls()
+
+        # 4. An opening lies between a wall's end and its partner, with walls beside both.
+        for _, _, post, direction in wall_ends:
+            partner = returns.partner(post, direction, self._narrowest)
+            if partner < 0:
                 continue
-            opening = _opening(sight, post, row)
+            opening = _opening(returns, post, partner)
             opening.seen_at = now
-            if min(opening.left, opening.right) < opening.half + _WALL:
+            if min(opening.left, opening.right) < opening.half + _MIN_WALL:
                 continue
-            for before in seen:
-                if opening.is_same(before):
+            for known in openings:
+                if opening.is_same(known):
                     break
             else:
-                seen.append(opening)
-        return seen
+                openings.append(opening)
+        return openings
 
 
 @cython.cfunc
@@ -498,13 +535,13 @@ def _places(ranges, bearings, offset, pose) -> tuple:
 
 
 @cython.cfunc
-def _opening(sight: _Sight, post: cython.Py_ssize_t, row: cython.Py_ssize_t) -> Opening:
+def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_ssize_t) -> Opening:
     """The opening between two returns, measured."""
     opening: Opening = Opening()
-    dx: cython.double = sight.x[row] - sight.x[post]
-    dy: cython.double = sight.y[row] - sight.y[post]
-    opening.x = 0.5 * (sight.x[post] + sight.x[row])
-    opening.y = 0.5 * (sight.y[post] + sight.y[row])
+    dx: cython.double = returns.x[partner] - returns.x[post]
+    dy: cython.double = returns.y[partner] - returns.y[post]
+    opening.x = 0.5 * (returns.x[post] + returns.x[partner])
+    opening.y = 0.5 * (returns.y[post] + returns.y[partner])
     opening.angle, opening.half, opening.hits = atan2(dx, -dy), 0.5 * hypot(dx, dy), 1
-    opening.measure(sight)
+    opening.measure(returns)
     return opening

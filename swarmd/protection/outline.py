@@ -39,7 +39,8 @@ class Chunk:
     """
 
     count: cython.Py_ssize_t
-    # Place in m, m that must stay free around it, age in s, and radius in m of each point.
+    # Of each point: place in m, distance in m that must stay free around the point, age in s, and
+    # radius in m.
     x: cython.double[64]
     y: cython.double[64]
     free: cython.double[64]
@@ -54,11 +55,12 @@ class Chunk:
     hidden: cython.double[64]
     # The cap in m/s on the speed at which the nearest place closes on each point.
     cap: cython.double[64]
-    # Results so far in loops over edges and corners; see `_find_nearest_edges`.
-    least: cython.double[64]
-    highest: cython.double[64]
-    far: cython.double[64]
-    high: cython.double[64]
+    # Results so far in loops over edges and corners; see `_find_nearest_edges`. constraints.py
+    # uses these arrays again for side constraints.
+    nearest_square: cython.double[64]
+    greatest_height: cython.double[64]
+    along_edge: cython.double[64]
+    above_edge: cython.double[64]
     edge_x: cython.double[64]
     edge_y: cython.double[64]
     foot_x: cython.double[64]
@@ -84,7 +86,8 @@ class Outline:
     edges: cython.Py_ssize_t  # k
     corner_x: cython.double[::1]
     corner_y: cython.double[::1]
-    # (2k,) the direction of each edge, then its outward normal; and where each edge begins on it.
+    # (2k,) unit vectors: the directions of the k edges, then their k outward normals. `origin`:
+    # the place in m of the first corner of the edge along each of these vectors.
     axis_x: cython.double[::1]
     axis_y: cython.double[::1]
     origin: cython.double[::1]
@@ -126,145 +129,166 @@ class Outline:
     def gap_of(self, x: cython.double, y: cython.double) -> cython.double:
         """The distance in m from the outline to a point; 0 for a point inside.
 
-        A rectangle along the axes needs fewer operations; its result differs by 1e-16.
+        A rectangle along the axes (`is_box`) needs fewer operations; its result differs by 1e-16.
         """
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self.edges
-        least: cython.double = INFINITY
+        least_square: cython.double = INFINITY
+
+        # 1. A box, and a point that is not NaN: distances beyond front or rear, and a side.
         if self.is_box and x == x and y == y:
             ahead: cython.double = x - self.front if x > self.front else self.rear - x
             aside: cython.double = y - self.left if y > self.left else self.right - y
             ahead = ahead if ahead > 0.0 else 0.0
             aside = aside if aside > 0.0 else 0.0
             return sqrt(aside * aside + ahead * ahead)
+
+        # 2. A polygon: the least distance to the edges that have the point on their outer side.
+        # `beyond_end` in m: how far the point is beyond an end of the edge.
         for k in range(edges):
-            above: cython.double = (
+            above_edge: cython.double = (
                 self.axis_x[edges + k] * x + self.axis_y[edges + k] * y - self.origin[edges + k]
             )
-            if above <= 0.0:
+            if above_edge <= 0.0:
                 continue
-            along: cython.double = self.axis_x[k] * x + self.axis_y[k] * y - self.origin[k]
-            beyond: cython.double = 0.0
-            if along < 0.0:
-                beyond = along
-            elif along > self.length[k]:
-                beyond = along - self.length[k]
-            square: cython.double = beyond * beyond + above * above
-            if square < least or square != square:
-                least = square
-        return 0.0 if least == INFINITY else sqrt(least)
+            along_edge: cython.double = self.axis_x[k] * x + self.axis_y[k] * y - self.origin[k]
+            beyond_end: cython.double = 0.0
+            if along_edge < 0.0:
+                beyond_end = along_edge
+            elif along_edge > self.length[k]:
+                beyond_end = along_edge - self.length[k]
+            square: cython.double = beyond_end * beyond_end + above_edge * above_edge
+            if square < least_square or square != square:
+                least_square = square
+        return 0.0 if least_square == INFINITY else sqrt(least_square)
 
     @cython.cfunc
     @cython.exceptval(-1)
     def separate(self, chunk: Chunk, blind: cython.double) -> cython.int:
-        """Set gap, direction, lever and hidden gap of the points of a chunk.
+        """Set gap, direction, lever and hidden gap of the points of a chunk (up to 64 points).
 
-        The hidden gap is how far the blind zone, a circle of `blind` m around the lidar, reaches
-        beyond the outline on the shortest line from the outline to the point. An obstacle with a
-        return at the point may extend unseen into the blind zone, but not beyond it.
+        The direction is the unit vector from the nearest place of the outline to the point. The
+        lever in m is that of the nearest place about the axle in this direction. The hidden gap in
+        m is how far the blind zone, a circle of `blind` m around the lidar, reaches beyond the
+        outline on the shortest line from the outline to the point. An obstacle with a return at the
+        point may extend unseen into the blind zone, but not beyond it.
         """
         self._find_nearest_edges(chunk)
         j: cython.Py_ssize_t
         x: cython.p_double = chunk.x
         y: cython.p_double = chunk.y
-        least: cython.p_double = chunk.least
-        highest: cython.p_double = chunk.highest
-        far: cython.p_double = chunk.far
-        high: cython.p_double = chunk.high
+        square: cython.p_double = chunk.nearest_square
+        height: cython.p_double = chunk.greatest_height
+        along_edge: cython.p_double = chunk.along_edge
+        above_edge: cython.p_double = chunk.above_edge
         edge_x: cython.p_double = chunk.edge_x
         edge_y: cython.p_double = chunk.edge_y
         foot_x: cython.p_double = chunk.foot_x
         foot_y: cython.p_double = chunk.foot_y
-        to_gap: cython.p_double = chunk.gap
-        to_nx: cython.p_double = chunk.normal_x
-        to_ny: cython.p_double = chunk.normal_y
-        to_lever: cython.p_double = chunk.lever
-        to_hidden: cython.p_double = chunk.hidden
+        gaps: cython.p_double = chunk.gap
+        normals_x: cython.p_double = chunk.normal_x
+        normals_y: cython.p_double = chunk.normal_y
+        levers: cython.p_double = chunk.lever
+        hidden_gaps: cython.p_double = chunk.hidden
         lidar_x: cython.double = self.lidar_x
         lidar_y: cython.double = self.lidar_y
         for j in range(chunk.count):
-            is_inside: cython.bint = (highest[j] <= 0.0) & (least[j] == least[j])
-            gap: cython.double = sqrt(least[j])
+            # 1. The gap. A NaN of the point stays.
+            is_inside: cython.bint = (height[j] <= 0.0) & (square[j] == square[j])
+            gap: cython.double = sqrt(square[j])
             gap = 0.0 if is_inside else gap
-            is_on: cython.bint = gap < _ON_OUTLINE
-            inverse: cython.double = 1.0 / (1.0 if is_on else gap)
-            out: cython.double = far[j] * inverse
-            up: cython.double = high[j] * inverse
-            out = 0.0 if is_on else out
-            up = 1.0 if is_on else up
-            nx: cython.double = out * edge_x[j] + up * edge_y[j]
-            ny: cython.double = out * edge_y[j] - up * edge_x[j]
-            dx: cython.double = x[j] - lidar_x
-            dy: cython.double = y[j] - lidar_y
-            across: cython.double = dx * ny - dy * nx
-            half: cython.double = blind * blind - across * across  # square of half of the chord
-            hidden: cython.double = sqrt(half) - (dx * nx + dy * ny - gap)
-            hidden = hidden if (half > 0.0) & (hidden > 0.0) else 0.0
-            to_gap[j], to_hidden[j] = gap, hidden
-            to_nx[j], to_ny[j] = nx, ny
-            to_lever[j] = foot_x[j] * ny - foot_y[j] * nx
+
+            # 2. The direction. For a point on the outline: the normal of the edge.
+            is_on_outline: cython.bint = gap < _ON_OUTLINE
+            inverse: cython.double = 1.0 / (1.0 if is_on_outline else gap)
+            along_share: cython.double = along_edge[j] * inverse
+            above_share: cython.double = above_edge[j] * inverse
+            along_share = 0.0 if is_on_outline else along_share
+            above_share = 1.0 if is_on_outline else above_share
+            nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
+            ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
+
+            # 3. The hidden gap: the line along the direction leaves the circle of the blind zone
+            # half of a chord beyond the foot of the perpendicular from the lidar.
+            ray_x: cython.double = x[j] - lidar_x
+            ray_y: cython.double = y[j] - lidar_y
+            lateral_m: cython.double = ray_x * ny - ray_y * nx
+            half_square: cython.double = blind * blind - lateral_m * lateral_m
+            hidden: cython.double = sqrt(half_square) - (ray_x * nx + ray_y * ny - gap)
+            hidden = hidden if (half_square > 0.0) & (hidden > 0.0) else 0.0
+
+            # 4. Stores the results.
+            gaps[j], hidden_gaps[j] = gap, hidden
+            normals_x[j], normals_y[j] = nx, ny
+            levers[j] = foot_x[j] * ny - foot_y[j] * nx
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _find_nearest_edges(self, chunk: Chunk) -> cython.int:
-        """Find the place of the outline nearest to each point of a chunk (`foot_x`, `foot_y`).
+        """Find the place of the outline nearest to each point of a chunk.
 
-        `least` is the square of the distance. `far` and `high` are the components of the distance
-        along and perpendicular to the nearest edge. `highest` is the greatest signed distance from
-        the line of any edge; a point inside the outline has none above 0.
+        Sets the arrays of the chunk, for each point:
+
+        - `foot_x`, `foot_y`: the nearest place in m; `edge_x`, `edge_y`: the direction of its edge.
+        - `nearest_square`: the square of the distance to this place.
+        - `along_edge`, `above_edge`: the components of this distance along and perpendicular to the
+          edge.
+        - `greatest_height`: the greatest signed distance from the line of any edge. For a point
+          inside the outline this distance is not above 0.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = chunk.count
         x: cython.p_double = chunk.x
         y: cython.p_double = chunk.y
-        least: cython.p_double = chunk.least
-        highest: cython.p_double = chunk.highest
-        far: cython.p_double = chunk.far
-        high: cython.p_double = chunk.high
+        nearest: cython.p_double = chunk.nearest_square
+        greatest_height: cython.p_double = chunk.greatest_height
+        along_edge: cython.p_double = chunk.along_edge
+        above_edge: cython.p_double = chunk.above_edge
         edge_x: cython.p_double = chunk.edge_x
         edge_y: cython.p_double = chunk.edge_y
         foot_x: cython.p_double = chunk.foot_x
         foot_y: cython.p_double = chunk.foot_y
         for j in range(count):
-            least[j], highest[j], far[j], high[j] = INFINITY, -INFINITY, 0.0, 0.0
-            edge_x[j] = edge_y[j] = foot_x[j] = foot_y[j] = 0.0
+            nearest[j], greatest_height[j] = INFINITY, -INFINITY
+            along_edge[j] = above_edge[j] = edge_x[j] = edge_y[j] = foot_x[j] = foot_y[j] = 0.0
+        # For each edge: replaces the results of the points that are nearer to this edge.
         for k in range(self.edges):
-            ax: cython.double = self.axis_x[k]
-            ay: cython.double = self.axis_y[k]
-            bx: cython.double = self.axis_x[self.edges + k]
-            by: cython.double = self.axis_y[self.edges + k]
-            start: cython.double = self.origin[k]
-            base: cython.double = self.origin[self.edges + k]
+            direction_x: cython.double = self.axis_x[k]
+            direction_y: cython.double = self.axis_y[k]
+            normal_x: cython.double = self.axis_x[self.edges + k]
+            normal_y: cython.double = self.axis_y[self.edges + k]
+            direction_origin: cython.double = self.origin[k]
+            normal_origin: cython.double = self.origin[self.edges + k]
             length: cython.double = self.length[k]
             corner_x: cython.double = self.corner_x[k]
             corner_y: cython.double = self.corner_y[k]
             for j in range(count):
-                along: cython.double = ax * x[j] + ay * y[j] - start
-                above: cython.double = bx * x[j] + by * y[j] - base
-                on: cython.double = along if along > 0.0 else 0.0
-                on = length if on > length else on
-                beyond: cython.double = along - on
-                square: cython.double = beyond * beyond + above * above
-                is_nearer: cython.bint = (square < least[j]) | (square != square)
-                # A choice between values that are known before is one that a compiler vectorises.
-                was_far: cython.double = far[j]
-                was_high: cython.double = high[j]
-                was_edge_x: cython.double = edge_x[j]
-                was_edge_y: cython.double = edge_y[j]
-                was_foot_x: cython.double = foot_x[j]
-                was_foot_y: cython.double = foot_y[j]
-                was_least: cython.double = least[j]
-                was_highest: cython.double = highest[j]
-                far[j] = beyond if is_nearer else was_far
-                high[j] = above if is_nearer else was_high
-                edge_x[j] = ax if is_nearer else was_edge_x
-                edge_y[j] = ay if is_nearer else was_edge_y
-                foot_x[j] = corner_x + on * ax if is_nearer else was_foot_x
-                foot_y[j] = corner_y + on * ay if is_nearer else was_foot_y
-                least[j] = square if is_nearer else was_least
-                highest[j] = above if above > was_highest else was_highest
+                along: cython.double = direction_x * x[j] + direction_y * y[j] - direction_origin
+                above: cython.double = normal_x * x[j] + normal_y * y[j] - normal_origin
+                along_clamped: cython.double = along if along > 0.0 else 0.0
+                along_clamped = length if along_clamped > length else along_clamped
+                beyond: cython.double = along - along_clamped
+                edge_square: cython.double = beyond * beyond + above * above
+                is_nearer: cython.bint = (edge_square < nearest[j]) | (edge_square != edge_square)
+                # Plain choices between two known values: the compiler vectorises such a loop.
+                previous_along: cython.double = along_edge[j]
+                previous_above: cython.double = above_edge[j]
+                previous_edge_x: cython.double = edge_x[j]
+                previous_edge_y: cython.double = edge_y[j]
+                previous_foot_x: cython.double = foot_x[j]
+                previous_foot_y: cython.double = foot_y[j]
+                previous_square: cython.double = nearest[j]
+                previous_height: cython.double = greatest_height[j]
+                along_edge[j] = beyond if is_nearer else previous_along
+                above_edge[j] = above if is_nearer else previous_above
+                edge_x[j] = direction_x if is_nearer else previous_edge_x
+                edge_y[j] = direction_y if is_nearer else previous_edge_y
+                foot_x[j] = corner_x + along_clamped * direction_x if is_nearer else previous_foot_x
+                foot_y[j] = corner_y + along_clamped * direction_y if is_nearer else previous_foot_y
+                nearest[j] = edge_square if is_nearer else previous_square
+                greatest_height[j] = above if above > previous_height else previous_height
         return 0
 
     @cython.cfunc
@@ -289,8 +313,8 @@ class Outline:
         """The greatest range in m that the return nearest to the outline can have.
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around
-        the lidar, so the return of the least range need not be the nearest to the outline. -inf
-        without a measured return.
+        the lidar. So the return with the least range need not be the return nearest to the outline.
+        -inf without a measured return, and for a return too close to measure (-inf).
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

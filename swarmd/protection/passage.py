@@ -51,21 +51,26 @@ class Room:
         self._scan = scan
 
     def clearance(self, speed: float) -> Clearance:
-        """The room in m that the robot needs to drive at `speed` m/s, ahead and to each side."""
+        """The room in m that the robot needs to drive at `speed` m/s, ahead and to each side.
+
+        Lengths ahead are from the axle; at most _FARTHEST_AHEAD, also if no obstacle that near
+        allows the speed.
+        """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         corners = self._outline.corners
         age: cython.double = 0.5 / self._scan.rate + self._scan.latency + REACTION
         front: cython.double = float(corners[:, 0].max())
         ahead: cython.double = _FARTHEST_AHEAD
+        # The nearest obstacle ahead for which the robot may still drive at `speed`.
         for i in range(round(_FARTHEST_AHEAD / _STEP_AHEAD)):
             if self._fastest_at(_STEP_AHEAD * i, front, age) >= speed:
                 ahead = _STEP_AHEAD * i
                 break
-        body = float(np.abs(corners[:, 1]).max())
-        beside = body + assumptions.margin + assumptions.unseen_extent + _BESIDE_SLACK
+        half_width = float(np.abs(corners[:, 1]).max())
+        beside = half_width + assumptions.margin + assumptions.unseen_extent + _BESIDE_SLACK
         keep_out = assumptions.keep_out if assumptions.has_keep_out() else 0.0
-        return Clearance(ahead, max(beside, keep_out), body)
+        return Clearance(ahead, max(beside, keep_out), half_width)
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
@@ -80,7 +85,7 @@ class Room:
         room: cython.double = distance - front - assumptions.margin - assumptions.unseen_extent
         braking: cython.double = assumptions.braking_linear
         cap: cython.double = closing_cap(
-            room, braking, age, assumptions.others, assumptions.is_passive
+            room, braking, age, assumptions.others_speed, assumptions.is_passive
         )
         if assumptions.has_keep_out():
             room = distance - self._outline.lidar_x - assumptions.keep_out
@@ -103,25 +108,39 @@ class Room:
         assumptions: Assumptions = self._assumptions
         width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
         age = self._scan.latency + REACTION
-        others = assumptions.others if assumptions.is_passive else 0.0
-        kept = assumptions.margin + assumptions.unseen_extent
-        post = kept + others * (age + DECISION_PERIOD) + _PASSAGE_SLACK
+        others_speed = assumptions.others_speed if assumptions.is_passive else 0.0
+
+        # 1. The gap to a post of a door.
+        free_distance = assumptions.margin + assumptions.unseen_extent
+        post_gap = free_distance + others_speed * (age + DECISION_PERIOD) + _PASSAGE_SLACK
+
+        # 2. The gap to a wall. Robot and wall each use half of the gap beyond contact.
         mean_age = age + 0.5 / self._scan.rate
-        contact = self._contact_gap_beside()
-        rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve
-        side = contact + 2.0 * (mean_age + DECISION_PERIOD) * rest + _PASSAGE_SLACK
-        creeping = post
+        contact_gap = self._contact_gap_beside()
+        passing_speed = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve
+        side_gap = contact_gap + 2.0 * (mean_age + DECISION_PERIOD) * passing_speed + _PASSAGE_SLACK
+
+        # 3. The gap to a post past which the robot creeps.
+        creeping_gap = post_gap
         if assumptions.may_creep:
             slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
-            creeping = contact + 2.0 * (mean_age + DECISION_PERIOD) * CREEP_SPEED + slack
+            creeping_gap = contact_gap + 2.0 * (mean_age + DECISION_PERIOD) * CREEP_SPEED + slack
+
+        # 4. Gaps outside the circle around the lidar; then the widths.
         if assumptions.has_keep_out():
-            side = post = max(side, post, assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width)
-        door = width + 2.0 * min(creeping, post)
-        corridor = max(door, width + 2.0 * side)
-        return NarrowestPassage(door, corridor, corridor + width + post)
+            side_gap = post_gap = max(
+                side_gap, post_gap, assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width
+            )
+        door = width + 2.0 * min(creeping_gap, post_gap)
+        corridor = max(door, width + 2.0 * side_gap)
+        return NarrowestPassage(door, corridor, corridor + width + post_gap)
 
     def _contact_gap_beside(self) -> float:
-        """m from the outline within which a wall along the way may touch the robot unseen."""
+        """m from the outline within which a wall along the way may touch the robot unseen.
+
+        The sum of the margin, the unseen extent, and the greatest hidden gap towards a wall (see
+        `Outline.separate`). The hidden gap is computed for `_PLACES_BESIDE` places along each side.
+        """
         chunk: Chunk = Chunk()
         outline: Outline = self._outline
         corners = outline.corners[:, 0]
@@ -130,6 +149,6 @@ class Room:
         for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
             for y in (-2.0 * outline.outer, 2.0 * outline.outer):
                 chunk.x[0], chunk.y[0] = x, y
-                outline.separate(chunk, self._assumptions.blind)
+                outline.separate(chunk, self._assumptions.blind_radius)
                 hidden = maximum(hidden, chunk.hidden[0])
         return self._assumptions.margin + self._assumptions.unseen_extent + hidden

@@ -1,6 +1,7 @@
 """The feasible pair of speeds nearest to a requested pair: exact projection in mode `barrier`.
 
-Part of the library of barrier.py. The axes are the two speeds over their limits.
+Part of the library of barrier.py. A point is a pair (x, y): linear and angular speed over their
+limits.
 """
 
 from __future__ import annotations
@@ -53,42 +54,48 @@ class Projection:
     def project(self, rows: ConstraintRows, x: cython.double, y: cython.double) -> cython.int:
         """Set `x`, `y` to the feasible point nearest to the requested point x, y. Exact.
 
-        The axes are the two speeds over their limits, so both speeds weigh alike. The loop begins
-        with the box of the limits. Each round clips the polygon by the constraint (row) that the
-        nearest point violates most. Once the nearest point violates no constraint, it is the
-        nearest within all constraints. Each polygon contains the origin.
+        A point is the linear and the angular speed over their limits. A constraint (row) is a
+        half-plane a x + b y <= cap. The method clips a polygon by cutting planes. The polygon
+        begins as the box of the limits. Each round clips the polygon by the constraint that the
+        nearest point violates most, and finds the nearest point of the rest. Once the nearest point
+        violates no constraint, it is the nearest within all constraints. The polygon always
+        contains the origin, since the zero command is feasible.
         """
         i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = rows.all
+        row_count: cython.Py_ssize_t = rows.all
         first: cython.Py_ssize_t
-        worst: cython.Py_ssize_t
+        worst_row: cython.Py_ssize_t
         self._begin_with_box()
-        row_x: cython.p_double = checked(rows.x, n)
-        row_y: cython.p_double = checked(rows.y, n)
-        row_cap: cython.p_double = checked(rows.cap, n)
+        row_x: cython.p_double = checked(rows.x, row_count)
+        row_y: cython.p_double = checked(rows.y, row_count)
+        row_cap: cython.p_double = checked(rows.cap, row_count)
         excess: cython.p_double = self._excess
         self._find_nearest(x, y)
-        for _ in range(n):
-            worst = 0
-            most: cython.double = -INFINITY
+        for _ in range(row_count):
+            # 1. Finds the most violated row, in chunks so that the compiler vectorises. A NaN
+            # counts as the worst violation, and ends the search.
+            worst_row = 0
+            worst_excess: cython.double = -INFINITY
             px: cython.double = self.x
             py: cython.double = self.y
             first = 0
-            while first < n:
-                count: cython.Py_ssize_t = min(CHUNK, n - first)
+            while first < row_count:
+                count: cython.Py_ssize_t = min(CHUNK, row_count - first)
                 for i in range(count):
                     excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
                 for i in range(count):
-                    if not (excess[i] <= most):
-                        most, worst = excess[i], first + i
-                        if most != most:
+                    if not (excess[i] <= worst_excess):
+                        worst_excess, worst_row = excess[i], first + i
+                        if worst_excess != worst_excess:
                             break
-                if most != most:
+                if worst_excess != worst_excess:
                     break
                 first += count
-            if most <= TOLERANCE:
+
+            # 2. Clips by this row.
+            if worst_excess <= TOLERANCE:
                 break
-            self._clip(row_x[worst], row_y[worst], row_cap[worst])
+            self._clip(row_x[worst_row], row_y[worst_row], row_cap[worst_row])
             self._find_nearest(x, y)
         return 0
 
@@ -104,31 +111,37 @@ class Projection:
     @cython.cfunc
     @cython.exceptval(-1)
     def _clip(self, a: cython.double, b: cython.double, cap: cython.double) -> cython.int:
-        """Cut off the part of the polygon where a x + b y > cap (Sutherland and Hodgman 1974)."""
+        """Cut off the part of the polygon where a x + b y > cap (Sutherland and Hodgman 1974).
+
+        If nothing is left, the polygon is the origin.
+        """
         if len(self._clipped_x) < 2 * self._sides:
             self._clipped_x, self._clipped_y = doubles(4 * self._sides), doubles(4 * self._sides)
         i: cython.Py_ssize_t
-        kept: cython.Py_ssize_t = 0
+        count: cython.Py_ssize_t = 0
+        # Corner 0 begins and corner 1 ends the present side of the polygon.
         x0: cython.double = self._corner_x[self._sides - 1]
         y0: cython.double = self._corner_y[self._sides - 1]
-        over0: cython.double = a * x0 + b * y0 - cap
+        excess0: cython.double = a * x0 + b * y0 - cap
         for i in range(self._sides):
             x1: cython.double = self._corner_x[i]
             y1: cython.double = self._corner_y[i]
-            over1: cython.double = a * x1 + b * y1 - cap
-            if (over0 > 0.0) != (over1 > 0.0):
-                share: cython.double = over0 / (over0 - over1)
-                self._clipped_x[kept] = x0 + share * (x1 - x0)
-                self._clipped_y[kept] = y0 + share * (y1 - y0)
-                kept += 1
-            if over1 <= 0.0:
-                self._clipped_x[kept], self._clipped_y[kept] = x1, y1
-                kept += 1
-            x0, y0, over0 = x1, y1, over1
-        if kept == 0:
+            excess1: cython.double = a * x1 + b * y1 - cap
+            if (excess0 > 0.0) != (excess1 > 0.0):  # the side crosses the line: add the crossing
+                fraction: cython.double = excess0 / (excess0 - excess1)
+                self._clipped_x[count] = x0 + fraction * (x1 - x0)
+                self._clipped_y[count] = y0 + fraction * (y1 - y0)
+                count += 1
+            if excess1 <= 0.0:
+                self._clipped_x[count], self._clipped_y[count] = x1, y1
+                count += 1
+            x0, y0, excess0 = x1, y1, excess1
+        if count == 0:
             self._clipped_x[0] = self._clipped_y[0] = 0.0
-            kept = 1
-        self._sides = kept
+            count = 1
+
+        # Exchanges the buffers: the clipped polygon becomes the polygon.
+        self._sides = count
         self._corner_x, self._clipped_x = self._clipped_x, self._corner_x
         self._corner_y, self._clipped_y = self._clipped_y, self._corner_y
         return 0
@@ -136,42 +149,49 @@ class Projection:
     @cython.cfunc
     @cython.exceptval(-1)
     def _find_nearest(self, x: cython.double, y: cython.double) -> cython.int:
-        """Set `x`, `y` to the point of the polygon nearest to a requested point.
+        """Set `self.x`, `self.y` to the point of the polygon nearest to the requested point x, y.
 
-        The polygon may have shrunk to a line or a point; then no requested point is inside.
+        A point inside the polygon, or nearer than TOLERANCE, stays as requested. The polygon may
+        have shrunk to a line or a point; then no requested point is inside.
         """
         i: cython.Py_ssize_t
-        best_x: cython.double = 0.0
-        best_y: cython.double = 0.0
-        best: cython.double = INFINITY  # square of the distance
+        nearest_x: cython.double = 0.0
+        nearest_y: cython.double = 0.0
+        nearest_square: cython.double = INFINITY
         is_inside: cython.bint = True
         x0: cython.double = self._corner_x[self._sides - 1]
         y0: cython.double = self._corner_y[self._sides - 1]
         for i in range(self._sides):
             x1: cython.double = self._corner_x[i]
             y1: cython.double = self._corner_y[i]
-            dx: cython.double = x1 - x0
-            dy: cython.double = y1 - y0
+            side_x: cython.double = x1 - x0
+            side_y: cython.double = y1 - y0
             px: cython.double = x - x0
             py: cython.double = y - y0
-            if dx * py - dy * px <= 0.0:
+
+            # 1. The point is inside if it is to the left of all sides (counter-clockwise corners).
+            if side_x * py - side_y * px <= 0.0:
                 is_inside = False
-            square: cython.double = dx * dx + dy * dy
-            share: cython.double = (px * dx + py * dy) / square if square > 0.0 else 0.0
-            if share < 0.0:
-                share = 0.0
-            if share > 1.0:
-                share = 1.0
-            on_x: cython.double = x0 + share * dx
-            on_y: cython.double = y0 + share * dy
-            away: cython.double = (x - on_x) * (x - on_x) + (y - on_y) * (y - on_y)
-            if away < best:
-                best_x, best_y, best = on_x, on_y, away
+
+            # 2. The nearest place on this side.
+            length_square: cython.double = side_x * side_x + side_y * side_y
+            fraction: cython.double = (
+                (px * side_x + py * side_y) / length_square if length_square > 0.0 else 0.0
+            )
+            if fraction < 0.0:
+                fraction = 0.0
+            if fraction > 1.0:
+                fraction = 1.0
+            foot_x: cython.double = x0 + fraction * side_x
+            foot_y: cython.double = y0 + fraction * side_y
+            square: cython.double = (x - foot_x) * (x - foot_x) + (y - foot_y) * (y - foot_y)
+            if square < nearest_square:
+                nearest_x, nearest_y, nearest_square = foot_x, foot_y, square
             x0, y0 = x1, y1
-        if is_inside or best <= TOLERANCE * TOLERANCE:
+        if is_inside or nearest_square <= TOLERANCE * TOLERANCE:
             self.x, self.y = x, y
         else:
-            self.x, self.y = best_x, best_y
+            self.x, self.y = nearest_x, nearest_y
         return 0
 
 

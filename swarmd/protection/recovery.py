@@ -42,7 +42,7 @@ _OTHER_SIDE_COST = math.radians(40.0)  # by which a corridor on the other side m
 _YIELD_TIME = 12.0  # s, the longest back-off
 _ROUND_TIME = 15.0  # s within which the next block belongs to the same meeting
 _MIN_GAIN = 0.05  # m of progress since the last block after which a robot waits
-_PATIENCE = (1.0, 3.0)  # s for which it waits
+_WAIT_TIMES = (1.0, 3.0)  # s for which it waits
 _LIMITED_SHARE = 0.9  # of the requested speed: with less the robot looks for a narrow passage
 _PASSAGE_WIDTHS = 1.4  # times the width of a corridor: a passage up to this width is narrow
 _PURSUIT_LENGTH = 0.2  # m ahead on the middle line
@@ -54,7 +54,7 @@ _SPEED_UP, _SPEED_STEP = 1.3, 0.1
 _STOPPED_TIME = 1.0  # s without motion in a passage after which the robot counts as blocked
 # A robot that moves less than these m and turns less than these rad in these s counts as blocked.
 _STALL_TIME = 5.0
-_STALL_WAY, _STALL_TURN = 0.04, 1.0
+_STALL_DISTANCE, _STALL_TURN = 0.04, 1.0
 _CREEP_TIME = 4.0  # s, the longest back-off at a creep
 _ESCAPE_TURNS = (0.0, 1.0, -1.0)  # rad/s
 _CROWD_PATIENCE = 2.0  # s of blocked motion before recovery begins, if moving objects are near
@@ -100,10 +100,9 @@ class Recovery:
     """
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
-        """`seed` seeds the random choices.
+        """`clearance` is the room that a corridor needs for nearly full speed under protection.
 
-        `clearance` is the room, ahead and to each side, that a corridor needs so that protection
-        allows nearly full speed.
+        `seed` seeds the random choices.
         """
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
         self._half_width = clearance.beside
@@ -114,10 +113,10 @@ class Recovery:
         self._turn_rate = min(limits.angular, 1.5)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
-        self._bearing = self._yaw = self._speed = 0.0
+        self._bearing = self._planned_at_yaw = self._speed = 0.0
         self._is_backing = False
         self._escape: Twist | None = None
-        self._attempts, self._back_time = 0, _BACK_OFF_TIME
+        self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
         self._patience = _MOVE_BLOCKED_TIME
         self._last_block: tuple[float, Pose] | None = None
         self.reset()
@@ -125,8 +124,8 @@ class Recovery:
     def reset(self) -> None:
         """Become inactive: the requested command passes."""
         self._state, self._request = "follow", ZERO
-        self._moved: tuple[float, Pose] | None = None
-        self._since = self._began = -math.inf
+        self._last_motion: tuple[float, Pose] | None = None
+        self._state_since = self._began_at = -math.inf
         self._blocked_since: float | None = None
 
     @property
@@ -146,30 +145,36 @@ class Recovery:
         context: DecisionContext,
         points: Points,
         others: Others = NO_OTHERS,
-        allows: Allows | None = None,
+        safe_for: Allows | None = None,
     ) -> Twist:
         """The command that replaces `requested`; `requested` itself while the robot is not blocked.
+
+        A robot is blocked if protection has allowed clearly less than the last request for some
+        time.
 
         Args:
             requested: the command of the pattern or of avoidance.
             safe: the last safe command.
             context: the time and the odometry.
             points: gives the returns of the scan, (k, 2) in m in the base frame.
-            others: what avoidance knows.
-            allows: gives the safe command for a requested one; None: no escape is tried.
+            others: what avoidance and right of way know about other moving objects.
+            safe_for: gives the safe command for any requested command; None: no escape is
+                tried.
         """
-        now, wanted = context.now, others.wanted or requested
-        # End a recovery that is not needed any more, or takes too long.
-        is_idle = not (self._is_moving(wanted) or self._is_turning(wanted))
-        since = now - self._began
+        now, pattern_request = context.now, others.wanted or requested
+
+        # 1. Ends a recovery that is not needed any more, or takes too long.
+        is_idle = not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
+        duration = now - self._began_at
         if (
             is_idle
             or others.is_settled
-            or (self.has_taken_over and since > _MAX_RECOVERY_TIME + self._back_time)
+            or (self.has_taken_over and duration > _MAX_RECOVERY_TIME + self._back_time)
         ):
             self.reset()
             return requested
-        # Begin a recovery if the robot is blocked; in a passage only keep to its middle.
+
+        # 2. Begins a recovery if the robot is blocked. A robot in a passage keeps to its middle.
         patience = _CROWD_PATIENCE if others.are_near else self._patience
         is_blocked = self._is_blocked(safe, now, patience)
         if not self.has_taken_over:
@@ -180,19 +185,20 @@ class Recovery:
                 else:
                     self._request = self._through_passage(requested, safe, points)
                 return self._request
-            if self._waits(context, points()):
+            if self._should_wait(context, points()):
                 return self._request
-            self._start(wanted, context, points())
+            self._start(pattern_request, context, points())
             is_blocked = False
-        # Go on with the recovery.
-        self._speed = max(self._speed, math.hypot(wanted.linear, wanted.lateral))
-        self._request = self._recover(safe, context, points, is_blocked, allows)
+
+        # 3. Continues the recovery.
+        self._speed = max(self._speed, math.hypot(pattern_request.linear, pattern_request.lateral))
+        self._request = self._recover(safe, context, points, is_blocked, safe_for)
         return self._request
 
     def _start(self, requested: Twist, context: DecisionContext, points: Array) -> None:
         """Begin a recovery: back off if a motion was blocked; choose a corridor if a turn was."""
-        self._began, self._speed = context.now, 0.5 * self._limits.linear
-        self._moved = None
+        self._began_at, self._speed = context.now, 0.5 * self._limits.linear
+        self._last_motion = None
         if self._is_moving(requested):
             self._back_off(points, context.now)
         else:
@@ -201,8 +207,8 @@ class Recovery:
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time.
 
-        That time is `patience` s before a recovery, and shorter during one. A robot in a passage,
-        or that creeps, is blocked only if it does not move at all.
+        Before a recovery this time is `patience` s, during a recovery it is shorter. A robot in a
+        passage, or a robot that creeps, is blocked only if it does not move at all.
         """
         request = self._request
         is_moving = self._is_moving(request)
@@ -218,8 +224,8 @@ class Recovery:
             self._blocked_since = now
         if self._state == "pass":
             return now - self._blocked_since >= max(_STOPPED_TIME, patience)
-        least = patience if self._state == "follow" else _MOVE_BLOCKED_TIME
-        return now - self._blocked_since >= (least if is_moving else _TURN_BLOCKED_TIME)
+        patience_in_state = patience if self._state == "follow" else _MOVE_BLOCKED_TIME
+        return now - self._blocked_since >= (patience_in_state if is_moving else _TURN_BLOCKED_TIME)
 
     def _creeps(self, safe: Twist) -> bool:
         """True if protection lets a robot that backs off only creep, as in contact."""
@@ -230,19 +236,19 @@ class Recovery:
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
         """True if the robot has neither moved nor turned for `_STALL_TIME` s, by odometry.
 
-        This finds robots that rock to and fro, or whose request avoidance reduces to nearly zero. A
-        robot without any return near is not blocked.
+        Such a robot rocks to and fro, or avoidance reduces its request to nearly zero. A robot
+        without any return near is not blocked.
         """
         if context.odometry is None:
             return False
         now, pose = context.now, context.odometry.pose
-        if self._moved is not None:
-            since, place = self._moved
-            way = math.hypot(pose.x - place.x, pose.y - place.y)
-            is_there = way <= _STALL_WAY and abs(pose.yaw - place.yaw) <= _STALL_TURN
-            if is_there and (now - since <= _STALL_TIME or len(points())):
+        if self._last_motion is not None:
+            since, start = self._last_motion
+            distance = math.hypot(pose.x - start.x, pose.y - start.y)
+            has_stayed = distance <= _STALL_DISTANCE and abs(pose.yaw - start.yaw) <= _STALL_TURN
+            if has_stayed and (now - since <= _STALL_TIME or len(points())):
                 return now - since > _STALL_TIME
-        self._moved = now, pose
+        self._last_motion = now, pose
         return False
 
     def _product(self, a: Twist, b: Twist) -> float:
@@ -254,29 +260,39 @@ class Recovery:
         scale = (self._limits.linear / self._limits.angular) ** 2
         return a.linear * b.linear + a.lateral * b.lateral + scale * a.angular * b.angular
 
-    def _waits(self, context: DecisionContext, points: Array) -> bool:
-        """True if the robot should wait for another robot to back off.
+    def _should_wait(self, context: DecisionContext, points: Array) -> bool:
+        """True if a robot that has just been blocked should wait for another robot to back off.
 
-        If two robots meet between walls, a robot that has come forward since it was blocked last
-        waits once. Otherwise the robot backs off, each time for longer: sets `_back_time`. In the
-        open, or at the first block of a meeting, the back-off is short, since the robots can drive
-        around each other.
+        If two robots meet between walls, a robot that has come forward since its last block waits
+        once. Otherwise the robot backs off, each time for longer: sets `_back_time`,
+        `_back_off_count` and `_patience`. In the open, or at the first block of a meeting, the
+        back-off is short, since the robots can drive around each other.
         """
+        # 1. Is the robot between walls: no corridor ahead is free up to the lookahead?
         now, pose = context.now, None if context.odometry is None else context.odometry.pose
-        is_beside = np.abs(_BEARINGS) <= 0.5 * np.pi
-        is_enclosed = self._free_lengths(points, _BEARINGS[is_beside]).max() < self.lookahead
-        before, self._last_block = self._last_block, None if pose is None else (now, pose)
+        is_sideways = np.abs(_BEARINGS) <= 0.5 * np.pi
+        is_enclosed = self._free_lengths(points, _BEARINGS[is_sideways]).max() < self.lookahead
+        last_block, self._last_block = self._last_block, None if pose is None else (now, pose)
         patience, self._patience = self._patience, _MOVE_BLOCKED_TIME
-        if not is_enclosed or before is None or pose is None or now - before[0] > _ROUND_TIME:
-            self._attempts, self._back_time = 0, _BACK_OFF_TIME
+        if (
+            not is_enclosed
+            or last_block is None
+            or pose is None
+            or now - last_block[0] > _ROUND_TIME
+        ):
+            self._back_off_count, self._back_time = 0, _BACK_OFF_TIME
             return False
-        dx, dy = pose.x - before[1].x, pose.y - before[1].y
-        gain = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
-        if gain > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
-            self._patience = self._rng.uniform(*_PATIENCE)
+
+        # 2. A further block of the same meeting: waits once after progress.
+        dx, dy = pose.x - last_block[1].x, pose.y - last_block[1].y
+        progress_m = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
+        if progress_m > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
+            self._patience = self._rng.uniform(*_WAIT_TIMES)
             return True
-        self._attempts += 1
-        longest = min(_BACK_OFF_TIME * 2.0**self._attempts, _YIELD_TIME)
+
+        # 3. Else backs off for a random time whose bound doubles with each block.
+        self._back_off_count += 1
+        longest = min(_BACK_OFF_TIME * 2.0**self._back_off_count, _YIELD_TIME)
         self._back_time = self._rng.uniform(0.5, 1.0) * longest
         return False
 
@@ -297,11 +313,11 @@ class Recovery:
             self._leave_passage()
             return requested
         if self._state == "follow":
-            self._enter("pass", self._since)
-        allowed = _SPEED_UP * max(safe.linear, 0.0) + _SPEED_STEP * self._limits.linear
+            self._enter("pass", self._state_since)
+        speed_bound = _SPEED_UP * max(safe.linear, 0.0) + _SPEED_STEP * self._limits.linear
         turn = _PASSAGE_GAIN * math.atan2(target[1], target[0])
         turn = max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
-        return Twist(min(requested.linear, allowed), turn)
+        return Twist(min(requested.linear, speed_bound), turn)
 
     def _recover(
         self,
@@ -309,28 +325,41 @@ class Recovery:
         context: DecisionContext,
         points: Points,
         is_blocked: bool,
-        allows: Allows | None,
+        safe_for: Allows | None,
     ) -> Twist:
-        """The command of a recovery; changes the state first if necessary."""
+        """The command of a recovery; changes the state first if necessary.
+
+        Args:
+            safe: the last safe command.
+            context: the time and the odometry.
+            points: gives the returns of the scan.
+            is_blocked: protection blocks the command of the recovery, too.
+            safe_for: gives the safe command for any requested command; None: no escape is
+                tried.
+        """
+        # 1. Changes the state. A blocked turn leads to a back-off or an escape; the end of a
+        # back-off, or a blocked drive, to a new corridor.
         now = context.now
         back_time = _CREEP_TIME if self._creeps(safe) else self._back_time
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
-            self._escape = None if allows is None else self._fastest_escape(allows)
-        elif self._state == "back" and (is_blocked or now - self._since >= back_time):
+            self._escape = None if safe_for is None else self._fastest_escape(safe_for)
+        elif self._state == "back" and (is_blocked or now - self._state_since >= back_time):
             self._plan(0.0, context, points())
         elif self._state == "go" and is_blocked:
             self._plan(self._bearing - self._turned_since_plan(context), context, points())
+
+        # 2. The command of the state.
         if self._state == "back":
             return self._backing(points)
-        left = math.remainder(self._bearing - self._turned_since_plan(context), 2.0 * math.pi)
+        yaw_error = math.remainder(self._bearing - self._turned_since_plan(context), 2.0 * math.pi)
         if self._state == "turn":
-            if abs(left) > _HEADING_TOLERANCE:
-                return Twist(angular=math.copysign(self._turn_rate, left))
+            if abs(yaw_error) > _HEADING_TOLERANCE:
+                return Twist(angular=math.copysign(self._turn_rate, yaw_error))
             self._enter("go", now)
-        if now - self._since >= _FOLLOW_TIME:
+        if now - self._state_since >= _FOLLOW_TIME:
             self.reset()
-        return Twist(self._speed, max(min(2.0 * left, self._turn_rate), -self._turn_rate))
+        return Twist(self._speed, max(min(2.0 * yaw_error, self._turn_rate), -self._turn_rate))
 
     def _backing(self, points: Points) -> Twist:
         """The command of state back; a long back-off follows the middle line of a passage."""
@@ -357,19 +386,19 @@ class Recovery:
 
     def _leave_passage(self) -> None:
         if self._state == "pass":
-            self._enter("follow", self._since)
+            self._enter("follow", self._state_since)
 
     def middle(self, points: Array) -> Array | None:
         """(2,) a place in m ahead on the middle line of a narrow passage; None without a passage.
 
-        The sides of the passage are the two returns, one to the left and one to the right, that are
-        nearest to each other.
+        `points` (k, 2) are returns in m in the base frame. The sides of the passage are the two
+        returns, one to the left and one to the right, that are nearest to each other.
         """
-        first, last = _PASSAGE_REACH
+        rear_m, front_m = _PASSAGE_REACH
         widest = 2.0 * _PASSAGE_WIDTHS * self._half_width
         x, y = points[:, 0], points[:, 1]
-        near = points[(x > first) & (x < last) & (np.abs(y) < widest)]
-        left, right = near[near[:, 1] > 0.0], near[near[:, 1] <= 0.0]
+        beside = points[(x > rear_m) & (x < front_m) & (np.abs(y) < widest)]
+        left, right = beside[beside[:, 1] > 0.0], beside[beside[:, 1] <= 0.0]
         if not len(left) or not len(right):
             return None
         across = left[:, None] - right[None]
@@ -378,9 +407,9 @@ class Recovery:
         width = widths[i, j]
         if not self._width < width < widest:
             return None
-        along = np.array((across[i, j, 1], -across[i, j, 0])) / width
+        direction = np.array((across[i, j, 1], -across[i, j, 0])) / width
         middle = 0.5 * (left[i] + right[j])
-        target: Array = middle - along * (middle @ along - _PURSUIT_LENGTH)
+        target: Array = middle - direction * (middle @ direction - _PURSUIT_LENGTH)
         return target if target[0] > 0.0 else None
 
     def _back_off(self, points: Array, now: float) -> None:
@@ -389,13 +418,13 @@ class Recovery:
         self._is_backing, self._escape = bool(behind > ahead), None
         self._enter("back", now)
 
-    def _fastest_escape(self, allows: Allows) -> Twist | None:
+    def _fastest_escape(self, safe_for: Allows) -> Twist | None:
         """The fastest of six twists that protection allows; None if protection allows none."""
         speed, fastest, escape = 0.5 * self._speed, 0.0, None
         for sign in (-1.0, 1.0) if self._is_backing else (1.0, -1.0):
             for turn in _ESCAPE_TURNS:
                 twist = Twist(sign * speed, turn)
-                allowed = sign * allows(twist).linear
+                allowed = sign * safe_for(twist).linear
                 if allowed > fastest + 0.01 * speed:
                     fastest, escape = allowed, twist
         return escape
@@ -403,20 +432,21 @@ class Recovery:
     def _plan(self, heading: float, context: DecisionContext, points: Array) -> None:
         """Choose a free corridor near `heading` (bearing in rad), and enter the state turn.
 
-        A corridor that is not free up to `lookahead`, or on the other side, costs more.
+        A corridor costs its angle from the heading. A corridor on the side that was not chosen
+        costs more, as does a corridor that is not free up to `lookahead`.
         """
         now = context.now
         if now >= self._side_until:
             self._side = 1.0 if self._rng.random() < _SIDE_FLIP_PROBABILITY else -1.0
         self._side_until = now + _SIDE_HOLD_TIME
-        off = np.remainder(_BEARINGS - heading + np.pi, 2.0 * np.pi) - np.pi
-        is_other = off * self._side < -1e-9
-        costs = np.abs(off) + _OTHER_SIDE_COST * is_other
+        angles_off = np.remainder(_BEARINGS - heading + np.pi, 2.0 * np.pi) - np.pi
+        is_other_side = angles_off * self._side < -1e-9
+        costs = np.abs(angles_off) + _OTHER_SIDE_COST * is_other_side
         free = self._free_lengths(points, _BEARINGS)
         costs += 20.0 * np.maximum(self.lookahead - free, 0.0)
         best = int(costs.argmin())
         self._bearing = float(_BEARINGS[best])
-        self._yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
+        self._planned_at_yaw = 0.0 if context.odometry is None else context.odometry.pose.yaw
         self._enter("turn", now)
 
     def _free_lengths(self, points: Array, bearings: Array) -> Array:
@@ -431,9 +461,9 @@ class Recovery:
     def _turned_since_plan(self, context: DecisionContext) -> float:
         """The turn in rad since the corridor was chosen."""
         if context.odometry is None:
-            return math.copysign(self._turn_rate * (context.now - self._since), self._bearing)
-        return context.odometry.pose.yaw - self._yaw
+            return math.copysign(self._turn_rate * (context.now - self._state_since), self._bearing)
+        return context.odometry.pose.yaw - self._planned_at_yaw
 
     def _enter(self, state: str, now: float) -> None:
-        self._state, self._since = state, now
+        self._state, self._state_since = state, now
         self._blocked_since = None

@@ -38,9 +38,9 @@ else:
 _TURNING = 0.6  # rad/s: scans during a faster turn are not exact enough to show openings
 
 # Which opening is on the way of a request.
-_AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
-_FAR = 2.0  # m before an opening beyond which the robot does not give way
-_AT_WALL = 0.5  # m before a wall at which a robot turns to its opening
+_MAX_AHEAD = 1.6  # m before an opening within which a robot that drives to it gives way
+_TOO_FAR = 2.0  # m before an opening beyond which the robot does not give way
+_WALL_DISTANCE = 0.5  # m before a wall at which a robot turns to its opening
 _ALONG_WALL = 0.2  # rad between a request and the wall within which the request leads along it
 # Cosine of the angle between the request and the way through an opening: below it, the request
 # leads away from the opening.
@@ -61,27 +61,27 @@ _DEEP = 0.2  # m: a deeper opening is a corridor
 
 # What the tracks (other moving objects that the lidar shows) do.
 _PERSISTS = 1.0  # s after which a track is no part of a wall
-_OUT, _SEEN_BEYOND = 0.9, 0.5  # m before and beyond an opening within which tracks count
+_BEFORE, _AFTER = 0.9, 0.5  # m before and beyond an opening within which tracks count
 _NARROWER, _WIDER = 0.06, 0.2  # m by which a track in and before an opening may be off its axis
 _THRESHOLD = 0.3  # m around an opening: a track there keeps the side from which it came
 # m along the axis: a new track before this place comes from the robot's side.
 _FIRST_SEEN_IN = -0.1
 _BACKS_OUT = 0.1  # m back from its farthest place: the track comes out again
-_MEETS = 0.8  # m, in addition to the depth, within which a track that comes is met
-_CLOSE = 0.15  # m within which two robots count as equally deep
+_MEETING = 0.8  # m, in addition to the depth, within which a track that comes is met
+_EQUALLY_DEEP = 0.15  # m within which two robots count as equally deep
 # m to another robot that goes in, and m beyond the opening, within which the robot waits behind it.
 _FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2
 
 # How long the robot waits.
-_CLEAR = (0.5, 1.5)  # s for which nothing has come out before a robot enters
+_CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 _HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
-# s for which a robot gives way again, if it has passed an opening within the last _AGAIN s.
-_AFTER, _AGAIN = (6.0, 10.0), 120.0
-_PATIENCE = (3.0, 6.0)  # s for which the drawn priority holds
+# s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
+_PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
+_PRIORITY_TIMES = (3.0, 6.0)  # s for which the drawn priority holds
 _NO_PROGRESS = 2.0  # s without progress after which the robot draws its priority
 _MINE_SHARE = 0.5  # the chance to draw priority
 _STUCK, _PROGRESS = 6.0, 0.03  # s and m: with less a robot in an opening tries the other way
-_HELD = 10.0  # s behind a robot that does not go on, after which the robot clears the way
+_HELD_TIME = 10.0  # s behind a robot that does not go on, after which the robot clears the way
 
 # How the robot drives.
 _LINE_UP = 0.5  # m before an opening, where a robot turns into its axis
@@ -111,8 +111,8 @@ _TURN_COST = 0.15  # m/s of speed that are worth a change of the turn by 1 rad/s
 _UNKNOWN_SPEED_SHARE = 0.5  # of the limit, before a request has shown a speed
 
 # The middle of the opening, as the returns of its posts show it.
-_WRONG = 0.1  # m: an opening whose middle is farther off is forgotten and looked for anew
-_NEW = 0.03  # weight of a new measurement of the axis
+_WRONG_BY = 0.1  # m: an opening whose middle is farther off is forgotten and looked for anew
+_WEIGHT = 0.03  # weight of a new measurement of the axis
 _AT_POST, _SAME_WIDTH = 0.1, 0.08  # m within which returns are posts, and their gap is the opening
 _POSTS_BEHIND, _POSTS_AHEAD = 0.15, 0.2  # m around the robot within which returns are posts
 _PAST_POSTS = 0.05  # m beyond an opening at which its posts are not measured
@@ -124,28 +124,35 @@ class _Rule(Enum):
     The step does not depend on the state before (`WayState`), but on these attributes of
     `RightOfWay`: `_is_backing` (rules 1 and 2), `_busy_at` and `_keep_clear_for` (rules 3 and 4),
     `_is_lined_up` (rule 5), `_held_since` and `_held_at_s` (rules 3, 4 and 6). When the robot
-    begins to give way, it counts as not lined up and not held.
+    begins to give way, the robot counts as not lined up and not held.
     """
 
     # 1. A robot in an opening that meets a robot coming towards it backs out until it has left the
     #    opening. A robot that made no progress for _STUCK s reverses its direction.
     BACKS = 1
+
     # 2. A robot in an opening that does not back out passes the opening.
     IS_IN = 2
+
     # 3. The robot must give way, and stands where other robots can pass. The robot must give way
     #    a) while a robot comes out, and for a random time after that;
     #    b) while another robot that wants to pass is nearer to the opening;
-    #    c) for a time after it stood for _HELD s behind a robot that does not go on.
+    #    c) for a time after it stood for _HELD_TIME s behind a robot that does not go on.
     MUST_GIVE_WAY_ASIDE = 3
+
     # 4. The robot must give way, and stands where other robots want to pass.
     MUST_GIVE_WAY = 4
+
     # 5. The robot is not lined up. It becomes lined up at a place _LINE_UP m before the opening, or
     #    on the axis farther away, and stays lined up while it is near the axis.
     IS_NOT_LINED_UP = 5
+
     # 6. The robot is lined up, and another robot that goes in is close ahead.
     FOLLOWS = 6
+
     # 7. The robot is lined up and has reached the place _LINE_UP m before the opening.
     IS_AT_LINE_UP = 7
+
     # 8. The robot is lined up and has not reached that place.
     IS_BEFORE_LINE_UP = 8
 
@@ -216,14 +223,14 @@ class RightOfWay:
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`seed` seeds the random choices."""
-        self._body, self._limits = clearance.body, limits
+        self._half_width, self._limits = clearance.body, limits
         lead = limits.linear / limits.angular if limits.angular > 0.0 else _LEAD_TIME
         shortest, longest = _LEAD_TIMES
         self._lead = min(max(lead, shortest), longest)
         self._rng = Random(f"way {seed}")
         self._openings = Openings(clearance.body)
         self._tracks: tuple[tuple[float, float, float], ...] = ()  # x, y, radius by odometry
-        self._last: Odometry | None = None
+        self._last_odometry: Odometry | None = None
         self._passed_at = -math.inf
         self._lean = 0.0
         self.reset()
@@ -236,24 +243,24 @@ class RightOfWay:
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading. A jump of the pose moves the frame: all openings are forgotten."""
-        last, self._last = self._last, odometry
+        last, self._last_odometry = self._last_odometry, odometry
         if last is not None and (odometry.stamp < last.stamp or odometry.jumps_from(last)):
             self._openings.clear()
             self._release()
 
     def _release(self) -> None:
-        """Let requests pass until there is another opening on the way."""
+        """Drop the chosen opening: requests pass until another opening is on the way."""
         self._opening: Opening | None = None
         self._sign = 1.0  # 1 or -1: the way through, along the angle of the opening or opposite
-        self._since = 0.0  # when the opening was chosen
+        self._chosen_at = 0.0  # when the opening was chosen
         self._wanted_yaw = 0.0  # rad, the direction of the request in the frame of the odometry
-        # By the id of a track: -1 if it came from this robot's side of the opening, else 1; the
-        # farthest m along the axis; since when it is seen.
+        # By the id of a track. `_sides`: -1 if the track came from the side of this robot, else 1.
+        # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
         self._sides: dict[int, float] = {}
         self._farthest: dict[int, float] = {}
         self._seen_since: dict[int, float] = {}
         self._progress_s = -math.inf  # m along the axis: where the robot last made progress
-        self._progress_at = -math.inf  # when
+        self._progress_at = -math.inf  # s, when this was
         self._is_backing = False
         self._busy_at = -math.inf  # when traffic last made the robot give way
         self._keep_clear_for = 0.0  # s after `_busy_at` in which the robot still gives way
@@ -264,7 +271,7 @@ class RightOfWay:
         # m to the left: the middle measured between the posts less that of the sightings.
         self._middle_offset: float | None = None
         self._held_since = -math.inf  # when the robot began to wait for a robot ahead
-        self._held_at_s = -math.inf  # m along the axis, where it did
+        self._held_at_s = -math.inf  # m along the axis, where this was
         self.state = WayState.NONE
 
     @property
@@ -306,8 +313,8 @@ class RightOfWay:
         self,
         requested: Twist,
         context: DecisionContext,
-        around: Surroundings,
-        allows: Allows,
+        surroundings: Surroundings,
+        safe_for: Allows,
         points: Points,
     ) -> Twist:
         """The command that replaces `requested`; `requested` itself if no opening is on the way.
@@ -315,20 +322,22 @@ class RightOfWay:
         Args:
             requested: the command of the pattern.
             context: the time and the odometry.
-            around: the tracks in the base frame.
-            allows: gives the command that protection would make of a command.
+            surroundings: the tracks (other moving objects) in the base frame.
+            safe_for: gives the command that protection would make of any command.
             points: gives the returns of the scan, (n, 2) in m in the base frame.
         """
         odometry, now = context.odometry, context.now
         if odometry is None or context.odometry_age is None:
             return requested
-        if self._last is not odometry:
+        if self._last_odometry is not odometry:
             self.on_odometry(odometry)
+
+        # 1. The tracks in the frame of the odometry, and the direction of the request.
         pose = pose_after(odometry, context.odometry_age)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         placed = [
             (track, pose.x + cos * track.x - sin * track.y, pose.y + sin * track.x + cos * track.y)
-            for track in around.tracks
+            for track in surroundings.tracks
         ]
         self._tracks = tuple((x, y, track.radius) for track, x, y in placed)
         if requested.is_zero:
@@ -336,45 +345,49 @@ class RightOfWay:
             return requested
         self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
         self._wanted_yaw = self._requested_yaw(requested, pose.yaw)
-        # Choose an opening, if none is chosen, and place the robot in its frame.
+
+        # 2. Chooses an opening, if none is chosen, and places the robot in its frame.
         if self._opening is None:
             self._choose(pose, now)
         opening = self._opening
         if opening is None:
             return requested
-        s, side = opening.to_local(pose.x, pose.y, self._sign)
-        first, last = opening.ends(self._sign)
-        turned = pose.yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
-        heading = math.remainder(turned, 2.0 * math.pi)
-        place = _Place(s - first, side, heading, last - first, opening.half)
-        # Drop the opening once it is passed, far away, not on the way, or not passed for too long.
+        along, aside = opening.to_local(pose.x, pose.y, self._sign)
+        begin, end = opening.ends(self._sign)
+        yaw_off = pose.yaw - opening.angle - (0.0 if self._sign > 0.0 else math.pi)
+        heading = math.remainder(yaw_off, 2.0 * math.pi)
+        place = _Place(along - begin, aside, heading, end - begin, opening.half)
+
+        # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
         is_passed = place.s > place.depth + _BEYOND
-        if is_passed and around.tracks:
+        if is_passed and surroundings.tracks:
             self._passed_at = now
         cos_to_request = math.cos(self._wanted_yaw - opening.angle) * self._sign
-        is_over = now - self._since > _GIVE_UP
-        if is_passed or place.s < -_FAR or cos_to_request < _LEADS_AWAY or is_over:
+        is_too_long = now - self._chosen_at > _GIVE_UP
+        if is_passed or place.s < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
             self._release()
             return requested
-        # Place the tracks that persist in the frame of the opening.
+
+        # 4. Places the tracks that persist in the frame of the opening. New tracks may be walls.
         self._seen_since = {
-            track.id: self._seen_since.get(track.id, now) for track in around.tracks
+            track.id: self._seen_since.get(track.id, now) for track in surroundings.tracks
         }
         for by_track in (self._sides, self._farthest):
             for id in by_track.keys() - self._seen_since.keys():
                 del by_track[id]
         others = []
         for track, x, y in placed:
-            along, across = opening.to_local(x, y, self._sign)
+            track_along, track_aside = opening.to_local(x, y, self._sign)
             if now - self._seen_since[track.id] >= _PERSISTS:
-                others.append(_PlacedTrack(track.id, along - first, across))
-        return self._through(place, others, now, allows, points)
+                others.append(_PlacedTrack(track.id, track_along - begin, track_aside))
+        return self._decide_state(place, others, now, safe_for, points)
 
     def _requested_yaw(self, requested: Twist, yaw: float) -> float:
         """The direction of the request in rad in the frame of the odometry.
 
-        A request to turn on the spot does not say how far the robot wants to turn. So the direction
-        before is kept if it lies on the side of the turn, or straight behind the robot.
+        `yaw` in rad is that of the robot. A request to turn on the spot does not say how far the
+        robot wants to turn. So the direction of the last request stays in force if that direction
+        lies on the side of the turn, or straight behind the robot.
         """
         ahead = max(requested.linear, 0.0)
         bearing = math.atan2(requested.lateral + self._lead * requested.angular, ahead)
@@ -387,109 +400,138 @@ class RightOfWay:
         return yaw + bearing
 
     def _choose(self, pose: Pose, now: float) -> None:
-        """Choose the nearest opening through which the request leads, or into whose wall.
+        """Choose the nearest opening through which the request leads, or into whose wall it leads.
 
-        Sets `_opening` and `_sign`, and resets what is remembered of another opening. Nothing
-        changes if no opening is on the way.
+        Sets `_opening` and `_sign` (the direction through the opening), and resets what belongs to
+        another opening. Nothing changes if no opening is on the way. `pose` is the pose of the base
+        in the frame of the odometry.
         """
         nearest, chosen = math.inf, None
         for opening in self._openings:
-            # Skip an opening that was seen too rarely, or whose wall the request leads along.
+            # 1. Skips an opening that was seen too rarely, or whose wall the request leads along.
             angle = math.remainder(self._wanted_yaw - opening.angle, 2.0 * math.pi)
             if opening.hits < SIGHTINGS or abs(abs(angle) - 0.5 * math.pi) < _ALONG_WALL:
                 continue
-            # Skip an opening that the robot has passed, or beside which the robot is.
+
+            # 2. Skips an opening that the robot has passed, or beside which the robot is.
             sign = 1.0 if abs(angle) < 0.5 * math.pi else -1.0
-            s, side = opening.to_local(pose.x, pose.y, sign)
-            first, last = opening.ends(sign)
-            s -= first
-            if s > last - first or (s > -_IN_ANYHOW and abs(side) > opening.half):
+            along, aside = opening.to_local(pose.x, pose.y, sign)
+            begin, end = opening.ends(sign)
+            along -= begin
+            if along > end - begin or (along > -_IN_ANYHOW and abs(aside) > opening.half):
                 continue
-            # m to the left of the axis at which the request meets the begin of the opening.
-            meets_at = side - min(s, 0.0) * math.tan(angle)
-            wall_length = opening.walls[0 if meets_at * sign > 0.0 else 1]
-            leads_in = abs(meets_at) < opening.half and s > -_AHEAD
-            leads_to_wall = s > -_AT_WALL and abs(meets_at) < wall_length
-            distance = math.hypot(min(s, 0.0), side)
+
+            # 3. Does the request lead into the opening or its wall? `meets_aside`: m to the left of
+            # the axis where the request meets the begin of the opening.
+            meets_aside = aside - min(along, 0.0) * math.tan(angle)
+            wall_length = opening.walls[0 if meets_aside * sign > 0.0 else 1]
+            leads_in = abs(meets_aside) < opening.half and along > -_MAX_AHEAD
+            leads_to_wall = along > -_WALL_DISTANCE and abs(meets_aside) < wall_length
+            distance = math.hypot(min(along, 0.0), aside)
             if (leads_in or leads_to_wall) and distance < nearest:
                 nearest, chosen = distance, (opening, sign)
         if chosen is None:
             return
+
+        # 4. Begins with the chosen opening.
         wanted_yaw = self._wanted_yaw
         self._release()
-        self._wanted_yaw, self._since = wanted_yaw, now
+        self._wanted_yaw, self._chosen_at = wanted_yaw, now
         self._opening, self._sign = chosen
-        if now - self._passed_at < _AGAIN:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_AFTER)
+        if now - self._passed_at < _RECENTLY:
+            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_PASSED_TIMES)
 
-    def _traffic(self, place: _Place, others: list[_PlacedTrack]) -> _Traffic:
-        """What the other robots do; `place` is that of this robot.
+    def _judge_traffic(self, place: _Place, others: list[_PlacedTrack]) -> _Traffic:
+        """What the other robots before and in the opening do.
 
-        Notes in `_sides` from which side each track came, and in `_farthest` how far each came.
+        Stores in `_sides` from which side each track came, and in `_farthest` how far each track
+        came.
+
+        `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
+        moving objects) in the same frame.
         """
-        slack = _CLOSE if self._has_priority else -_CLOSE
+        slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_within = is_close = False
-        for id, s, side in others:
-            # The side from which the track came: -1 this robot's side, 1 the other side.
-            from_side = self._sides.get(id)
-            if from_side is None or s < -_THRESHOLD or s > place.depth + _THRESHOLD:
-                border = _FIRST_SEEN_IN if from_side is None else 0.5 * place.depth
-                from_side = self._sides[id] = -1.0 if s < border else 1.0
-            widest = place.half - _NARROWER if s > 0.0 else place.half + _WIDER
-            if not -_OUT < s < place.depth + _SEEN_BEYOND or abs(side) > widest:
+        for id, along, aside in others:
+            # 1. The side from which the track came: -1 the side of this robot, 1 the other side.
+            # The side stays while the track is near the opening.
+            came_from = self._sides.get(id)
+            if came_from is None or along < -_THRESHOLD or along > place.depth + _THRESHOLD:
+                border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
+                came_from = self._sides[id] = -1.0 if along < border else 1.0
+
+            # 2. Skips a track that is neither before nor in the opening.
+            max_aside = place.half - _NARROWER if along > 0.0 else place.half + _WIDER
+            if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
-            farthest = max(self._farthest.get(id, s) if s > -_LINE_UP else s, s)
+            farthest = max(self._farthest.get(id, along) if along > -_LINE_UP else along, along)
             self._farthest[id] = farthest
-            if from_side > 0.0 or (farthest > -_IN and s < farthest - _BACKS_OUT):
-                # The track comes out. Compare the m that each robot would have to back out.
-                own_m, other_m = place.s + _IN, place.depth + _IN - s
-                if place.is_in and s > place.s:
-                    is_met |= s - place.s < _MEETS + place.depth and other_m > max(
+
+            # 3. What the track does.
+            if came_from > 0.0 or (farthest > -_IN and along < farthest - _BACKS_OUT):
+                # The track comes out. Compares the m that each robot would have to back out.
+                own_m, other_m = place.s + _IN, place.depth + _IN - along
+                if place.is_in and along > place.s:
+                    is_met |= along - place.s < _MEETING + place.depth and other_m > max(
                         own_m + slack, 0.0
                     )
-                elif s < place.depth + _IN or s - place.depth < -place.s + slack:
+                elif along < place.depth + _IN or along - place.depth < -place.s + slack:
                     is_busy = True
-                    is_within |= -_THRESHOLD < s < place.depth + _THRESHOLD
-            elif s > place.s and s > -_IN:  # the track goes in ahead of the robot
-                is_close |= s - place.s < _FOLLOW and s < place.depth + _FOLLOW_BEYOND
-            elif math.hypot(s + _LINE_UP, side) < place.to_line_up + slack:
+                    is_within |= -_THRESHOLD < along < place.depth + _THRESHOLD
+            elif along > place.s and along > -_IN:  # the track goes in ahead of the robot
+                is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
+            elif math.hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
                 is_behind = True
         return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
 
-    def _through(
+    def _decide_state(
         self,
         place: _Place,
         others: list[_PlacedTrack],
         now: float,
-        allows: Allows,
+        safe_for: Allows,
         points: Points,
     ) -> Twist:
-        """The command at a place before or in the chosen opening; sets `state`."""
-        # Draw the priority again if the robot makes no progress.
+        """The command at a place before or in the chosen opening; sets `state`.
+
+        ZERO, without a chosen opening any more, if the opening turns out to be wrong.
+
+        Args:
+            place: the place of this robot in the frame of the opening.
+            others: the tracks (other moving objects) in the same frame.
+            now: s.
+            safe_for: gives the command that protection would make of any command.
+            points: gives the returns of the scan in the base frame.
+        """
+        # 1. Draws the priority again if the robot makes no progress.
         if now > self._drawn_until and now - self._progress_at > _NO_PROGRESS:
             self._has_priority = self._rng.random() < _MINE_SHARE
-            self._drawn_until = now + self._rng.uniform(*_PATIENCE)
-        # Correct all places by the measured middle of the opening.
+            self._drawn_until = now + self._rng.uniform(*_PRIORITY_TIMES)
+
+        # 2. Corrects all places by the measured middle of the opening.
         self._find_middle(place, points)
-        left = self._middle_offset or 0.0
-        if abs(left) > _WRONG and self._openings.forget(self._opening):
-            self._release()  # a robot was taken for a post
+        middle_offset = self._middle_offset or 0.0
+        if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
+            self._release()  # the sightings took a robot for a post
             return ZERO
-        place = place._replace(side=place.side - left)
-        others = [_PlacedTrack(id, s, side - left) for id, s, side in others]
-        # Judge the traffic, then the state.
-        traffic = self._traffic(place, others)
-        self._note_progress(place, traffic, now)
+        place = place._replace(side=place.side - middle_offset)
+        others = [_PlacedTrack(id, along, aside - middle_offset) for id, along, aside in others]
+
+        # 3. Judges the traffic: how long to keep clear. Then the state.
+        traffic = self._judge_traffic(place, others)
+        self._update_progress(place, traffic, now)
         if traffic.is_met or traffic.is_busy or self._is_backing:
-            has_passed = now - self._passed_at < _AGAIN
+            has_passed = now - self._passed_at < _RECENTLY
             self._busy_at = now
-            self._keep_clear_for = self._rng.uniform(*(_AFTER if has_passed else _CLEAR))
+            self._keep_clear_for = self._rng.uniform(
+                *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
+            )
             self._keep_clear_for += _HIDDEN if traffic.is_within else 0.0
         self.state = _TRANSITIONS[self._rule(place, traffic, now)]
-        return self._request(place, allows)
+        return self._request(place, safe_for)
 
-    def _note_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
-        """Set `_is_backing`, and note where and when the robot last made progress."""
+    def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
+        """Set `_is_backing`, and store where and when the robot last made progress."""
         if not place.is_in:
             self._is_backing = False
         elif traffic.is_met or now - self._progress_at > _STUCK:
@@ -499,23 +541,31 @@ class RightOfWay:
         self._progress_s, self._progress_at = place.s, now
 
     def _rule(self, place: _Place, traffic: _Traffic, now: float) -> _Rule:
-        """The first rule of `_Rule` whose condition is true; updates what the rules remember."""
+        """The first rule of `_Rule` whose condition is true.
+
+        Updates what the rules remember: whether the robot is lined up (on the axis before the
+        opening), and since when a robot ahead holds the robot.
+        """
         if self._is_backing:
             return _Rule.BACKS
         if place.is_in:
             return _Rule.IS_IN
         if now - self._busy_at < self._keep_clear_for or traffic.is_behind:
             return self._giving_way(place)
+
+        # Rule 5: lined up at the place before the opening, or on the axis; until far off the axis.
         is_on_axis = abs(place.side) < _ON_AXIS and place.s < -_ON_AXIS_FAR
         self._is_lined_up |= place.to_line_up < _AT_LINE_UP or is_on_axis
         most_off_axis = _OFF_AXIS if place.s < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * place.half
         self._is_lined_up &= abs(place.side) < most_off_axis
         if not self._is_lined_up:
             return _Rule.IS_NOT_LINED_UP
+
+        # Rules 6 and 4: held since the last progress behind a robot ahead.
         if not traffic.is_close or place.s > self._held_at_s + _PROGRESS:
             self._held_since, self._held_at_s = now, place.s
-        elif now - self._held_since > _HELD:
-            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR) + _HIDDEN
+        elif now - self._held_since > _HELD_TIME:
+            self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR_TIMES) + _HIDDEN
             return self._giving_way(place)
         if traffic.is_close:
             return _Rule.FOLLOWS
@@ -523,35 +573,38 @@ class RightOfWay:
         return _Rule.IS_AT_LINE_UP if is_at_line_up else _Rule.IS_BEFORE_LINE_UP
 
     def _giving_way(self, place: _Place) -> _Rule:
-        """Rule 3 or 4, by the place; the robot is not lined up and not held any more."""
+        """Rule 3 or 4, by the place. The robot counts as not lined up and not held from now on."""
         self._is_lined_up = False
         self._held_since = self._held_at_s = -math.inf
         return _Rule.MUST_GIVE_WAY_ASIDE if place.leaves_free else _Rule.MUST_GIVE_WAY
 
-    def _request(self, place: _Place, allows: Allows) -> Twist:
-        """The command of the present state at a place."""
+    def _request(self, place: _Place, safe_for: Allows) -> Twist:
+        """The command of the present state at a place in the frame of the opening.
+
+        `safe_for` gives the command that protection would make of any command.
+        """
         match self.state:
-            case WayState.BACK:
+            case WayState.BACK:  # backwards along the axis
                 behind = math.atan2(-place.side, -_BACK_AIM) + math.pi - place.heading
                 turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
-                return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), allows)
+                return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
             case WayState.IN:
                 is_in_corridor = place.depth > _DEEP and place.s > -_LEAN_FROM
                 lean = self._lean if is_in_corridor else 0.0
-                return self._fastest(self._drive(place.s + _PURSUIT, lean, place), allows)
-            case WayState.ASIDE:
+                return self._fastest(self._drive(place.s + _PURSUIT, lean, place), safe_for)
+            case WayState.ASIDE:  # to the side of the axis on which the robot is, else right
                 if abs(place.side) > _HAS_SIDE and (
                     not self._waiting_side or abs(place.side) > _KEEPS_SIDE
                 ):
                     self._waiting_side = math.copysign(1.0, place.side)
                 elif not self._waiting_side:
                     self._waiting_side = -1.0
-                side = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
-                return self._drive(min(place.s, -_ASIDE_FAR) - _ASIDE_STEP, side, place)
+                aside = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
+                return self._drive(min(place.s, -_ASIDE_FAR) - _ASIDE_STEP, aside, place)
             case WayState.GO:
                 return self._drive(-_LINE_UP, 0.0, place)
             case WayState.LINE:
-                return self._fastest(self._drive(place.s + _PURSUIT, 0.0, place), allows)
+                return self._fastest(self._drive(place.s + _PURSUIT, 0.0, place), safe_for)
             case WayState.APPROACH:
                 return self._drive(place.s + _PURSUIT, 0.0, place)
             case _:
@@ -561,55 +614,60 @@ class RightOfWay:
         """Measure `_middle_offset`, the m to the left of the axis at which the middle is.
 
         The middle lies between two neighbouring returns whose gap is as wide as the opening. The
-        axis of sightings from afar is off by 1 cm, and by more where a robot was taken for a post.
-        Between the posts 1 cm costs half of the speed.
+        axis of sightings from afar is off by 1 cm, and by more where a sighting took a robot for a
+        post. Between the posts 1 cm costs half of the speed.
         """
         if not -_LINE_UP - _NEARLY_LINED_UP < place.s < place.depth + _PAST_POSTS:
             return
         x, y = points().T
         cos, sin = math.cos(place.heading), math.sin(place.heading)
-        along, across = place.s + cos * x - sin * y, place.side + sin * x + cos * y
-        is_near = (along > max(place.s - _POSTS_BEHIND, -_AT_POST)) & (
+        along, aside = place.s + cos * x - sin * y, place.side + sin * x + cos * y
+        is_at_post = (along > max(place.s - _POSTS_BEHIND, -_AT_POST)) & (
             along < max(place.s, 0.0) + _POSTS_AHEAD
         )
-        sides = np.sort(across[is_near & (along < place.depth + _AT_POST)])
-        middles = 0.5 * (sides[1:] + sides[:-1])
-        middles = middles[np.abs(np.diff(sides) - 2.0 * place.half) < _SAME_WIDTH]
-        middles = middles[np.abs(middles) < place.half + _AT_POST]
-        if not len(middles):
+        places_aside = np.sort(aside[is_at_post & (along < place.depth + _AT_POST)])
+        gap_middles = 0.5 * (places_aside[1:] + places_aside[:-1])
+        gap_middles = gap_middles[np.abs(np.diff(places_aside) - 2.0 * place.half) < _SAME_WIDTH]
+        gap_middles = gap_middles[np.abs(gap_middles) < place.half + _AT_POST]
+        if not len(gap_middles):
             return
         offset = self._middle_offset
-        measured = float(middles[np.abs(middles - (offset or 0.0)).argmin()])
-        self._middle_offset = measured if offset is None else offset + _NEW * (measured - offset)
+        measured = float(gap_middles[np.abs(gap_middles - (offset or 0.0)).argmin()])
+        self._middle_offset = measured if offset is None else offset + _WEIGHT * (measured - offset)
 
-    def _fastest(self, twist: Twist, allows: Allows) -> Twist:
-        """Of the command `twist` at several speeds: the one of which protection leaves most speed.
+    def _fastest(self, twist: Twist, safe_for: Allows) -> Twist:
+        """The command `twist` at that of several speeds at which protection leaves most speed.
 
         Protection turns a robot aside if the command is fast, and lets the robot creep if it is
         slow.
         """
-        most = abs(twist.linear)
-        best_gain, best = -math.inf, twist
-        for speed in (most, *_SPEEDS):
-            asked = Twist(math.copysign(min(speed, most), twist.linear), twist.angular)
-            allowed = allows(asked)
-            gain = math.copysign(allowed.linear, allowed.linear * asked.linear)
-            gain -= _TURN_COST * abs(allowed.angular - asked.angular)
-            if gain > best_gain:
-                best_gain, best = gain, asked
+        fastest = abs(twist.linear)
+        best_value, best = -math.inf, twist
+        for speed in (fastest, *_SPEEDS):
+            candidate = Twist(math.copysign(min(speed, fastest), twist.linear), twist.angular)
+            allowed = safe_for(candidate)
+            value = math.copysign(allowed.linear, allowed.linear * candidate.linear)
+            value -= _TURN_COST * abs(allowed.angular - candidate.angular)
+            if value > best_value:
+                best_value, best = value, candidate
         return best
 
-    def _drive(self, s: float, side: float, place: _Place) -> Twist:
-        """The command that drives from `place` to `s`, `side` in m in the frame of the opening.
+    def _drive(self, goal_along: float, goal_aside: float, place: _Place) -> Twist:
+        """The command that drives from `place` to a goal, both in the frame of the opening.
 
-        A robot near or in the opening drives backwards to a goal behind it.
+        `goal_along` and `goal_aside` in m: the goal along the axis, and to the left of the axis. A
+        robot near or in the opening drives backwards to a goal behind it.
         """
         limits = self._limits
-        bearing = math.atan2(side - place.side, s - place.s) - place.heading
-        off = math.remainder(bearing, 2.0 * math.pi)
+        bearing = math.atan2(goal_aside - place.side, goal_along - place.s) - place.heading
+        yaw_error = math.remainder(bearing, 2.0 * math.pi)
         speed = self._speed
-        if s < place.s > -_LINE_UP and abs(place.side) < place.half and abs(off) > _BACKS_TO:
-            off = math.remainder(off - math.pi, 2.0 * math.pi)
+        if (
+            goal_along < place.s > -_LINE_UP
+            and abs(place.side) < place.half
+            and abs(yaw_error) > _BACKS_TO
+        ):
+            yaw_error = math.remainder(yaw_error - math.pi, 2.0 * math.pi)
             speed = -speed
-        turn = min(max(_GAIN * off, -limits.angular), limits.angular)
-        return Twist(speed * max(math.cos(off), 0.0) ** 2, turn)
+        turn = min(max(_GAIN * yaw_error, -limits.angular), limits.angular)
+        return Twist(speed * max(math.cos(yaw_error), 0.0) ** 2, turn)

@@ -43,6 +43,7 @@ FAULT_SPEED = cython.declare(cython.double, 0.02)
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
 
 _STEPS = cython.declare(cython.Py_ssize_t, 4)  # poses of a simulated stop
+# The simulated stops: with both brakes as assumed (0), and with either brake ideal.
 _BRAKES = cython.declare(cython.Py_ssize_t, 3)
 _IDEAL_LINEAR = cython.declare(cython.Py_ssize_t, 1)
 _IDEAL_ANGULAR = cython.declare(cython.Py_ssize_t, 2)
@@ -53,6 +54,7 @@ _SPEED_ROUNDING = cython.declare(cython.double, 1e-12)  # m/s, of the fastest pl
 
 
 def _speed_shares() -> Array:
+    """The rows of _SPEED_SHARES."""
     grid = (1.0, 0.75, 0.5, 0.25, 0.0)
     shares = [(a, b) for a in grid for b in grid if (a, b) != (1.0, 1.0)]
     shares.sort(key=lambda share: (1.0 - share[0]) ** 2 + (1.0 - share[1]) ** 2)
@@ -77,42 +79,48 @@ class Speeds:
 class StopPoints:
     """The points that the outline could touch during a stop.
 
-    Places, present gaps, and the gap in m that each must keep at the begin of the stop (`need`).
+    Their places in m, their present gaps in m, and the gap in m that each point must keep at the
+    begin of the stop (`needed_gap`).
     """
 
     count: cython.Py_ssize_t
     x: cython.double[::1]
     y: cython.double[::1]
     gap: cython.double[::1]
-    need: cython.double[::1]
+    needed_gap: cython.double[::1]
 
     def __init__(self) -> None:
         self._allocate(96)
 
     def check_indices(self) -> None:
         """ValueError unless `count` is within each array."""
-        room = min(map(len, (self.x, self.y, self.gap, self.need)))
+        room = min(map(len, (self.x, self.y, self.gap, self.needed_gap)))
         if not 0 <= self.count <= room:
             raise ValueError(f"{self.count} points beside a stop in {room}")
 
     def _allocate(self, room):
         """Make all arrays anew."""
         self.x, self.y = doubles(room), doubles(room)
-        self.gap, self.need = doubles(room), doubles(room)
+        self.gap, self.needed_gap = doubles(room), doubles(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
     def collect(
         self,
         constraints: Constraints,
-        others: cython.double,
+        others_speed: cython.double,
         seconds: cython.double,
-        way: cython.double,
+        travel: cython.double,
     ) -> cython.int:
-        """Take the points that the outline may touch during a stop of `seconds`.
+        """Replace the points by those that the outline may touch during a stop.
 
-        During the stop no place of the outline moves more than `way` m, and obstacles move at
-        `others` m/s. Contacts and points in a touch zone are left out.
+        Contacts and points in a touch zone are left out.
+
+        Args:
+            constraints: the constraints of the decision, with the placed points.
+            others_speed: m/s, how fast an obstacle moves.
+            seconds: the duration of the stop.
+            travel: m, how far a place of the outline moves at most during the stop.
         """
         i: cython.Py_ssize_t
         placed: PlacedPoints = constraints.placed
@@ -123,16 +131,16 @@ class StopPoints:
         free: cython.p_double = checked(placed.free, points)
         age: cython.p_double = checked(placed.age, points)
         gap: cython.p_double = checked(placed.gap, points)
-        near_gap: cython.p_double = checked(self.gap, points)
-        near_need: cython.p_double = checked(self.need, points)
+        to_gap: cython.p_double = checked(self.gap, points)
+        to_needed_gap: cython.p_double = checked(self.needed_gap, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
             if is_granted and i < placed.seen and placed.in_touch_zone[i]:
                 continue
-            need: cython.double = free[i] + others * age[i]
-            if gap[i] <= need + others * seconds + way:
+            needed_gap: cython.double = free[i] + others_speed * age[i]
+            if gap[i] <= needed_gap + others_speed * seconds + travel:
                 self.x[count], self.y[count] = placed.x[i], placed.y[i]
-                near_gap[count], near_need[count] = gap[i], need
+                to_gap[count], to_needed_gap[count] = gap[i], needed_gap
                 count += 1
         self.count = count
         return 0
@@ -156,7 +164,7 @@ class StopCheck:
     _stop_y: cython.double[4]
     _stop_cos: cython.double[4]
     _stop_sin: cython.double[4]
-    _stop_way: cython.double[4]
+    _stop_travel: cython.double[4]
     _stop_linear: cython.double[4]
     _stop_angular: cython.double[4]
 
@@ -179,37 +187,44 @@ class StopCheck:
     def limit(self, speeds: Speeds) -> cython.int:
         """Reduce the speeds so that the outline stays clear while the robot brakes.
 
-        1 if the speeds changed. The reduced speeds are the first pair of _SPEED_SHARES that
-        satisfies all constraints and whose stop stays clear.
+        1 if the speeds changed, else 0. The reduced speeds are the first pair of _SPEED_SHARES that
+        satisfies all constraints and whose stop stays clear: the pair nearest to the requested
+        speeds.
         """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
         axes: SpeedAxes = self._constraints.axes
         linear: cython.double = speeds.linear
         angular: cython.double = speeds.angular
-        slow: cython.double = fabs(linear) / assumptions.braking_linear
-        turning: cython.double = fabs(angular) / assumptions.braking_angular
-        seconds: cython.double = DECISION_PERIOD + (turning if turning > slow else slow)
-        others: cython.double = assumptions.others if assumptions.is_passive else 0.0
-        way: cython.double = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
-        self._points.collect(self._constraints, others, seconds, way)
+
+        # 1. Collects the points that the outline may touch before the robot stands.
+        linear_s: cython.double = fabs(linear) / assumptions.braking_linear
+        angular_s: cython.double = fabs(angular) / assumptions.braking_angular
+        seconds: cython.double = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
+        others: cython.double = assumptions.others_speed if assumptions.is_passive else 0.0
+        travel: cython.double = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
+        self._points.collect(self._constraints, others, seconds, travel)
         if self._points.count == 0:
             return 0
+
+        # 2. Returns if the stop from the requested speeds stays clear.
         self._forbidding = 0
         if self._is_clear(linear, angular, others):
             return 0
+
+        # 3. Tries the shares of the speeds. A share of one speed alone may violate a constraint
+        # that both speeds together satisfy.
         speeds.linear = speeds.angular = 0.0
-        # A share of one speed alone may violate a constraint that both speeds together satisfy.
         for i in range(len(self._shares)):
-            slower: cython.double = self._shares[i, 0] * linear
-            turn: cython.double = self._shares[i, 1] * angular
-            x: cython.double = slower / axes.limit
-            if not is_feasible(self._constraints.rows, x, turn / axes.angular_limit):
+            reduced_linear: cython.double = self._shares[i, 0] * linear
+            reduced_angular: cython.double = self._shares[i, 1] * angular
+            x: cython.double = reduced_linear / axes.limit
+            if not is_feasible(self._constraints.rows, x, reduced_angular / axes.angular_limit):
                 continue
-            if self._is_clear(slower, turn, others):
-                speeds.linear, speeds.angular = slower, turn
+            if self._is_clear(reduced_linear, reduced_angular, others):
+                speeds.linear, speeds.angular = reduced_linear, reduced_angular
                 break
-        # The zero command is always clear; shares of a speed of 0 are 0.
+        # The zero command is always clear. A share of 0 is 0, so the speeds may be as requested.
         return not (speeds.linear == linear and speeds.angular == angular)
 
     @cython.cfunc
@@ -219,35 +234,45 @@ class StopCheck:
     ) -> cython.int:
         """1 if the outline stays clear in each of the three simulated stops from these speeds.
 
-        The gap that a point must keep grows at `others` m/s. A point farther away than the outline
-        moves needs no exact distance. The point that forbade the last speeds is examined first.
+        The stops: both brakes as weak as assumed, an ideal linear brake, an ideal angular brake.
+        The gap that a point must keep grows at `others` m/s. A point farther away than the
+        outline moves needs no exact distance. The point that forbade the last speeds is examined
+        first.
         """
         i: cython.Py_ssize_t
         brake: cython.Py_ssize_t
         speed: cython.double = fabs(linear)
-        turning: cython.double = fabs(angular)
+        turn_rate: cython.double = fabs(angular)
         count: cython.Py_ssize_t = self._points.count
         gap: cython.p_double = checked(self._points.gap, count)
-        need: cython.p_double = checked(self._points.need, count)
-        for brake in range(_BRAKES):  # both brakes as assumed, then each of them ideal
+        needed_gap: cython.p_double = checked(self._points.needed_gap, count)
+        for brake in range(_BRAKES):
             if (brake == _IDEAL_LINEAR and speed == 0.0) or (
-                brake == _IDEAL_ANGULAR and turning == 0.0
+                brake == _IDEAL_ANGULAR and turn_rate == 0.0
             ):
-                continue  # the brake of a speed of 0 changes nothing
-            slow: cython.double = speed / self._assumptions.braking_linear
-            until: cython.double = turning / self._assumptions.braking_angular
-            slow = 0.0 if brake == _IDEAL_LINEAR else slow
-            until = 0.0 if brake == _IDEAL_ANGULAR else until
-            last: cython.double = DECISION_PERIOD + (until if until > slow else slow)
-            step: cython.double = last / _STEPS
-            way: cython.double = self._simulate(brake, linear, angular, step)
-            if self._poses == 0:  # the outline closes on nothing
+                continue  # an ideal brake of a speed of 0 gives the stop with both brakes
+
+            # 1. Simulates the stop.
+            linear_s: cython.double = speed / self._assumptions.braking_linear
+            angular_s: cython.double = turn_rate / self._assumptions.braking_angular
+            linear_s = 0.0 if brake == _IDEAL_LINEAR else linear_s
+            angular_s = 0.0 if brake == _IDEAL_ANGULAR else angular_s
+            stop_s: cython.double = DECISION_PERIOD + (
+                angular_s if angular_s > linear_s else linear_s
+            )
+            step_s: cython.double = stop_s / _STEPS
+            travel: cython.double = self._simulate(brake, linear, angular, step_s)
+            if self._poses == 0:  # the outline is too slow to close on an obstacle
                 continue
-            if self._forbids(self._forbidding, way, step, others):
+
+            # 2. Examines the points that the outline can reach.
+            if self._forbids(self._forbidding, travel, step_s, others):
                 return 0
             for i in range(count):
-                most: cython.double = need[i] + others * (step * _STEPS) + way + _ROUNDING
-                if not (gap[i] >= most) and self._forbids(i, way, step, others):
+                most: cython.double = (
+                    needed_gap[i] + others * (step_s * _STEPS) + travel + _ROUNDING
+                )
+                if not (gap[i] >= most) and self._forbids(i, travel, step_s, others):
                     self._forbidding = i
                     return 0
         return 1
@@ -259,88 +284,120 @@ class StopCheck:
         brake: cython.Py_ssize_t,
         linear: cython.double,
         angular: cython.double,
-        step: cython.double,
+        step_s: cython.double,
     ) -> cython.double:
-        """Simulate a stop in four steps; the m that a place of the outline moves at most.
+        """Simulate a stop in four steps; return the m that a place of the outline moves at most.
 
-        Sets the poses, ways and speeds of the steps. `step` in s is the duration of one.
+        Sets pose, travel and speeds of each step (`_stop_...`), and the number of steps in which
+        the outline is fast enough to matter (`_poses`). The pose begins at 0 in the predicted base
+        frame.
+
+        `brake`: 0: both brakes as assumed; _IDEAL_LINEAR or _IDEAL_ANGULAR: this brake stops at
+        once. `linear`, `angular`: m/s and rad/s, the command whose stop is simulated. `step_s`: s,
+        the duration of a step.
         """
         j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
         radius: cython.double = self._outline.radius
         speed: cython.double = fabs(linear)
-        turning: cython.double = fabs(angular)
-        slowing: cython.double = self._assumptions.braking_linear
-        unturning: cython.double = self._assumptions.braking_angular
-        slowing = _IDEAL_BRAKING if brake == _IDEAL_LINEAR else slowing
-        unturning = _IDEAL_BRAKING if brake == _IDEAL_ANGULAR else unturning
-        way: cython.double = 0.0
+        turn_rate: cython.double = fabs(angular)
+        linear_braking: cython.double = self._assumptions.braking_linear
+        turn_braking: cython.double = self._assumptions.braking_angular
+        linear_braking = _IDEAL_BRAKING if brake == _IDEAL_LINEAR else linear_braking
+        turn_braking = _IDEAL_BRAKING if brake == _IDEAL_ANGULAR else turn_braking
+        travel: cython.double = 0.0
         x: cython.double = 0.0
         y: cython.double = 0.0
         yaw: cython.double = 0.0
         self._poses = 0
         for j in range(_STEPS):
-            braked: cython.double = step * (j + 0.5) - DECISION_PERIOD
-            move: cython.double = _braked(speed, slowing, braked) * step * sign(linear)
-            turn: cython.double = _braked(turning, unturning, braked) * step * sign(angular)
-            yaw += turn
-            c: cython.double = cos(yaw - 0.5 * turn)
-            s: cython.double = sin(yaw - 0.5 * turn)
-            x += move * (c * axes.along_x - s * axes.along_y)
-            y += move * (s * axes.along_x + c * axes.along_y)
+            # 1. Moves the pose at the speeds in the middle of the step. Braking begins after
+            # DECISION_PERIOD.
+            braked_s: cython.double = step_s * (j + 0.5) - DECISION_PERIOD
+            moved: cython.double = _braked(speed, linear_braking, braked_s) * step_s * sign(linear)
+            turned: cython.double = (
+                _braked(turn_rate, turn_braking, braked_s) * step_s * sign(angular)
+            )
+            yaw += turned
+            cos_middle: cython.double = cos(yaw - 0.5 * turned)
+            sin_middle: cython.double = sin(yaw - 0.5 * turned)
+            x += moved * (cos_middle * axes.along_x - sin_middle * axes.along_y)
+            y += moved * (sin_middle * axes.along_x + cos_middle * axes.along_y)
             self._stop_x[j], self._stop_y[j] = x, y
-            braked = step * j - DECISION_PERIOD
-            self._stop_linear[j] = _braked(speed, slowing, braked) * sign(linear)
-            self._stop_angular[j] = _braked(turning, unturning, braked) * sign(angular)
+
+            # 2. Stores the pose, and the speeds at the begin of the step.
+            braked_s = step_s * j - DECISION_PERIOD
+            self._stop_linear[j] = _braked(speed, linear_braking, braked_s) * sign(linear)
+            self._stop_angular[j] = _braked(turn_rate, turn_braking, braked_s) * sign(angular)
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
-            fastest: cython.double = (
+
+            # 3. Bounds the motion of the outline.
+            fastest_corner: cython.double = (
                 fabs(self._stop_linear[j]) + fabs(self._stop_angular[j]) * radius
             )
-            if not (fastest + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
+            if not (fastest_corner + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
                 self._poses = j + 1  # the steps after this are too slow to matter
-            way += fabs(move) + fabs(turn) * radius
-            self._stop_way[j] = -way
-        return way
+            travel += fabs(moved) + fabs(turned) * radius
+            self._stop_travel[j] = -travel
+        return travel
 
     @cython.cfunc
     @cython.exceptval(-1)
     def _forbids(
         self,
         point: cython.Py_ssize_t,
-        way: cython.double,
-        step: cython.double,
+        travel: cython.double,
+        step_s: cython.double,
         others: cython.double,
     ) -> cython.int:
-        """1 if the outline closes on a point whose gap is too small, at a step of the stop."""
+        """1 if a point forbids the simulated stop.
+
+        A point forbids the stop in two cases: the outline closes on the point while the gap is too
+        small, or the turn moves a place outwards that the obstacle can have reached.
+
+        Args:
+            point: the index of the point in `_points`.
+            travel: m that a place of the outline moves at most during the stop.
+            step_s: s, the duration of a step.
+            others: m/s, how fast the obstacle moves.
+        """
         j: cython.Py_ssize_t
         outline: Outline = self._outline
         points: StopPoints = self._points
         gap: cython.double = points.gap[point]
-        need: cython.double = points.need[point]
+        needed_gap: cython.double = points.needed_gap[point]
         point_x: cython.double = points.x[point]
         point_y: cython.double = points.y[point]
         margin: cython.double = self._assumptions.margin
-        least: cython.double = need + others * (step * _STEPS) + way + _ROUNDING
-        if gap >= least:
+        safe_gap: cython.double = needed_gap + others * (step_s * _STEPS) + travel + _ROUNDING
+        if gap >= safe_gap:
             return 0
-        before: cython.double = gap
+        previous_gap: cython.double = gap
         for j in range(self._poses):
+            # 1. The gap at this step, with the point in the frame of the simulated pose.
             dx: cython.double = point_x - self._stop_x[j]
             dy: cython.double = point_y - self._stop_y[j]
-            c: cython.double = self._stop_cos[j]
-            s: cython.double = self._stop_sin[j]
-            x: cython.double = c * dx + s * dy
-            y: cython.double = c * dy - s * dx
-            left: cython.double = outline.gap_of(x, y)
-            is_free: cython.bint = left >= need + others * (step * (j + 1.0))
-            if not is_free and not (before - left <= NEGLIGIBLE_SPEED * step):
+            cos_yaw: cython.double = self._stop_cos[j]
+            sin_yaw: cython.double = self._stop_sin[j]
+            x: cython.double = cos_yaw * dx + sin_yaw * dy
+            y: cython.double = cos_yaw * dy - sin_yaw * dx
+            present_gap: cython.double = outline.gap_of(x, y)
+
+            # 2. The outline must not close on a point whose gap is too small. At the end of the
+            # step the obstacle has moved for j + 1 steps.
+            is_free: cython.bint = present_gap >= needed_gap + others * (step_s * (j + 1.0))
+            if not is_free and not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s):
                 return 1
-            within: cython.double = need - margin + others * (step * (j + 0.5))
-            if left < within and self._turns_outwards(j, x, y, within):
+
+            # 3. The turn must not move a place outwards within the reach of the obstacle.
+            reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
+            if present_gap < reach and self._turns_outwards(j, x, y, reach):
                 return 1
-            if left - self._stop_way[j] >= least:
+
+            # 4. The rest of the stop cannot use up the gap.
+            if present_gap - self._stop_travel[j] >= safe_gap:
                 return 0
-            before = left
+            previous_gap = present_gap
         return 0
 
     @cython.cfunc
@@ -350,13 +407,18 @@ class StopCheck:
         pose: cython.Py_ssize_t,
         x: cython.double,
         y: cython.double,
-        within: cython.double,
+        reach: cython.double,
     ) -> cython.int:
-        """1 if the turn moves a place of the outline within `within` m of a point outwards.
+        """1 if the turn of a simulated stop moves a place of the outline towards a near point.
 
-        Along an edge the outward speed is a linear function of the place. So only the ends of the
-        part of an edge within `within` m of the point are examined. A turn moves no place faster
-        than the outermost corner.
+        Examined are the places of the outline within `reach` m of the point. A place is moved
+        outwards if its speed along the outward normal of its edge is above FAULT_SPEED, both by the
+        turn alone and with the linear speed. Along an edge the outward speed is a linear function
+        of the place. So only the ends of the part of an edge within `reach` m are examined. A turn
+        moves no place faster than the outermost corner.
+
+        `pose`: the step of the stop. `x`, `y`: m, the point in the frame of the simulated pose.
+        `reach`: m, how far the obstacle can have moved along the outline.
         """
         k: cython.Py_ssize_t
         outline: Outline = self._outline
@@ -370,35 +432,39 @@ class StopCheck:
             nx: cython.double = outline.axis_x[edges + k]
             ny: cython.double = outline.axis_y[edges + k]
             above: cython.double = nx * x + ny * y - outline.origin[edges + k]
-            if not above < within:
+            if not above < reach:
                 continue
             length: cython.double = outline.length[k]
             along: cython.double = outline.axis_x[k] * x + outline.axis_y[k] * y - outline.origin[k]
+
+            # 1. The part of the edge within reach, from `first` to `last` in m along the edge.
             first: cython.double
             last: cython.double
             if above > 0.0:
-                half: cython.double = sqrt(within * within - above * above)
-                first, last = along - half, along + half
-            else:  # from behind the edge's line the way leads around the nearer corner
-                past: cython.double = -along if along < 0.0 else along - length
-                if not past > 0.0:
+                half_chord: cython.double = sqrt(reach * reach - above * above)
+                first, last = along - half_chord, along + half_chord
+            else:  # behind the line of the edge: the obstacle moves around the nearer corner
+                beyond: cython.double = -along if along < 0.0 else along - length
+                if not beyond > 0.0:
                     continue
-                left: cython.double = within - sqrt(past * past + above * above)
-                if not left > 0.0:
+                rest: cython.double = reach - sqrt(beyond * beyond + above * above)
+                if not rest > 0.0:
                     continue
-                first = 0.0 if along < 0.0 else length - left
-                last = left if along < 0.0 else length
+                first = 0.0 if along < 0.0 else length - rest
+                last = rest if along < 0.0 else length
             first = first if first > 0.0 else 0.0
             last = last if last < length else length
             if first > last:
                 continue
-            turned: cython.double = angular * (
+
+            # 2. The outward speed at the end of this part that the turn moves outwards faster.
+            turn_speed: cython.double = angular * (
                 outline.corner_x[k] * ny
                 - outline.corner_y[k] * nx
                 - (first if angular > 0.0 else last)
             )
-            moved: cython.double = linear * (axes.along_x * nx + axes.along_y * ny)
-            if turned > FAULT_SPEED and turned + moved > FAULT_SPEED:
+            linear_speed: cython.double = linear * (axes.along_x * nx + axes.along_y * ny)
+            if turn_speed > FAULT_SPEED and turn_speed + linear_speed > FAULT_SPEED:
                 return 1
         return 0
 
@@ -407,7 +473,7 @@ class StopCheck:
 @cython.inline
 @cython.exceptval(check=False)
 def _braked(speed: cython.double, braking: cython.double, seconds: cython.double) -> cython.double:
-    """What is left of a speed after `seconds` of braking; before it brakes they are negative."""
-    braked: cython.double = maximum(seconds, 0.0)
-    shed: cython.double = braking * braked if braked > 0.0 else 0.0
-    return maximum(speed - shed, 0.0)
+    """The speed after `seconds` of braking; `seconds` is negative before braking begins."""
+    braked_s: cython.double = maximum(seconds, 0.0)
+    braked_speed: cython.double = braking * braked_s if braked_s > 0.0 else 0.0
+    return maximum(speed - braked_speed, 0.0)

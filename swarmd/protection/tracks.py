@@ -60,19 +60,19 @@ else:
 REACH = cython.declare(cython.double, 2.5)
 """m from the lidar beyond which no object is tracked."""
 # m between neighbouring returns of one surface that faces the lidar
-_JUMP = cython.declare(cython.double, 0.06)
-_LOST = 4.5  # angular steps between two returns of one surface at most: rays may be lost
+_MAX_STEP = cython.declare(cython.double, 0.06)
+_MAX_LOST_STEPS = 4.5  # angular steps between two returns of one surface at most: rays may be lost
 # m, visible part of a new object: a thinner cluster counts as standing
-_LEAST_WIDTH = cython.declare(cython.double, 0.03)
+_MIN_WIDTH = cython.declare(cython.double, 0.03)
 # m from the outline of an object within which a cluster is a part of the object
-_PART = cython.declare(cython.double, 0.05)
+_PART_SLACK = cython.declare(cython.double, 0.05)
 # Sine of the least angle between a ray and a surface.
 _GRAZING = cython.declare(cython.double, math.sin(math.radians(15.0)))
-_COMPACT = 3.0  # times the own circumscribed circle: a wider cluster is a wall
+_MAX_COMPACT_SIZE = 3.0  # times the own circumscribed circle: a wider cluster is a wall
 # Share of the radius by which the middle lies behind the mean return of an object.
-_DEPTH = cython.declare(cython.double, 0.8)
-_LEAST_RADIUS = cython.declare(cython.double, 0.02)  # m
-_MOST_RADIUS = cython.declare(cython.double, 0.6)  # m
+_DEPTH_SHARE = cython.declare(cython.double, 0.8)
+_MIN_RADIUS = cython.declare(cython.double, 0.02)  # m
+_MAX_RADIUS = cython.declare(cython.double, 0.6)  # m
 # Standard deviation of the measured middle: m, plus m for each m of range
 _POSITION_NOISE = cython.declare(cython.double, 0.016)
 _RANGE_NOISE = cython.declare(cython.double, 0.006)
@@ -81,11 +81,14 @@ _HIDDEN_NOISE = cython.declare(cython.double, 3.0)
 # m2/s3, density of the change of velocity
 _ACCELERATION = cython.declare(cython.double, 0.03)
 _FIRST_SPEED = 0.15  # m/s, standard deviation of the velocity of a new track
+# Shares by which the radius follows a wider, and a narrower, cluster: parts may be hidden.
+_GROWTH = cython.declare(cython.double, 0.3)
+_SHRINKAGE = cython.declare(cython.double, 0.03)
 _GATE = cython.declare(cython.double, 2.5)  # standard deviations
 _GATE_SLACK = cython.declare(cython.double, 0.03)  # m
-_CONFIRMED = cython.declare(cython.int, 2)  # scans that must show an object before it is a track
+_MIN_HITS = cython.declare(cython.int, 2)  # scans that must show an object before it is a track
 # Scans in a row that show the place of a track empty, which end the track.
-_MISSES = cython.declare(cython.int, 2)
+_MAX_MISSES = cython.declare(cython.int, 2)
 # s for which a hidden object is remembered
 _HIDDEN_TIME = cython.declare(cython.double, 1.5)
 _SECTORS = 36  # directions in each of which the nearest place of a wall is kept
@@ -154,13 +157,13 @@ class _Cluster:
 
     x: cython.double  # the mean return
     y: cython.double
-    dx: cython.double  # unit vector from the lidar
-    dy: cython.double
-    half: cython.double  # half of the visible width; the radius of a shared place
+    ray_x: cython.double  # unit vector from the lidar
+    ray_y: cython.double
+    half_width: cython.double  # half of the visible width; the radius of a shared place
     range: cython.double
-    ends: cython.int  # number of ends (0 to 2) that no nearer object hides
-    at: cython.double  # when it was measured
-    is_told: cython.bint  # a shared place
+    visible_ends: cython.int  # number of ends (0 to 2) that no nearer object hides
+    measured_at: cython.double  # when it was measured
+    is_shared: cython.bint  # a shared place
     is_used: cython.bint  # belongs to a track
 
 
@@ -171,7 +174,7 @@ class _Filter:
 
     id: cython.longlong
     fastest: cython.double  # m/s, bound of the speed
-    at: cython.double  # s, time of the state
+    state_at: cython.double  # s, time of the state
     seen_at: cython.double  # s, time of the last cluster
     radius: cython.double
     x: cython.double
@@ -186,23 +189,23 @@ class _Filter:
     misses: cython.longlong  # scans since the last cluster
 
     @cython.cfunc
-    def begin(self, seen: _Cluster) -> cython.int:
+    def begin(self, cluster: _Cluster) -> cython.int:
         """Begin at rest where a cluster shows a new object."""
-        self.at = self.seen_at = seen.at
-        self.radius = min(max(seen.half, _LEAST_RADIUS), _MOST_RADIUS)
-        self.x = seen.x + _DEPTH * self.radius * seen.dx
-        self.y = seen.y + _DEPTH * self.radius * seen.dy
+        self.state_at = self.seen_at = cluster.measured_at
+        self.radius = min(max(cluster.half_width, _MIN_RADIUS), _MAX_RADIUS)
+        self.x = cluster.x + _DEPTH_SHARE * self.radius * cluster.ray_x
+        self.y = cluster.y + _DEPTH_SHARE * self.radius * cluster.ray_y
         self.pp, self.vv = 0.03**2, _FIRST_SPEED**2
         self.hits = 1
         return 0
 
     @cython.cfunc
-    def predict(self, at: cython.double) -> cython.int:
-        """Move on to the time `at` in s; never back."""
-        dt: cython.double = at - self.at
+    def predict(self, time: cython.double) -> cython.int:
+        """Move on to `time` in s; never back."""
+        dt: cython.double = time - self.state_at
         if dt <= 0.0:
             return 0
-        self.at = at
+        self.state_at = time
         self.x += self.vx * dt
         self.y += self.vy * dt
         self.pp += dt * (2.0 * self.pv + dt * (self.vv + _ACCELERATION * dt / 3.0))
@@ -211,42 +214,49 @@ class _Filter:
         return 0
 
     @cython.cfunc
-    def off(self, seen: _Cluster, gate: cython.double) -> cython.double:
+    def distance_to(self, cluster: _Cluster, gate: cython.double) -> cython.double:
         """The distance in m between the middle by a cluster and the predicted middle.
 
         inf if the distance is greater than `gate`.
         """
-        depth: cython.double = _DEPTH * self.radius
-        late: cython.double = self.at - seen.at
-        dx: cython.double = seen.x + depth * seen.dx + self.vx * late - self.x
-        dy: cython.double = seen.y + depth * seen.dy + self.vy * late - self.y
+        depth: cython.double = _DEPTH_SHARE * self.radius
+        delay: cython.double = self.state_at - cluster.measured_at
+        dx: cython.double = cluster.x + depth * cluster.ray_x + self.vx * delay - self.x
+        dy: cython.double = cluster.y + depth * cluster.ray_y + self.vy * delay - self.y
         return hypot(dx, dy) if dx * dx + dy * dy <= gate * gate else INFINITY
 
     @cython.cfunc
-    def update(self, seen: _Cluster) -> cython.int:
-        """Take in the cluster that shows this object."""
-        if seen.ends == 2:
-            grown: cython.double = seen.half - self.radius
-            self.radius += (0.3 if grown > 0.0 else 0.03) * grown
-            self.radius = min(max(self.radius, _LEAST_RADIUS), _MOST_RADIUS)
-        depth: cython.double = _DEPTH * self.radius
-        noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * seen.range
-        if seen.ends < 2:
+    def update(self, cluster: _Cluster) -> cython.int:
+        """Take in the cluster that shows this object: the update of a Kalman filter.
+
+        The residual is the distance of the middle, by the cluster, from the predicted middle. `pp`,
+        `pv` and `vv` are the covariance of place and velocity, the same for both axes. A cluster
+        that a nearer object hides in part has fewer than two visible ends, and more noise. The
+        speed is bounded by `fastest`.
+        """
+        if cluster.visible_ends == 2:
+            growth: cython.double = cluster.half_width - self.radius
+            self.radius += (_GROWTH if growth > 0.0 else _SHRINKAGE) * growth
+            self.radius = min(max(self.radius, _MIN_RADIUS), _MAX_RADIUS)
+        depth: cython.double = _DEPTH_SHARE * self.radius
+        noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * cluster.range
+        if cluster.visible_ends < 2:
             noise *= _HIDDEN_NOISE
-        late: cython.double = self.at - seen.at  # clusters of one scan have times of their own
+        # Each cluster of a scan has its own time.
+        delay: cython.double = self.state_at - cluster.measured_at
         inverse: cython.double = 1.0 / (self.pp + noise * noise)
         gain: cython.double = self.pp * inverse
-        rise: cython.double = self.pv * inverse
-        off_x: cython.double = seen.x + depth * seen.dx + self.vx * late - self.x
-        off_y: cython.double = seen.y + depth * seen.dy + self.vy * late - self.y
+        velocity_gain: cython.double = self.pv * inverse
+        off_x: cython.double = cluster.x + depth * cluster.ray_x + self.vx * delay - self.x
+        off_y: cython.double = cluster.y + depth * cluster.ray_y + self.vy * delay - self.y
         self.x += gain * off_x
         self.y += gain * off_y
-        self.vx += rise * off_x
-        self.vy += rise * off_y
-        self.vv -= rise * self.pv
+        self.vx += velocity_gain * off_x
+        self.vy += velocity_gain * off_y
+        self.vv -= velocity_gain * self.pv
         self.pv *= 1.0 - gain
         self.pp *= 1.0 - gain
-        self.seen_at = seen.at
+        self.seen_at = cluster.measured_at
         speed: cython.double = hypot(self.vx, self.vy)
         if speed > self.fastest:
             self.vx, self.vy = self.vx * self.fastest / speed, self.vy * self.fastest / speed
@@ -269,14 +279,14 @@ class Tracker:
     _history: object  # readings of odometry
     _latest: object  # of them; None without one
     _filters: list
-    _next: cython.longlong
+    _next_id: cython.longlong
     # Places of walls in the frame of the odometry.
     _wall_x: cython.double[::1]
     _wall_y: cython.double[::1]
-    _walls: cython.Py_ssize_t
+    _wall_count: cython.Py_ssize_t
     # The returns of the scan by bearing: place, range, age, and whether a gap in the bearings
     # follows.
-    _count: cython.Py_ssize_t
+    _return_count: cython.Py_ssize_t
     _lidar_x: cython.double
     _lidar_y: cython.double
     _x: cython.double[::1]
@@ -287,8 +297,8 @@ class Tracker:
     _is_gap: cython.longlong[::1]
     # The runs of returns of one surface, in order: first and last return of each. The first run may
     # begin at a negative index, which counts from the end.
-    _first: cython.longlong[::1]
-    _last: cython.longlong[::1]
+    _run_first: cython.longlong[::1]
+    _run_last: cython.longlong[::1]
 
     def __init__(self, platform: Platform) -> None:
         spec = platform.scan
@@ -297,12 +307,12 @@ class Tracker:
         self._latency = spec.latency
         barrier = platform.protection.get("barrier") or {}
         self._fastest = float(barrier.get("others_speed", platform.limits.linear))
-        self._widest = _COMPACT * outer
+        self._widest = _MAX_COMPACT_SIZE * outer
         self._spacing = 2.0 * math.pi / max(len(spec.bearings), 1)
         self._history = deque(maxlen=HISTORY)
         self._filters = []
-        self._next = 1
-        self._is_gap, self._first, self._last = _places(0), _places(0), _places(0)
+        self._next_id = 1
+        self._is_gap, self._run_first, self._run_last = _places(0), _places(0), _places(0)
         self._wall_x, self._wall_y = _doubles(0), _doubles(0)
         # A view that is not set ends the process when the memory of a robot is taken.
         self._x, self._y, self._ranges = _doubles(0), _doubles(0), _doubles(0)
@@ -310,7 +320,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Forget all objects."""
-        self._filters, self._walls = [], 0
+        self._filters, self._wall_count = [], 0
         self._history.clear()
         self._latest = None
 
@@ -325,97 +335,121 @@ class Tracker:
         self._latest = odometry
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
-        """Take in a conditioned scan that has arrived at the time of `context`."""
+        """Take in a conditioned scan that has arrived at the time of `context`.
+
+        Cuts the scan into clusters (visible surfaces of objects), updates the filters of known
+        objects, and begins a filter for each new object. Does nothing before the first odometry.
+        """
         if self._latest is None or context.odometry_age is None:
             return
-        newest = self._latency if scan.newest_age is None else scan.newest_age
-        at: cython.double = self._latest.stamp + context.odometry_age - newest - context.scan_delay
-        pose = self._pose(at)
+
+        # 1. When and where the scan was measured, on the clock of odometry.
+        newest_age = self._latency if scan.newest_age is None else scan.newest_age
+        scan_time: cython.double = (
+            self._latest.stamp + context.odometry_age - newest_age - context.scan_delay
+        )
+        pose = self._pose(scan_time)
         cluster: _Cluster
         track: _Filter
-        self._walls = 0
+
+        # 2. Clusters of the scan, and of places that peers shared.
+        self._wall_count = 0
         self._sort(scan, pose)
-        clusters: list = self._clusters(at)
-        self._tell(clusters, context)
+        clusters: list = self._clusters(scan_time)
+        self._add_shared_places(clusters, context)
+
+        # 3. Filters of known objects.
         for track in self._filters:
-            track.predict(at)
+            track.predict(scan_time)
         self._associate(clusters)
-        self._end_missed(pose, at)
+        self._end_missed(pose, scan_time)
+
+        # 4. A cluster that fits no object is a new object.
         for cluster in clusters:
             if cluster.is_used or self._is_part(cluster):
                 continue
-            if cluster.ends == 0:  # the part of a wall between two nearer objects
+            if cluster.visible_ends == 0:  # between two nearer objects: a part of a wall
                 self._add_wall(cluster.x, cluster.y)
             else:
                 track = _Filter()
-                track.id, track.fastest = self._next, self._fastest
+                track.id, track.fastest = self._next_id, self._fastest
                 track.begin(cluster)
                 self._filters.append(track)
-                self._next += 1
+                self._next_id += 1
 
     def surroundings(self, context: DecisionContext) -> Surroundings:
-        """The objects at the time of `context`, and the walls, in the base frame."""
+        """The tracks and the places of walls at the time of `context`, in the base frame.
+
+        A track is an object that at least _MIN_HITS scans have shown. Its place is extrapolated at
+        its velocity for _MAX_AHEAD s at most. Empty before the first odometry.
+        """
         if self._latest is None or context.odometry_age is None:
             return Surroundings((), np.empty((0, 2)))
-        at: cython.double = self._latest.stamp + context.odometry_age
-        pose = self._pose(at)
+
+        # 1. The pose of the robot now.
+        time: cython.double = self._latest.stamp + context.odometry_age
+        pose = self._pose(time)
         x: cython.double = pose.x
         y: cython.double = pose.y
         yaw: cython.double = pose.yaw
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
         i: cython.Py_ssize_t
         track: _Filter
         tracks = []
+
+        # 2. Tracks.
         for track in self._filters:
-            if track.hits < _CONFIRMED:
+            if track.hits < _MIN_HITS:
                 continue
-            ahead: cython.double = min(max(at - track.at, 0.0), _MAX_AHEAD)
-            dx: cython.double = track.x + track.vx * ahead - x
-            dy: cython.double = track.y + track.vy * ahead - y
+            seconds_ahead: cython.double = min(max(time - track.state_at, 0.0), _MAX_AHEAD)
+            dx: cython.double = track.x + track.vx * seconds_ahead - x
+            dy: cython.double = track.y + track.vy * seconds_ahead - y
             tracks.append(
                 Track(
                     track.id,
-                    c * dx + s * dy,
-                    c * dy - s * dx,
-                    c * track.vx + s * track.vy,
-                    c * track.vy - s * track.vx,
+                    cos_yaw * dx + sin_yaw * dy,
+                    cos_yaw * dy - sin_yaw * dx,
+                    cos_yaw * track.vx + sin_yaw * track.vy,
+                    cos_yaw * track.vy - sin_yaw * track.vx,
                     track.radius,
                     sqrt(track.vv),
                 )
             )
-        walls = np.empty((self._walls, 2))
+
+        # 3. Walls.
+        walls = np.empty((self._wall_count, 2))
         places: cython.double[:, ::1] = walls if cython.compiled else memoryview(walls)
-        for i in range(self._walls):
+        for i in range(self._wall_count):
             dx, dy = self._wall_x[i] - x, self._wall_y[i] - y
-            places[i, 0], places[i, 1] = c * dx + s * dy, c * dy - s * dx
+            places[i, 0], places[i, 1] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
         return Surroundings(tuple(tracks), walls)
 
     @cython.cfunc
-    def _pose(self, at: cython.double):
+    def _pose(self, time: cython.double):
         """The pose at a time, interpolated, or extrapolated from the last reading."""
         later = self._latest
         stamp: cython.double = later.stamp
-        if at >= stamp or len(self._history) == 1:
-            seconds: cython.double = at - stamp
+        if time >= stamp or len(self._history) == 1:
+            seconds: cython.double = time - stamp
             seconds = min(max(seconds, -_max_extrapolation), _max_extrapolation)
             return pose_after(later, seconds)
         for earlier in reversed(self._history):
             stamp = earlier.stamp
-            if stamp <= at:
-                share: cython.double = (at - stamp) / max(later.stamp - stamp, 1e-9)
-                here, there = earlier.pose, later.pose
-                turn: cython.double = remainder(there.yaw - here.yaw, _TURN)
+            if stamp <= time:
+                fraction: cython.double = (time - stamp) / max(later.stamp - stamp, 1e-9)
+                earlier_pose, later_pose = earlier.pose, later.pose
+                turn: cython.double = remainder(later_pose.yaw - earlier_pose.yaw, _TURN)
                 return Pose(
-                    here.x + share * (there.x - here.x),
-                    here.y + share * (there.y - here.y),
-                    here.yaw + share * turn,
+                    earlier_pose.x + fraction * (later_pose.x - earlier_pose.x),
+                    earlier_pose.y + fraction * (later_pose.y - earlier_pose.y),
+                    earlier_pose.yaw + fraction * turn,
                 )
             later = earlier
         return later.pose
 
     @cython.cfunc
-    def _tell(self, clusters: list, context):
+    def _add_shared_places(self, clusters: list, context):
         """Add a cluster for each place that a peer shared; its radius contains the error."""
         if not context.told:
             return
@@ -429,20 +463,25 @@ class Tracker:
             y: cython.double = obstacle.y
             cluster: _Cluster = _Cluster()
             cluster.x, cluster.y = pose.x + c * x - s * y, pose.y + s * x + c * y
-            cluster.half, cluster.range, cluster.ends = obstacle.radius, hypot(x, y), 1
-            cluster.at, cluster.is_told = now - obstacle.age, True
+            cluster.half_width, cluster.range = obstacle.radius, hypot(x, y)
+            cluster.visible_ends = 1
+            cluster.measured_at, cluster.is_shared = now - obstacle.age, True
             clusters.append(cluster)
 
     @cython.cfunc
     def _add_wall(self, x: cython.double, y: cython.double) -> cython.int:
-        k: cython.Py_ssize_t = self._walls
+        k: cython.Py_ssize_t = self._wall_count
         self._wall_x[k], self._wall_y[k] = x, y
-        self._walls = k + 1
+        self._wall_count = k + 1
         return 0
 
     @cython.cfunc
     def _sort(self, scan, pose) -> cython.int:
-        """Store the returns of a scan, sorted by bearing, with their places by odometry."""
+        """Store the returns of a scan, sorted by bearing, with their places by odometry.
+
+        `pose` is the pose of the base when the scan was measured. Sets the arrays of returns, and
+        makes the arrays of runs and walls long enough.
+        """
         ranges, bearings = scan.ranges, scan.bearings
         rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
         bearings = bearings[rays]
@@ -451,59 +490,61 @@ class Tracker:
         ranges = ranges[rays].astype(np.float64, copy=False)
         angles = bearings + pose.yaw
         yaw: cython.double = pose.yaw
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
-        x: cython.double = pose.x + c * self._offset_x - s * self._offset_y
-        y: cython.double = pose.y + s * self._offset_x + c * self._offset_y
-        self._count, self._lidar_x, self._lidar_y = len(rays), x, y
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
+        x: cython.double = pose.x + cos_yaw * self._offset_x - sin_yaw * self._offset_y
+        y: cython.double = pose.y + sin_yaw * self._offset_x + cos_yaw * self._offset_y
+        self._return_count, self._lidar_x, self._lidar_y = len(rays), x, y
         self._x, self._y = _view(x + ranges * np.cos(angles)), _view(y + ranges * np.sin(angles))
         self._ranges, self._bearings = _view(ranges), _view(bearings)
-        ages = np.zeros(self._count) if scan.ages is None else scan.ages[rays]
+        ages = np.zeros(self._return_count) if scan.ages is None else scan.ages[rays]
         self._ages = _view(ages)
-        if len(self._is_gap) < self._count:
-            self._is_gap, self._first = _places(self._count), _places(self._count)
-            self._last = _places(self._count)
-            # No wall without a return of its own.
-            self._wall_x, self._wall_y = _doubles(self._count), _doubles(self._count)
+        if len(self._is_gap) < self._return_count:
+            self._is_gap, self._run_first = _places(self._return_count), _places(self._return_count)
+            self._run_last = _places(self._return_count)
+            # Each place of a wall is a return, or the mean of a run.
+            self._wall_x, self._wall_y = _doubles(self._return_count), _doubles(self._return_count)
         return 0
 
     @cython.cfunc
-    def _cut(self) -> cython.Py_ssize_t:
-        """Cut the returns into runs of one surface each; the number of runs.
+    def _cut_into_runs(self) -> cython.Py_ssize_t:
+        """Cut the returns into runs, each of a single surface; the number of runs.
 
-        0: the returns all around are one surface.
+        Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`). A run
+        ends where rays are missing, or where the next return is farther away than on a surface that
+        faces the lidar at a grazing angle. 0: the returns all around are a single surface.
         """
-        n: cython.Py_ssize_t = self._count
+        count: cython.Py_ssize_t = self._return_count
         runs: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
-        widest: cython.double = _LOST * self._spacing
-        for i in range(n):
-            j = i + 1 if i + 1 < n else 0
+        max_step: cython.double = _MAX_LOST_STEPS * self._spacing
+        for i in range(count):
+            j = i + 1 if i + 1 < count else 0
             step: cython.double = self._bearings[j] - self._bearings[i]
             if j == 0:
                 step -= floor(step / _TURN) * _TURN
             near: cython.double = min(self._ranges[i], self._ranges[j])
-            apart: cython.double = _JUMP + near * step / _GRAZING
+            max_distance: cython.double = _MAX_STEP + near * step / _GRAZING
             dx: cython.double = self._x[j] - self._x[i]
             dy: cython.double = self._y[j] - self._y[i]
-            self._is_gap[i] = step > widest
-            if self._is_gap[i] or dx * dx + dy * dy > apart * apart:
-                self._last[runs] = i
-                self._first[runs] = self._last[runs - 1] + 1 if runs > 0 else 0
+            self._is_gap[i] = step > max_step
+            if self._is_gap[i] or dx * dx + dy * dy > max_distance * max_distance:
+                self._run_last[runs] = i
+                self._run_first[runs] = self._run_last[runs - 1] + 1 if runs > 0 else 0
                 runs += 1
-        if runs > 0:
-            self._first[0] = self._last[runs - 1] + 1 - n
+        if runs > 0:  # the first run begins behind the last cut, before index 0
+            self._run_first[0] = self._run_last[runs - 1] + 1 - count
         return runs
 
     @cython.cfunc
     def _clusters(self, at: cython.double) -> list:
         """The clusters that are compact objects; also adds the places of walls."""
         clusters: list = []
-        n: cython.Py_ssize_t = self._count
+        n: cython.Py_ssize_t = self._return_count
         if n < 2:
             return clusters
-        runs: cython.Py_ssize_t = self._cut()
+        runs: cython.Py_ssize_t = self._cut_into_runs()
         i: cython.Py_ssize_t
         end: cython.Py_ssize_t
         if runs == 0:
@@ -512,118 +553,134 @@ class Tracker:
             return clusters
         index: cython.Py_ssize_t = 0
         while index < runs:
-            end = self._bridged(index, runs)
-            self._judge(clusters, index, end, at)
+            end = self._end_of_surface(index, runs)
+            self._add_surface(clusters, index, end, at)
             index = end + 1
         return clusters
 
     @cython.cfunc
-    def _bridged(self, index: cython.Py_ssize_t, runs: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The last run of the surface that begins with run `index`.
+    def _end_of_surface(
+        self, index: cython.Py_ssize_t, run_count: cython.Py_ssize_t
+    ) -> cython.Py_ssize_t:
+        """The index of the last run of the surface that begins with run `index`.
 
         A single return between two runs may be an outlier: if the runs on both sides of the return
-        fit together, they are one surface. So the surface has every other run up to the last.
+        fit together, they are a single surface. So a surface consists of every second run up to the
+        last.
         """
-        while index + 2 < runs and self._first[index + 1] == self._last[index + 1]:
-            i: cython.Py_ssize_t = self._last[index]
-            j: cython.Py_ssize_t = self._first[index + 2]
+        while index + 2 < run_count and self._run_first[index + 1] == self._run_last[index + 1]:
+            i: cython.Py_ssize_t = self._run_last[index]
+            j: cython.Py_ssize_t = self._run_first[index + 2]
             near: cython.double = min(self._ranges[i], self._ranges[j])
-            apart: cython.double = _JUMP + 2.0 * near * self._spacing / _GRAZING
+            max_distance: cython.double = _MAX_STEP + 2.0 * near * self._spacing / _GRAZING
             dx: cython.double = self._x[i] - self._x[j]
             dy: cython.double = self._y[i] - self._y[j]
-            if dx * dx + dy * dy > apart * apart:
+            if dx * dx + dy * dy > max_distance * max_distance:
                 break
             index += 2
         return index
 
     @cython.cfunc
-    def _judge(
+    def _add_surface(
         self,
         clusters: list,
         index: cython.Py_ssize_t,
         end: cython.Py_ssize_t,
-        at: cython.double,
+        scan_time: cython.double,
     ) -> cython.int:
-        """Add the surface of every other run from `index` to `end` as a cluster or as a wall.
+        """Add a surface as a cluster (a compact object that may move), or as a wall.
 
-        A surface beyond REACH is left out.
+        A surface beyond REACH is left out. A surface wider than a few robots is a wall. A thinner
+        surface than _MIN_WIDTH counts as standing, so as a wall.
+
+        `clusters`: the list to which the cluster is added. `index`, `end`: the first and the last
+        run of the surface, which has every second run from `index` to `end`. `scan_time`: s, the
+        time of the newest ray of the scan.
         """
         xs: cython.double[::1] = self._x
         ys: cython.double[::1] = self._y
         ranges: cython.double[::1] = self._ranges
         ages: cython.double[::1] = self._ages
-        n: cython.Py_ssize_t = self._count
+        count: cython.Py_ssize_t = self._return_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        row: cython.Py_ssize_t
-        first: cython.Py_ssize_t = (self._first[index] + n) % n
-        last: cython.Py_ssize_t = self._last[end]
+        ray: cython.Py_ssize_t
+        first: cython.Py_ssize_t = (self._run_first[index] + count) % count
+        last: cython.Py_ssize_t = self._run_last[end]
         nearest: cython.double = INFINITY
         farthest: cython.double = 0.0
+
+        # 1. The nearest and the farthest return. Indices of the first run may be negative.
         for k in range(index, end + 1, 2):
-            for i in range(self._first[k], self._last[k] + 1):
-                nearest = min(nearest, ranges[i if i >= 0 else i + n])
-                farthest = max(farthest, ranges[i if i >= 0 else i + n])
+            for i in range(self._run_first[k], self._run_last[k] + 1):
+                nearest = min(nearest, ranges[i if i >= 0 else i + count])
+                farthest = max(farthest, ranges[i if i >= 0 else i + count])
         if nearest > REACH:
             return 0
         chord: cython.double = hypot(xs[first] - xs[last], ys[first] - ys[last])
         if chord > self._widest or farthest - nearest > self._widest:
-            return self._note_wall(index, end)
+            return self._add_wall_sectors(index, end)
+
+        # 2. The mean return.
         x: cython.double = 0.0
         y: cython.double = 0.0
         distance: cython.double = 0.0
         age: cython.double = 0.0
-        rows: cython.Py_ssize_t = 0
+        return_count: cython.Py_ssize_t = 0
         for k in range(index, end + 1, 2):
-            for i in range(self._first[k], self._last[k] + 1):
-                row = i if i >= 0 else i + n
-                x, y = x + xs[row], y + ys[row]
-                distance, age = distance + ranges[row], age + ages[row]
-                rows += 1
-        x, y, distance = x / rows, y / rows, distance / rows
-        if rows == 1 or chord < _LEAST_WIDTH:
+            for i in range(self._run_first[k], self._run_last[k] + 1):
+                ray = i if i >= 0 else i + count
+                x, y = x + xs[ray], y + ys[ray]
+                distance, age = distance + ranges[ray], age + ages[ray]
+                return_count += 1
+        x, y, distance = x / return_count, y / return_count, distance / return_count
+        if return_count == 1 or chord < _MIN_WIDTH:
             return self._add_wall(x, y)
+
+        # 3. The cluster. An end is visible unless the neighbouring return beyond it is nearer.
         cluster: _Cluster = _Cluster()
-        before: cython.Py_ssize_t = first - 1 if first > 0 else n - 1
-        after: cython.Py_ssize_t = last + 1 if last + 1 < n else 0
-        if self._is_gap[before] or ranges[before] > ranges[first]:
-            cluster.ends += 1
-        if self._is_gap[last] or ranges[after] > ranges[last]:
-            cluster.ends += 1
+        ray_before: cython.Py_ssize_t = first - 1 if first > 0 else count - 1
+        ray_after: cython.Py_ssize_t = last + 1 if last + 1 < count else 0
+        if self._is_gap[ray_before] or ranges[ray_before] > ranges[first]:
+            cluster.visible_ends += 1
+        if self._is_gap[last] or ranges[ray_after] > ranges[last]:
+            cluster.visible_ends += 1
         dx: cython.double = x - self._lidar_x
         dy: cython.double = y - self._lidar_y
-        way: cython.double = max(hypot(dx, dy), 1e-6)
-        cluster.x, cluster.y, cluster.dx, cluster.dy = x, y, dx / way, dy / way
-        cluster.half, cluster.range = 0.5 * (chord + distance * self._spacing), distance
-        cluster.at = at - age / rows
+        to_lidar: cython.double = max(hypot(dx, dy), 1e-6)
+        cluster.x, cluster.y, cluster.ray_x, cluster.ray_y = x, y, dx / to_lidar, dy / to_lidar
+        cluster.half_width, cluster.range = 0.5 * (chord + distance * self._spacing), distance
+        cluster.measured_at = scan_time - age / return_count
         clusters.append(cluster)
         return 0
 
     @cython.cfunc
-    def _note_wall(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+    def _add_wall_sectors(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
         """Add the nearest place of a wall in each of _SECTORS directions, in order of bearing."""
         ranges: cython.double[::1] = self._ranges
         bearings: cython.double[::1] = self._bearings
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._count
+        n: cython.Py_ssize_t = self._return_count
         nearest: cython.Py_ssize_t = -1
         sector: cython.double = 0.0
         for k in range(index, end + 3, 2):
             # Returns of the first run that lie at the end of the arrays come last.
-            first: cython.Py_ssize_t = self._first[k] if k <= end else self._first[index] + n
-            last: cython.Py_ssize_t = self._last[k] if k <= end else n - 1
+            first: cython.Py_ssize_t = (
+                self._run_first[k] if k <= end else self._run_first[index] + n
+            )
+            last: cython.Py_ssize_t = self._run_last[k] if k <= end else n - 1
             for i in range(max(first, 0), last + 1):
-                own: cython.double = floor(bearings[i] * _SECTOR)
-                if nearest < 0 or own != sector:
-                    self._note_place(nearest)
-                    nearest, sector = i, own
+                ray_sector: cython.double = floor(bearings[i] * _SECTOR)
+                if nearest < 0 or ray_sector != sector:
+                    self._add_near_wall(nearest)
+                    nearest, sector = i, ray_sector
                 elif ranges[i] < ranges[nearest]:
                     nearest = i
-        return self._note_place(nearest)
+        return self._add_near_wall(nearest)
 
     @cython.cfunc
-    def _note_place(self, i: cython.Py_ssize_t) -> cython.int:
+    def _add_near_wall(self, i: cython.Py_ssize_t) -> cython.int:
         """Add the place of return `i` of a wall if it is within REACH; -1: no return."""
         if i >= 0 and self._ranges[i] <= REACH:
             return self._add_wall(self._x[i], self._y[i])
@@ -632,24 +689,24 @@ class Tracker:
     @cython.cfunc
     def _associate(self, clusters: list) -> cython.int:
         """Update each filter by the nearest cluster within its gate."""
-        row: cython.Py_ssize_t
-        index: cython.Py_ssize_t
+        filter_index: cython.Py_ssize_t
+        cluster_index: cython.Py_ssize_t
         track: _Filter
         cluster: _Cluster
         pairs: list = []
-        for row in range(len(self._filters)):
-            track = self._filters[row]
+        for filter_index in range(len(self._filters)):
+            track = self._filters[filter_index]
             track.misses += 1
             gate: cython.double = _GATE * sqrt(track.pp + _POSITION_NOISE * _POSITION_NOISE)
             gate += _GATE_SLACK
-            for index in range(len(clusters)):
-                cluster = clusters[index]
-                off: cython.double = track.off(cluster, gate)
-                if off <= gate:
-                    pairs.append((off / gate, row, index))
+            for cluster_index in range(len(clusters)):
+                cluster = clusters[cluster_index]
+                distance: cython.double = track.distance_to(cluster, gate)
+                if distance <= gate:
+                    pairs.append((distance / gate, filter_index, cluster_index))
         pairs.sort()
-        for _, row, index in pairs:
-            track, cluster = self._filters[row], clusters[index]
+        for _, filter_index, cluster_index in pairs:
+            track, cluster = self._filters[filter_index], clusters[cluster_index]
             if track.misses and not cluster.is_used:
                 cluster.is_used = True
                 track.update(cluster)
@@ -661,9 +718,9 @@ class Tracker:
         track: _Filter
         for track in self._filters:
             radius: cython.double = track.radius
-            if cluster.is_told:
-                radius = max(radius, cluster.half)
-            radius += _PART
+            if cluster.is_shared:
+                radius = max(radius, cluster.half_width)
+            radius += _PART_SLACK
             dx: cython.double = track.x - cluster.x
             dy: cython.double = track.y - cluster.y
             if dx * dx + dy * dy < radius * radius:
@@ -677,7 +734,7 @@ class Tracker:
         kept: list = []
         for track in self._filters:
             if track.misses and not self._is_hidden(track, pose):
-                if track.misses >= _MISSES or track.hits < _CONFIRMED:
+                if track.misses >= _MAX_MISSES or track.hits < _MIN_HITS:
                     continue
             elif track.misses:
                 track.misses = 0
@@ -689,16 +746,16 @@ class Tracker:
     @cython.cfunc
     def _is_hidden(self, track: _Filter, pose) -> cython.bint:
         """True if a return in front of a track hides its middle."""
-        n: cython.Py_ssize_t = self._count
+        n: cython.Py_ssize_t = self._return_count
         if n == 0:
             return False
         yaw: cython.double = pose.yaw
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
         dx: cython.double = track.x - pose.x
         dy: cython.double = track.y - pose.y
-        x: cython.double = c * dx + s * dy - self._offset_x
-        y: cython.double = c * dy - s * dx - self._offset_y
+        x: cython.double = cos_yaw * dx + sin_yaw * dy - self._offset_x
+        y: cython.double = cos_yaw * dy - sin_yaw * dx - self._offset_y
         bearing: cython.double = atan2(y, x)
         low: cython.Py_ssize_t = 0  # the first return whose bearing is not below
         high: cython.Py_ssize_t = n

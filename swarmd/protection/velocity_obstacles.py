@@ -54,49 +54,52 @@ def line_of(
     py: cython.double,
     vx: cython.double,
     vy: cython.double,
-    own_x: cython.double,
-    own_y: cython.double,
+    robot_vx: cython.double,
+    robot_vy: cython.double,
     radius: cython.double,
     share: cython.double,
     horizon: cython.double,
 ) -> Line:
     """The border of the velocities that keep `radius` m away from a place for `horizon` s.
 
+    ORCA (see the module): the velocity obstacle is a cone with a round cap. The line touches the
+    obstacle where the obstacle is nearest to the present velocity.
+
     Args:
-        px, py: the place in m.
-        vx, vy: the present velocity of the robot relative to the place in m/s.
-        own_x, own_y: the present velocity of the robot in m/s.
-        radius: m.
+        px, py: the place in m, relative to the robot.
+        vx, vy: the velocity of the robot relative to the place in m/s.
+        robot_vx, robot_vy: the velocity of the robot in m/s.
+        radius: m, the distance to keep.
         share: the share of the necessary change of velocity that this robot makes.
         horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
     # A robot nearer than `radius` may pass aside, and need not move away.
     radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
-    wx: cython.double = vx - px / horizon
-    wy: cython.double = vy - py / horizon
-    length: cython.double = hypot(wx, wy)
-    along: cython.double = wx * px + wy * py
+    from_cap_x: cython.double = vx - px / horizon
+    from_cap_y: cython.double = vy - py / horizon
+    length: cython.double = hypot(from_cap_x, from_cap_y)
+    along: cython.double = from_cap_x * px + from_cap_y * py
     dx: cython.double
     dy: cython.double
-    ux: cython.double
-    uy: cython.double
-    # The velocity obstacle is a cone with a round cap. Project the velocity on the cap, else on the
-    # nearer leg of the cone.
+    change_x: cython.double
+    change_y: cython.double
+    # Projects the velocity on the cap, else on the nearer leg of the cone. `change` in m/s leads
+    # from the relative velocity to the border.
     if along < 0.0 and along * along > radius * radius * length * length:
-        nx: cython.double = wx / max(length, _EPSILON)
-        ny: cython.double = wy / max(length, _EPSILON)
+        nx: cython.double = from_cap_x / max(length, _EPSILON)
+        ny: cython.double = from_cap_y / max(length, _EPSILON)
         off: cython.double = radius / horizon - length
-        dx, dy, ux, uy = ny, -nx, off * nx, off * ny
+        dx, dy, change_x, change_y = ny, -nx, off * nx, off * ny
     else:
         leg: cython.double = sqrt(max(square - radius * radius, 0.0))
-        if px * wy - py * wx > 0.0:
+        if px * from_cap_y - py * from_cap_x > 0.0:
             dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
         else:
             dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
-        way: cython.double = vx * dx + vy * dy
-        ux, uy = way * dx - vx, way * dy - vy
-    return Line(own_x + share * ux, own_y + share * uy, dx, dy)
+        speed: cython.double = vx * dx + vy * dy
+        change_x, change_y = speed * dx - vx, speed * dy - vy
+    return Line(robot_vx + share * change_x, robot_vy + share * change_y, dx, dy)
 
 
 @cython.cfunc
@@ -109,8 +112,8 @@ def _rows(places):
 def wall_lines(
     walls,
     lead: cython.double,
-    own_x: cython.double,
-    own_y: cython.double,
+    robot_vx: cython.double,
+    robot_vy: cython.double,
     radius: cython.double,
     reach: cython.double,
     horizon: cython.double,
@@ -123,24 +126,35 @@ def wall_lines(
         x: cython.double = places[i, 0] - lead
         y: cython.double = places[i, 1]
         if x * x + y * y < reach * reach:
-            lines.append(line_of(x, y, own_x, own_y, own_x, own_y, radius, 1.0, horizon))
+            lines.append(
+                line_of(x, y, robot_vx, robot_vy, robot_vx, robot_vy, radius, 1.0, horizon)
+            )
     return lines
 
 
 def track_lines(
     tracks: tuple,
     lead: cython.double,
-    own_x: cython.double,
-    own_y: cython.double,
+    robot_vx: cython.double,
+    robot_vy: cython.double,
     radius: cython.double,
     share: cython.double,
-    stands: cython.double,
+    standing_speed: cython.double,
     horizon: cython.double,
 ) -> list:
-    """A line for each track, for a point `lead` m ahead.
+    """A line for each track, for a point `lead` m ahead of the axle.
 
-    The robot makes a `share` of the change of velocity for an object that moves, and the whole
-    change for an object slower than `stands` m/s. `radius` in m is that of the robot alone.
+    The robot makes the whole change of velocity for an object that stands, since such an object
+    does not avoid the robot.
+
+    Args:
+        tracks: Track values in the base frame.
+        lead: m.
+        robot_vx, robot_vy: m/s, the velocity of the robot.
+        radius: m, of the robot alone.
+        share: the share of the change of velocity that the robot makes for an object that moves.
+        standing_speed: m/s; a slower object counts as standing.
+        horizon: s.
     """
     lines: list = []
     for track in tracks:
@@ -148,10 +162,10 @@ def track_lines(
         y: cython.double = track.y
         vx: cython.double = track.vx
         vy: cython.double = track.vy
-        wide: cython.double = track.radius
-        part: cython.double = 1.0 if hypot(vx, vy) < stands else share
-        vx, vy, wide = own_x - vx, own_y - vy, radius + wide
-        lines.append(line_of(x - lead, y, vx, vy, own_x, own_y, wide, part, horizon))
+        radii: cython.double = track.radius
+        part: cython.double = 1.0 if hypot(vx, vy) < standing_speed else share
+        vx, vy, radii = robot_vx - vx, robot_vy - vy, radius + radii
+        lines.append(line_of(x - lead, y, vx, vy, robot_vx, robot_vy, radii, part, horizon))
     return lines
 
 
@@ -161,64 +175,71 @@ def most_violated(
     """The index of the line, from `first` on, that a velocity violates most; -1 without one."""
     i: cython.Py_ssize_t
     worst: cython.Py_ssize_t = -1
-    most: cython.double = 0.0
+    worst_excess: cython.double = 0.0
     for i in range(first, len(lines)):
-        by: cython.double = excess(lines[i], x, y)
-        if by > most:
-            worst, most = i, by
+        line_excess: cython.double = excess(lines[i], x, y)
+        if line_excess > worst_excess:
+            worst, worst_excess = i, line_excess
     return worst
 
 
 def width_between(
-    walls, first: cython.double, last: cython.double, widest: cython.double
+    walls,
+    nearest_ahead: cython.double,
+    farthest_ahead: cython.double,
+    farthest_aside: cython.double,
 ) -> cython.double:
-    """The least distance in m between a place of a wall to the left and one to the right.
+    """The least distance in m between a place of a wall to the left and a place to the right.
 
-    Only places from `first` to `last` m ahead and within `widest` m to the side count. inf without
-    places on both sides.
+    `walls` (k, 2) in m in the base frame. Only places from `nearest_ahead` to `farthest_ahead` m
+    ahead, and within `farthest_aside` m to the side, count. inf without places on both sides.
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     places: cython.double[:, ::1] = _rows(walls)
-    near: list = []
-    least: cython.double = INFINITY
+    sides: list = []
+    least_width: cython.double = INFINITY
     for i in range(len(places)):
         x: cython.double = places[i, 0]
         y: cython.double = places[i, 1]
-        if first < x < last and fabs(y) < widest:
-            near.append(i)
-    for i in near:
+        if nearest_ahead < x < farthest_ahead and fabs(y) < farthest_aside:
+            sides.append(i)
+    for i in sides:
         if places[i, 1] > 0.0:
-            for k in near:
+            for k in sides:
                 if places[k, 1] <= 0.0:
                     dx: cython.double = places[i, 0] - places[k, 0]
                     dy: cython.double = places[i, 1] - places[k, 1]
-                    least = min(least, hypot(dx, dy))
-    return least
+                    least_width = min(least_width, hypot(dx, dy))
+    return least_width
 
 
 def nearest(
-    lines: list, fixed: cython.Py_ssize_t, x: cython.double, y: cython.double, most: cython.double
+    lines: list,
+    wall_count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    max_speed: cython.double,
 ) -> tuple:
-    """The velocity nearest to `x`, `y` that keeps all lines and is at most `most` m/s fast.
+    """The velocity nearest to `x`, `y` that satisfies all lines, of at most `max_speed` m/s.
 
-    If no velocity keeps all lines: the velocity that keeps the first `fixed` lines and minimises
-    the greatest violation of the others.
+    If no velocity satisfies all lines: the velocity that satisfies the first `wall_count` lines and
+    minimises the greatest violation of the other lines.
     """
     programme: _Programme = _Programme()
-    programme.most = most
-    failed: cython.Py_ssize_t = programme.solve(lines, x, y, False)
-    if failed < len(lines):
-        programme.relax(lines, fixed, failed)
+    programme.max_speed = max_speed
+    solved_count: cython.Py_ssize_t = programme.solve(lines, x, y, False)
+    if solved_count < len(lines):
+        programme.relax(lines, wall_count, solved_count)
     return programme.x, programme.y
 
 
 @cython.final
 @cython.cclass
 class _Programme:
-    """A linear programme: the velocity `x`, `y` within lines and a circle of radius `most`."""
+    """A linear programme: the velocity `x`, `y` within lines and a circle of radius `max_speed`."""
 
-    most: cython.double
+    max_speed: cython.double
     x: cython.double
     y: cython.double
 
@@ -226,19 +247,20 @@ class _Programme:
     def solve(
         self, lines: list, x: cython.double, y: cython.double, is_direction: cython.bint
     ) -> cython.Py_ssize_t:
-        """Set the best velocity; the result is the number of lines that it keeps, in order.
+        """Set the best velocity; the number of lines that the velocity satisfies, in their order.
 
         The best velocity is the nearest to `x`, `y`; or, if `is_direction`, the farthest in the
-        direction of the unit vector `x`, `y`.
+        direction of the unit vector `x`, `y`. A result below the number of lines is the index of
+        the first line that no velocity satisfies together with the lines before.
         """
         i: cython.Py_ssize_t
         line: Line
-        most: cython.double = self.most
+        max_speed: cython.double = self.max_speed
         length: cython.double = hypot(x, y)
         if is_direction:
-            self.x, self.y = x * most, y * most
-        elif length > most:
-            self.x, self.y = x * most / length, y * most / length
+            self.x, self.y = x * max_speed, y * max_speed
+        elif length > max_speed:
+            self.x, self.y = x * max_speed / length, y * max_speed / length
         else:
             self.x, self.y = x, y
         for i in range(len(lines)):
@@ -251,81 +273,100 @@ class _Programme:
     def _place(
         self,
         lines: list,
-        count: cython.Py_ssize_t,
+        line_count: cython.Py_ssize_t,
         x: cython.double,
         y: cython.double,
         is_direction: cython.bint,
     ) -> cython.bint:
-        """Set the best velocity on line `count` that keeps all lines before; False without one."""
+        """Set the best velocity on a line that satisfies all lines before; False if none does.
+
+        The line has the index `line_count`; `lines` before it are satisfied so far. `x`, `y` and
+        `is_direction` are as in `solve`. Positions on the line are in m/s from its point.
+        """
         i: cython.Py_ssize_t
-        line: Line = lines[count]
-        before: Line
-        along: cython.double = line.x * line.dx + line.y * line.dy
-        inside: cython.double = along * along + self.most * self.most
-        inside = inside - line.x * line.x - line.y * line.y
-        if inside < 0.0:
+        line: Line = lines[line_count]
+        other: Line
+
+        # 1. The part of the line, from `low` to `high`, within the circle of the greatest speed.
+        along_line: cython.double = line.x * line.dx + line.y * line.dy
+        half_chord_square: cython.double = along_line * along_line + self.max_speed * self.max_speed
+        half_chord_square = half_chord_square - line.x * line.x - line.y * line.y
+        if half_chord_square < 0.0:
             return False
-        half: cython.double = sqrt(inside)
-        low: cython.double = -along - half
-        high: cython.double = -along + half
-        for i in range(count):
-            before = lines[i]
-            cross: cython.double = line.dx * before.dy - line.dy * before.dx
-            above: cython.double = before.dx * (line.y - before.y) - before.dy * (line.x - before.x)
-            if fabs(cross) <= _EPSILON:
-                if above < 0.0:
+        half_chord: cython.double = sqrt(half_chord_square)
+        low: cython.double = -along_line - half_chord
+        high: cython.double = -along_line + half_chord
+
+        # 2. Each line before cuts this part off on one side.
+        for i in range(line_count):
+            other = lines[i]
+            cross: cython.double = line.dx * other.dy - line.dy * other.dx
+            offset: cython.double = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
+            if fabs(cross) <= _EPSILON:  # parallel: the line before permits all positions or none
+                if offset < 0.0:
                     return False
                 continue
             if cross >= 0.0:
-                high = min(high, above / cross)
+                high = min(high, offset / cross)
             else:
-                low = max(low, above / cross)
+                low = max(low, offset / cross)
             if low > high:
                 return False
-        best: cython.double
+
+        # 3. The best position in this part.
+        position: cython.double
         if is_direction:
-            best = high if x * line.dx + y * line.dy > 0.0 else low
+            position = high if x * line.dx + y * line.dy > 0.0 else low
         else:
-            best = min(max(line.dx * (x - line.x) + line.dy * (y - line.y), low), high)
-        self.x, self.y = line.x + best * line.dx, line.y + best * line.dy
+            position = min(max(line.dx * (x - line.x) + line.dy * (y - line.y), low), high)
+        self.x, self.y = line.x + position * line.dx, line.y + position * line.dy
         return True
 
     @cython.cfunc
-    def relax(self, lines: list, fixed: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
-        """Set the velocity that minimises the greatest violation of the lines from `fixed` on.
+    def relax(
+        self, lines: list, wall_count: cython.Py_ssize_t, begin: cython.Py_ssize_t
+    ) -> cython.int:
+        """Set the velocity that minimises the greatest violation of the lines from `wall_count` on.
 
-        The velocity keeps the first `fixed` lines. `begin` is the first line that is not kept.
+        The velocity satisfies the first `wall_count` lines. `begin` is the index of the first line
+        that `solve` could not satisfy. The third linear programme of ORCA: for each line that is
+        violated most so far, the other lines are replaced by the lines on which both violations are
+        equal, and the velocity goes as far as possible against the violation.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         line: Line
-        before: Line
-        worst: cython.double = 0.0
+        other: Line
+        worst_excess: cython.double = 0.0
         for i in range(begin, len(lines)):
             line = lines[i]
-            if excess(line, self.x, self.y) <= worst:
+            if excess(line, self.x, self.y) <= worst_excess:
                 continue
-            projected: list = lines[:fixed]
-            for k in range(fixed, i):
-                before = lines[k]
-                cross: cython.double = line.dx * before.dy - line.dy * before.dx
+
+            # 1. The lines of equal violation.
+            projected: list = lines[:wall_count]
+            for k in range(wall_count, i):
+                other = lines[k]
+                cross: cython.double = line.dx * other.dy - line.dy * other.dx
                 x: cython.double
                 y: cython.double
                 if fabs(cross) <= _EPSILON:
-                    if line.dx * before.dx + line.dy * before.dy > 0.0:
+                    if line.dx * other.dx + line.dy * other.dy > 0.0:
                         continue
-                    x, y = 0.5 * (line.x + before.x), 0.5 * (line.y + before.y)
+                    x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
                 else:
-                    at: cython.double = before.dx * (line.y - before.y)
-                    at = (at - before.dy * (line.x - before.x)) / cross
-                    x, y = line.x + at * line.dx, line.y + at * line.dy
-                dx: cython.double = before.dx - line.dx
-                dy: cython.double = before.dy - line.dy
+                    position: cython.double = other.dx * (line.y - other.y)
+                    position = (position - other.dy * (line.x - other.x)) / cross
+                    x, y = line.x + position * line.dx, line.y + position * line.dy
+                dx: cython.double = other.dx - line.dx
+                dy: cython.double = other.dy - line.dy
                 length: cython.double = max(hypot(dx, dy), _EPSILON)
                 projected.append(Line(x, y, dx / length, dy / length))
-            before_x: cython.double = self.x
-            before_y: cython.double = self.y
+
+            # 2. The best velocity within these lines; if rounding leaves none, the previous.
+            previous_x: cython.double = self.x
+            previous_y: cython.double = self.y
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):
-                self.x, self.y = before_x, before_y
-            worst = excess(line, self.x, self.y)
+                self.x, self.y = previous_x, previous_y
+            worst_excess = excess(line, self.x, self.y)
         return 0

@@ -33,7 +33,7 @@ SECTORS = 90
 """Sectors of 4 degrees, of the sensor and of the directions around it."""
 
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
-_LOOK_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
+_COMPARE_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
 # Directions, each a sector wide, in which a blind sector must have missed an object.
 _MIN_MISSED = cython.declare(cython.Py_ssize_t, 8)
 _MAX_TIME = cython.declare(cython.double, 15.0)  # s after which a seen object is forgotten
@@ -45,7 +45,7 @@ _SAME_M = cython.declare(cython.double, 0.1)
 # Looks (comparisons of a scan) in a row that see a static object, before and after a ray misses it.
 _STREAK = cython.declare(cython.int, 3)
 # Scans in a row with a return, after which a blind sector is trusted again.
-_CLEARING = cython.declare(cython.int, 3)
+_CLEARING_SCANS = cython.declare(cython.int, 3)
 
 
 @cython.cclass
@@ -57,31 +57,32 @@ class BlindSectors:
 
     text = cython.declare(object, visibility="readonly")
     _is_used: cython.bint
-    _looked_at: cython.double
-    _looked_yaw: cython.double
+    _compared_at: cython.double
+    _compared_yaw: cython.double
     _is_blind: object
     _range_min: cython.double
     _range_max: cython.double
     _is_zero_near: cython.bint
-    _given: object
+    _bearings_of_scan: object
     _bearings: cython.const[cython.double][::1]
     _sector: cython.longlong[::1]  # of each ray
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
-    _blind: cython.uchar[::1]
-    _returned: object  # the array of `_returned_at`
+    _blind_flags: cython.uchar[::1]
+    _returned_array: object  # the array of `_returned_at`
     _returned_at: cython.double[::1]  # by sector
-    _returns: cython.longlong[90]  # scans in a row with a return
-    # By direction: the thing last seen there, where from, for how many looks in a row, and when.
+    _return_streak: cython.longlong[90]  # scans in a row with a return
+    # By direction: range of the object last seen there, from where (x, y), in how many comparisons
+    # in a row, and when.
     _range: cython.double[90]
     _x: cython.double[90]
     _y: cython.double[90]
     _streak: cython.int[90]
     _seen_at: cython.double[90]
     # short: Cython takes an array of uchar for a text that ends at 0, as a memory is read.
-    _pending: cython.short[8100]  # [direction, sector]: has missed the thing since
-    _missed: cython.short[8100]  # [sector, direction]: has missed a static thing
-    # Of one look, by direction.
+    _pending: cython.short[8100]  # [direction, sector]: missed the object since
+    _missed: cython.short[8100]  # [sector, direction]: missed a static object
+    # Of one comparison, by direction: rays, returns, sum of ranges, whether an object is known.
     _rays: cython.int[90]
     _hits: cython.int[90]
     _sums: cython.double[90]
@@ -90,13 +91,13 @@ class BlindSectors:
     def __init__(self, spec: ScanSpec) -> None:
         k: cython.Py_ssize_t
         self._is_used, self.text = len(spec.bearings) >= _SECTORS, ""
-        self._looked_at, self._looked_yaw = -INFINITY, NAN
+        self._compared_at, self._compared_yaw = -INFINITY, NAN
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._is_zero_near = spec.zero == "too_close"
         self._is_blind = np.zeros(_SECTORS, np.bool_)
-        self._blind = memoryview(self._is_blind.view(np.uint8))
-        self._returned = np.full(_SECTORS, NAN)
-        self._returned_at = memoryview(self._returned)
+        self._blind_flags = memoryview(self._is_blind.view(np.uint8))
+        self._returned_array = np.full(_SECTORS, NAN)
+        self._returned_at = memoryview(self._returned_array)
         for k in range(_SECTORS):
             self._seen_at[k] = -INFINITY
         self._bearings = self._sector = self._direction = self._is_return = None
@@ -125,25 +126,25 @@ class BlindSectors:
             is_due = self._is_due(pose.yaw, now)
         if not (is_due or self.text):
             return
-        if bearings is not self._given:
+        if bearings is not self._bearings_of_scan:
             self._set_bearings(bearings)
         self._find_returns(given)
         has_changed: cython.bint = self._count_returns(now)
-        if is_due and self._look(given, pose.x, pose.y, pose.yaw, now):
+        if is_due and self._compare_scan(given, pose.x, pose.y, pose.yaw, now):
             has_changed = True
         i: cython.Py_ssize_t
         for i in range(given.shape[0]):
-            if self._blind[self._sector[i]] and not self._is_return[i]:
+            if self._blind_flags[self._sector[i]] and not self._is_return[i]:
                 given[i] = NAN
         if has_changed:
-            self.text = blind_text(self._is_blind, self._returned, now)
+            self.text = blind_text(self._is_blind, self._returned_array, now)
 
     @cython.cfunc
     def _set_bearings(self, bearings):
         """Set the sector of each ray."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
-        self._given, self._bearings = bearings, view_of(bearings)
+        self._bearings_of_scan, self._bearings = bearings, view_of(bearings)
         self._sector, self._direction = new_indices(n), new_indices(n)
         self._is_return = new_flags(n)
         for i in range(n):
@@ -169,24 +170,24 @@ class BlindSectors:
         k: cython.Py_ssize_t
         has_cleared: cython.bint = False
         for k in range(_SECTORS):
-            self._returns[k] = self._returns[k] + 1 if self._hits[k] else 0
+            self._return_streak[k] = self._return_streak[k] + 1 if self._hits[k] else 0
             if self._hits[k] or isnan(self._returned_at[k]):
                 self._returned_at[k] = now
-            if self._blind[k] and self._returns[k] >= _CLEARING:
-                self._blind[k], has_cleared = False, True
+            if self._blind_flags[k] and self._return_streak[k] >= _CLEARING_SCANS:
+                self._blind_flags[k], has_cleared = False, True
         return has_cleared
 
     @cython.cfunc
     def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
         """True once the robot has turned by a sector since the last look."""
-        turned: cython.double = fabs(remainder(yaw - self._looked_yaw, TURN))
-        if now - self._looked_at < _LOOK_PERIOD or turned < TURN / _SECTORS:
+        turned: cython.double = fabs(remainder(yaw - self._compared_yaw, TURN))
+        if now - self._compared_at < _COMPARE_PERIOD or turned < TURN / _SECTORS:
             return False
-        self._looked_at, self._looked_yaw = now, yaw
+        self._compared_at, self._compared_yaw = now, yaw
         return True
 
     @cython.cfunc
-    def _look(
+    def _compare_scan(
         self,
         ranges: cython.double[::1],
         x: cython.double,
@@ -194,9 +195,9 @@ class BlindSectors:
         yaw: cython.double,
         now: cython.double,
     ) -> cython.bint:
-        """Compare what each ray returns with what others returned in its direction.
+        """Compare what each sector of the sensor returns with what other sectors returned there.
 
-        True if another sector is blind now.
+        True if a further sector is blind now. `x`, `y`, `yaw` are the pose of the robot.
         """
         d: cython.Py_ssize_t
         self._sum_by_direction(ranges, yaw)
@@ -204,7 +205,7 @@ class BlindSectors:
             self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
                 hypot(x - self._x[d], y - self._y[d]) <= _MAX_MOTION * self._range[d]
             )
-            self._see(d, x, y, now)
+            self._compare_direction(d, x, y, now)
         self._await_confirmation()
         return self._judge_sectors()
 
@@ -225,25 +226,37 @@ class BlindSectors:
         return 0
 
     @cython.cfunc
-    def _see(
+    def _compare_direction(
         self, d: cython.Py_ssize_t, x: cython.double, y: cython.double, now: cython.double
     ) -> cython.int:
-        """Compare what is seen in direction `d` with the thing last seen there."""
+        """Compare the returns in the direction `d` (an index) with the object last seen there.
+
+        A static object is the same object in _STREAK comparisons in a row. A sector of the sensor
+        that missed the object in between has missed a static object, which counts against the
+        sector. The object is seen only if all rays in the direction return. `x`, `y` in m is the
+        place of the robot.
+        """
         k: cython.Py_ssize_t
+
+        # 1. Is an object seen there, and is it the object of before?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
         is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
         self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+
+        # 2. Sectors that wait for a decision: a static object confirms that they missed it.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
         is_decided: cython.bint = is_static or not self._is_known[d] or (is_seen and not is_same)
         for k in range(_SECTORS):
-            if self._returns[k]:
+            if self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
             elif is_decided and self._pending[_SECTORS * d + k]:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
+
+        # 3. Stores the object, once it is new or static.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
         if is_seen and not is_same:
@@ -255,13 +268,13 @@ class BlindSectors:
 
     @cython.cfunc
     def _await_confirmation(self) -> cython.int:
-        """Mark sectors that miss a known thing now: it counts once the thing is seen again."""
+        """Mark sectors that miss a known object: this counts once the object is seen again."""
         i: cython.Py_ssize_t
         d: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for i in range(self._sector.shape[0]):
             d, k = self._direction[i], self._sector[i]
-            if self._is_known[d] and not self._hits[d] and not self._returns[k]:
+            if self._is_known[d] and not self._hits[d] and not self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = True
         return 0
 
@@ -276,8 +289,8 @@ class BlindSectors:
             count = 0
             for d in range(_SECTORS):
                 count += self._missed[_SECTORS * k + d]
-            if count >= _MIN_MISSED and not self._blind[k]:
-                self._blind[k] = is_new = True
+            if count >= _MIN_MISSED and not self._blind_flags[k]:
+                self._blind_flags[k] = is_new = True
         return is_new
 
 

@@ -41,7 +41,7 @@ _MOVES_ANGULAR = cython.declare(cython.double, 0.05)  # rad/s
 class ScanConditioner:
     """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
 
-    When the robot turns by odometry, the memory turns back, so it stays with its surroundings.
+    When the robot turns by odometry, the memory turns back and so stays with the surroundings.
 
     `take` returns the conditioned scan or the reason to reject the scan:
 
@@ -52,7 +52,7 @@ class ScanConditioner:
     - INVALID_SCAN: no return at all after a scan with many far returns
     - FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans
     - FROZEN_STAMP: the stamp is that of the scan before, whose ranges differ
-    - CLOCK_SET: the stamp is below an earlier one
+    - CLOCK_SET: the stamp is below an earlier stamp
     """
 
     _max_sector: cython.double  # rad without rays
@@ -65,21 +65,21 @@ class ScanConditioner:
     _blind: BlindSectors
     _rays: RayMemory
     # Of the last scan, and the greatest ones so far.
-    _last_given: object
+    _last_ranges: object
     _last_seq: object
     _last_stamp: cython.double
     _newest_seq: object
     _newest_stamp: cython.double
-    _in_order: cython.int  # scans that follow each other, below the greatest
-    _recent: object  # the bytes of the last different ranges
-    _identical: cython.int  # repeats in a row
+    _rising_scans: cython.int  # scans that follow each other, below the greatest
+    _recent_bytes: object  # the bytes of the last different ranges
+    _repeat_count: cython.int  # repeats in a row
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
         self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._latency, self._is_noisy = spec.latency, spec.is_noisy
-        self._bearings, self._recent = np.empty(0), []
+        self._bearings, self._recent_bytes = np.empty(0), []
         self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
         self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
 
@@ -98,43 +98,52 @@ class ScanConditioner:
         return self._blind.text
 
     def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
-        """Condition one scan that arrived at `now` (s on this machine's clock)."""
-        given, bearings = scan.ranges, scan.bearings
+        """Condition a scan; return the conditioned scan, or the reason to reject the scan.
+
+        `scan`: the raw scan of the driver. `odometry`: the last reading; None without a reading.
+        `now`: s on this machine's clock, the arrival of the scan.
+        """
+        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises.
+        raw_ranges, bearings = scan.ranges, scan.bearings
         stamp: cython.double = scan.stamp
-        if given.ndim != 1 or not isfinite(stamp):
+        if raw_ranges.ndim != 1 or not isfinite(stamp):
             return Reason.INVALID_SCAN
-        n: cython.Py_ssize_t = len(given)
-        if n == 0 or (bearings is not self._bearings and given.shape != bearings.shape):
+        n: cython.Py_ssize_t = len(raw_ranges)
+        if n == 0 or (bearings is not self._bearings and raw_ranges.shape != bearings.shape):
             return Reason.INVALID_SCAN
         if bearings is not self._bearings and not self._has_no_gap(bearings):
             return Reason.INVALID_SCAN
         if n != len(self._bearings) or not self._has_ages(scan.ages, n):
             return Reason.INVALID_SCAN
-        reason = self._not_newer(scan.seq, stamp, given)
+        reason = self._not_newer(scan.seq, stamp, raw_ranges)
         if reason is not None:
             return reason
-        ranges = np.array(given, np.float64)
-        out: cython.double[::1] = view_of(ranges)
-        if self._is_noisy and self._repeats(ranges, out, odometry):
-            now = self._rays.known_at  # a repeat holds nothing new
-            if self._identical >= MAX_REPEATS:
+
+        # 2. A frozen sensor sends the same ranges again and again.
+        ranges = np.array(raw_ranges, np.float64)
+        values: cython.double[::1] = view_of(ranges)
+        if self._is_noisy and self._is_repeat(ranges, values, odometry):
+            now = self._rays.known_at  # a repeat has no new data
+            if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
+
+        # 3. Blind sectors become unknown; then unknown rays are filled from memory.
         yaw: cython.double = NAN
         if odometry is not None:
             yaw = odometry.pose.yaw
-        self._blind.mark(out, self._bearings, odometry, now)
-        if not self._rays.interpret(out, self._bearings, yaw, now):
+        self._blind.mark(values, self._bearings, odometry, now)
+        if not self._rays.interpret(values, self._bearings, yaw, now):
             return Reason.INVALID_SCAN
-        ranges.setflags(write=False)  # the memory and an inline pattern share it
+        ranges.setflags(write=False)  # pattern and memory share the array
         limits = self._range_min, self._range_max
         return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
 
     @cython.cfunc
     def _has_no_gap(self, bearings) -> cython.bint:
-        """True if no sector is without rays; keeps the bearings.
+        """True if no sector is without rays; then stores the bearings.
 
-        If the driver may write to the array, a copy is kept, since later stages take the same
-        object for the same bearings.
+        If the driver may write to the array, the stored array is a copy, since later stages take
+        the same object for the same bearings.
         """
         if not np.array_equal(bearings, self._bearings):
             if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
@@ -169,45 +178,49 @@ class ScanConditioner:
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
         has_same_stamp: cython.bint = stamp == self._last_stamp
         is_new_message: cython.bint = seq > self._newest_seq
-        before, self._last_given = self._last_given, given
+        before, self._last_ranges = self._last_ranges, given
         self._last_seq, self._last_stamp = seq, stamp
         if not (stamp > self._newest_stamp and seq > self._newest_seq):
-            self._in_order = self._in_order + 1 if is_next else 0
-            if self._in_order < _RESTART_SCANS:
+            self._rising_scans = self._rising_scans + 1 if is_next else 0
+            if self._rising_scans < _RESTART_SCANS:
                 if is_new_message and has_same_stamp and given.tobytes() != before.tobytes():
                     return Reason.FROZEN_STAMP
                 if is_new_message and not has_same_stamp and stamp < self._newest_stamp:
                     return Reason.CLOCK_SET
                 return Reason.FROZEN_SCAN
-        self._in_order = 0
+        self._rising_scans = 0
         self._newest_seq, self._newest_stamp = seq, stamp
         return None
 
     @cython.cfunc
-    def _repeats(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
-        """True if a noisy sensor sends the ranges of one of its last scans again.
+    def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
+        """True if a noisy sensor sends the ranges of one of its last scans again; counts these.
 
         A scan with hardly any return may repeat by chance if the robot stands, and does not count.
+        `ranges` and `values` (n,) are the same array, as numpy array and as buffer.
         """
+        # 1. New ranges.
         raw = ranges.tobytes()
-        if raw not in self._recent:
-            self._recent.append(raw)
-            if len(self._recent) > COMPARED_SCANS:
-                self._recent.pop(0)
-            self._identical = 0
+        if raw not in self._recent_bytes:
+            self._recent_bytes.append(raw)
+            if len(self._recent_bytes) > COMPARED_SCANS:
+                self._recent_bytes.pop(0)
+            self._repeat_count = 0
             return False
+
+        # 2. Repeated ranges count if the scan has enough returns.
         i: cython.Py_ssize_t
-        returns: cython.int = 0
+        return_count: cython.int = 0
         for i in range(values.shape[0]):
-            returns += isfinite(values[i]) and values[i] != 0.0
+            return_count += isfinite(values[i]) and values[i] != 0.0
         twist = ZERO if odometry is None else odometry.twist
         is_moving: cython.bint = (
             max(abs(twist.linear), abs(twist.lateral)) > _MOVES_LINEAR
             or abs(twist.angular) > _MOVES_ANGULAR
         )
-        if returns < (1 if is_moving else MIN_DISTINCT_RETURNS):
+        if return_count < (1 if is_moving else MIN_DISTINCT_RETURNS):
             return False
-        self._identical += 1
+        self._repeat_count += 1
         return True
 
 

@@ -33,13 +33,13 @@ _STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-late
 _MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
 # The lowest lags of odometry are kept for so many periods of so many s.
 _PERIODS = cython.declare(cython.Py_ssize_t, 4)
-_PERIOD = cython.declare(cython.double, 0.5)
+_PERIOD_TIME = cython.declare(cython.double, 0.5)
 # s after a jump of the stamps until it is judged again whether scan and odometry share a clock.
 _RESTART_TIME = cython.declare(cython.double, 2.5)
 # s: if the lag changes by more from each period to the next, the clock is not real time.
 _MAX_DRIFT = cython.declare(cython.double, 0.005)
 # s by which odometry gets later at once, or earlier: its clock was set then.
-_SHIFT = cython.declare(cython.double, 0.1)
+_CLOCK_JUMP = cython.declare(cython.double, 0.1)
 _MAX_AGE = cython.declare(cython.double, LONGEST_SHARED)
 # s, the greatest age that is kept, so that a status can show the age after a clock was set.
 _LONGEST_AGE = cython.declare(cython.double, 1000.0)
@@ -56,37 +56,39 @@ class DelayByStamps:
     is_restarting: cython.bint
     _spec: object
     _restart_ends: cython.double
-    _scans: cython.Py_ssize_t  # that came since the restart
+    _scan_count: cython.Py_ssize_t  # that came since the restart
     _stamp: cython.double  # of the last reading of odometry
     _scan_stamp: cython.double
     # Lags of odometry: its arrival minus its stamp.
     _lowest: cython.double  # of this period
-    _before: cython.double  # of the two periods before it
-    _until: cython.double  # the end of this period
+    _lowest_before: cython.double  # of the two periods before it
+    _period_ends: cython.double  # the end of this period
     _drifts: cython.bint
     _minima: cython.double[4]  # of the last periods
-    _periods: cython.Py_ssize_t
+    _period_count: cython.Py_ssize_t
     # Ages of the last scans, the oldest at `_oldest`; when the last one arrived.
     _ages: cython.double[20]
-    _count: cython.Py_ssize_t
+    _age_count: cython.Py_ssize_t
     _oldest: cython.Py_ssize_t
-    _at: cython.double
+    _last_scan_at: cython.double
     _is_shared: cython.bint  # scan and odometry have one clock
-    _why: object  # text: why stamps give no delay
+    _reason_text: object  # text: why stamps give no delay
     _ages_of_rays: object  # those of the last scan
     _lead: cython.double  # of scans with these ages
 
     def __init__(self, spec) -> None:
-        self._spec, self._why = spec, "no odometry yet"
-        self.offset = self._lowest = self._before = INFINITY
-        self._restart_ends = self._stamp = self._scan_stamp = self._until = -INFINITY
+        self._spec, self._reason_text = spec, "no odometry yet"
+        self.offset = self._lowest = self._lowest_before = INFINITY
+        self._restart_ends = self._stamp = self._scan_stamp = self._period_ends = -INFINITY
         self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
-        is_of_ages: cython.bint = 0 <= self._count <= _STAMPS and 0 <= self._oldest < _STAMPS
-        if not (is_of_ages and 0 <= self._periods <= _PERIODS):
-            raise ValueError(f"{self._count} ages from {self._oldest}, {self._periods} periods")
+        is_of_ages: cython.bint = 0 <= self._age_count <= _STAMPS and 0 <= self._oldest < _STAMPS
+        if not (is_of_ages and 0 <= self._period_count <= _PERIODS):
+            raise ValueError(
+                f"{self._age_count} ages from {self._oldest}, {self._period_count} periods"
+            )
 
     @cython.cfunc
     def read(self, stamp: cython.double, now: cython.double) -> cython.bint:
@@ -94,24 +96,24 @@ class DelayByStamps:
         if stamp == self._stamp:
             return False
         lag: cython.double = now - stamp
-        is_set: cython.bint = stamp < self._stamp or lag < self.offset - _SHIFT < INFINITY
+        is_set: cython.bint = stamp < self._stamp or lag < self.offset - _CLOCK_JUMP < INFINITY
         self._stamp = stamp
         if is_set:
-            self._periods = 0
-            self._lowest = self._before = INFINITY
-            self._until = now + _PERIOD
+            self._period_count = 0
+            self._lowest = self._lowest_before = INFINITY
+            self._period_ends = now + _PERIOD_TIME
             self._drifts = False
             self._restart(now)
-        elif now >= self._until:
+        elif now >= self._period_ends:
             self._end_period(now)
         self._lowest = min(lag, self._lowest)
-        self.offset = min(self._lowest, self._before)
+        self.offset = min(self._lowest, self._lowest_before)
         return is_set
 
     @cython.cfunc
     def forget_scans(self) -> cython.int:
         """Drop the ages of earlier scans."""
-        self._count = 0
+        self._age_count = 0
         return 0
 
     @cython.cfunc
@@ -126,37 +128,47 @@ class DelayByStamps:
     @cython.cfunc
     def _restart(self, now: cython.double) -> cython.int:
         """Drop all ages, and judge the clocks again after _RESTART_TIME."""
-        self._count = self._scans = 0
+        self._age_count = self._scan_count = 0
         self.is_restarting, self._restart_ends = True, now + _RESTART_TIME
         return 0
 
     @cython.cfunc
     def _end_period(self, now: cython.double) -> cython.int:
-        """Keep the lowest lag of a period, and begin the next one."""
+        """End a period of odometry: store its lowest lag, and begin the next period.
+
+        A lag is the arrival minus the stamp of a reading. Sets `_lowest_before`, the lowest lag of
+        the last two periods, and `_drifts`: the lowest lags of all periods rise or fall steadily,
+        so the clock of odometry does not run at real time.
+        """
         k: cython.Py_ssize_t
         change: cython.double
+
+        # 1. Appends the lowest lag; the oldest lag is dropped.
         if self._lowest < INFINITY:
-            if self._periods == _PERIODS:
-                self._periods -= 1
-                for k in range(self._periods):
+            if self._period_count == _PERIODS:
+                self._period_count -= 1
+                for k in range(self._period_count):
                     self._minima[k] = self._minima[k + 1]
-            self._minima[self._periods] = self._lowest
-            self._periods += 1
-        self._lowest, self._until = INFINITY, now + _PERIOD
-        before: cython.double = self._before
-        self._before = INFINITY
-        for k in range(max(self._periods - 2, 0), self._periods):
-            self._before = min(self._before, self._minima[k])
-        if before + _SHIFT < self._before < INFINITY:
-            self._count = 0  # scan and odometry were late together, or their clock was set back
-        # A clock that is not real time, as that of a slow simulator.
-        rises: cython.int = 0
-        falls: cython.int = 0
-        for k in range(1, self._periods):
+            self._minima[self._period_count] = self._lowest
+            self._period_count += 1
+        self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
+
+        # 2. The lowest lag of the last two periods.
+        previous_lowest: cython.double = self._lowest_before
+        self._lowest_before = INFINITY
+        for k in range(max(self._period_count - 2, 0), self._period_count):
+            self._lowest_before = min(self._lowest_before, self._minima[k])
+        if previous_lowest + _CLOCK_JUMP < self._lowest_before < INFINITY:
+            self._age_count = 0  # scan and odometry were late together, or their clock was set back
+
+        # 3. A clock that does not run at real time, such as the clock of a slow simulator.
+        rise_count: cython.int = 0
+        fall_count: cython.int = 0
+        for k in range(1, self._period_count):
             change = self._minima[k] - self._minima[k - 1]
-            rises += change > _MAX_DRIFT
-            falls += change < -_MAX_DRIFT
-        self._drifts = rises == _PERIODS - 1 or falls == _PERIODS - 1
+            rise_count += change > _MAX_DRIFT
+            fall_count += change < -_MAX_DRIFT
+        self._drifts = rise_count == _PERIODS - 1 or fall_count == _PERIODS - 1
         return 0
 
     @cython.cfunc
@@ -169,27 +181,27 @@ class DelayByStamps:
             self._ages_of_rays, self._lead = ages, lead(scan, self._spec)
         stamp: cython.double = scan.stamp
         age: cython.double = now - self.offset - stamp - self._lead
-        self._scans += 1
-        if self.is_restarting and now > self._restart_ends and self._scans > _MIN_STAMPS:
+        self._scan_count += 1
+        if self.is_restarting and now > self._restart_ends and self._scan_count > _MIN_STAMPS:
             self.is_restarting = self._is_shared = False
         if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
             self._forget(wrong_stamps(age, self._lead))
         else:
-            self._keep(min(max(age, 0.0), _LONGEST_AGE))
-            self._at = now
-        if not self._is_shared and (self._count < _MIN_STAMPS or self._periods < _PERIODS):
+            self._store_age(min(max(age, 0.0), _LONGEST_AGE))
+            self._last_scan_at = now
+        if not self._is_shared and (self._age_count < _MIN_STAMPS or self._period_count < _PERIODS):
             return 0.0
-        self._is_shared = self._count > 0
+        self._is_shared = self._age_count > 0
         return self._delay()
 
     @cython.cfunc
-    def _keep(self, age: cython.double) -> cython.int:
+    def _store_age(self, age: cython.double) -> cython.int:
         """Keep the age of a scan, in place of the oldest one if the array is full."""
-        if self._count < _STAMPS:
-            self._ages[(self._oldest + self._count) % _STAMPS] = age
-            self._count += 1
+        if self._age_count < _STAMPS:
+            self._ages[(self._oldest + self._age_count) % _STAMPS] = age
+            self._age_count += 1
         else:
             self._ages[self._oldest] = age
             self._oldest = (self._oldest + 1) % _STAMPS
@@ -204,7 +216,7 @@ class DelayByStamps:
         third: cython.double = -INFINITY
         age: cython.double = 0.0
         k: cython.Py_ssize_t
-        for k in range(self._count):
+        for k in range(self._age_count):
             age = self._ages[(self._oldest + k) % _STAMPS]
             if age > first:
                 third = second
@@ -213,23 +225,23 @@ class DelayByStamps:
                 third, second = second, age
             elif age > third:
                 third = age
-        if self._count < 3:
-            third = second if self._count == 2 else first
+        if self._age_count < 3:
+            third = second if self._age_count == 2 else first
         return max(third, age)
 
     @cython.cfunc
     def figure(self, now: cython.double):
         """The mean delay of the last scans with its standard deviation, or why there is none."""
-        if not self._is_shared or not self._count:
-            why = "too few scans yet" if self._count else self._why
+        if not self._is_shared or not self._age_count:
+            why = "too few scans yet" if self._age_count else self._reason_text
             return DelayFigure(method="stamps", text=why)
-        ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._count)]
-        return figure_of(ages, max(now - self._at, 0.0))
+        ages = [self._ages[(self._oldest + k) % _STAMPS] for k in range(self._age_count)]
+        return figure_of(ages, max(now - self._last_scan_at, 0.0))
 
     @cython.cfunc
     def _forget(self, why):
-        self._count, self._is_shared = 0, False
-        self._why = why
+        self._age_count, self._is_shared = 0, False
+        self._reason_text = why
 
 
 def delay_by_stamps(

@@ -48,23 +48,23 @@ else:
         sqrt,
     )
 
-# Candidate delays: 0 to _LONGEST s.
+# Candidate delays: 0 to _LONGEST_DELAY s.
 _CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
-_LONGEST = cython.declare(cython.double, 1.2)
-_STEP = cython.declare(cython.double, 1.2 / 48)
+_LONGEST_DELAY = cython.declare(cython.double, 1.2)
+_DELAY_STEP = cython.declare(cython.double, 1.2 / 48)
 # Headings that are kept, and s between two of them, at least.
 _HISTORY = cython.declare(cython.Py_ssize_t, 96)
 _SPACING = cython.declare(cython.double, 0.02)
 # The rate of turn changes if it differs by so many rad/s from its running mean; the mean follows
 # each reading by this share of the difference.
 _MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)
-_FOLLOWING = cython.declare(cython.double, 0.1)
+_MEAN_WEIGHT = cython.declare(cython.double, 0.1)
 _CHANGE_LASTS = cython.declare(cython.double, 1.2 + 0.5)  # s for which such a change counts
-_MAX_APART = cython.declare(cython.double, 0.5)  # s from one scan to the next
+_MAX_SCAN_PERIOD = cython.declare(cython.double, 0.5)  # s from one scan to the next
 # rad by which the turns of the candidates must differ, or a pair of scans is not used.
 _MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
 # rad by which the search for the turn goes beyond the turns of all candidates.
-_SEARCHED = cython.declare(cython.double, 0.25)
+_MARGIN = cython.declare(cython.double, 0.25)
 # rad; beyond it a square room looks like itself.
 _MAX_SEARCHED = cython.declare(cython.double, 1.2)
 # m between two scans: a shift of near things looks like a turn.
@@ -79,7 +79,7 @@ _MAX_RANGE = cython.declare(cython.double, 6.0)
 # m, standard deviation of ranges below which a scene has no features.
 _MIN_RELIEF = cython.declare(cython.double, 0.1)
 # Correlation of two scans at the turn that was measured.
-_MIN_LIKENESS = cython.declare(cython.double, 0.6)
+_MIN_CORRELATION = cython.declare(cython.double, 0.6)
 # Weight of earlier pairs, for each new one: some 50 count.
 _FORGETTING = cython.declare(cython.double, 0.98)
 _MIN_PAIRS = cython.declare(cython.double, 8.0)
@@ -116,16 +116,16 @@ class DelayByTurns:
     _end: cython.Py_ssize_t
     _stamp: cython.double  # of the last heading
     _yaw: cython.double
-    _total: cython.double  # turned so far
-    _slow_rate: cython.double
+    _turned: cython.double  # turned so far
+    _mean_rate: cython.double
     _changed_at: cython.double
     _bearings: object
-    _n: cython.Py_ssize_t
-    _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
+    _rays: cython.Py_ssize_t
+    _ray_step: cython.double  # from ray to ray; 0: rays do not cover a full turn evenly
     # The last scan: arrival on the clock of odometry, place of the robot, and the ranges less their
     # mean (repeated twice, for a circular correlation) with their norm. Then the ranges and the
     # norm of the scan before.
-    _scans: cython.Py_ssize_t
+    _scan_count: cython.Py_ssize_t
     _has_last: cython.bint
     _scan_at: cython.double
     _x: cython.double
@@ -135,8 +135,8 @@ class DelayByTurns:
     _old_relief: cython.double[::1]
     _old_norm: cython.double
     # By candidate delay: the turn by odometry, and the squared error of all pairs.
-    _turn_of: cython.double[49]
-    _error_of: cython.double[49]
+    _turns: cython.double[49]
+    _errors: cython.double[49]
     # Weighted sums over pairs of products of the measured turn m and the predicted turn p.
     _mm: cython.double
     _mp: cython.double[49]
@@ -151,12 +151,12 @@ class DelayByTurns:
         self._relief = self._old_relief = new_doubles(0)
 
     def check_indices(self) -> None:
-        """ValueError unless its ranges are those of its rays, as `_likeness` reads them."""
-        ray: cython.double = fabs(self._ray)
-        lengths = len(self._relief), len(self._old_relief), 2 * self._n
-        is_even: cython.bint = ray == 0.0 or fabs(ray * self._n - TURN) < _MISSED_STEPS * ray
-        if self._n < 0 or min(lengths) != max(lengths) or not is_even:
-            raise ValueError(f"{self._n} rays at steps of {ray} rad, {lengths} ranges")
+        """ValueError unless its ranges are those of its rays, as `_correlation` reads them."""
+        ray: cython.double = fabs(self._ray_step)
+        lengths = len(self._relief), len(self._old_relief), 2 * self._rays
+        is_even: cython.bint = ray == 0.0 or fabs(ray * self._rays - TURN) < _MISSED_STEPS * ray
+        if self._rays < 0 or min(lengths) != max(lengths) or not is_even:
+            raise ValueError(f"{self._rays} rays at steps of {ray} rad, {lengths} ranges")
 
     @cython.cfunc
     def figure(self, now: cython.double):
@@ -195,8 +195,8 @@ class DelayByTurns:
     @cython.cfunc
     def read(self, stamp: cython.double, yaw: cython.double, rate: cython.double, pose):
         """Take in a reading of odometry: its heading, and whether the rate of turn changes."""
-        self._slow_rate += _FOLLOWING * (rate - self._slow_rate)
-        if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+        self._mean_rate += _MEAN_WEIGHT * (rate - self._mean_rate)
+        if fabs(rate - self._mean_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
         self.pose = pose
         if stamp - self._stamp < _SPACING:
@@ -206,54 +206,65 @@ class DelayByTurns:
             self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
             self._first, self._end = 0, _HISTORY
         if self._end > self._first:
-            self._total += remainder(yaw - self._yaw, TURN)
-        self._times[self._end], self._yaws[self._end] = stamp, self._total
+            self._turned += remainder(yaw - self._yaw, TURN)
+        self._times[self._end], self._yaws[self._end] = stamp, self._turned
         self._yaw, self._stamp = yaw, stamp
         self._end += 1
         self._first = max(self._first, self._end - _HISTORY)
 
     @cython.cfunc
-    def compare(self, scan, at: cython.double, now: cython.double):
-        """Compare a scan with the scan before; `at` is its arrival on the clock of odometry.
+    def compare(self, scan, arrival: cython.double, now: cython.double):
+        """Compare a scan with the scan before: the measured turn between both updates the delay.
 
-        A pair is used only if the rate of turn changed lately, the robot hardly moved, and the
-        candidates predict turns that differ enough.
+        A pair of scans is used only if the rate of turn changed lately, the robot hardly moved, and
+        the candidate delays predict turns that differ enough.
+
+        `scan`: the conditioned scan. `arrival`: s, the arrival of the scan on the clock of
+        odometry. `now`: s on the robot's clock.
         """
         had_last: cython.bint = self._has_last
         self._has_last = False
-        if at - self._changed_at > _CHANGE_LASTS:
+
+        # 1. Without a changing rate of turn, or without even rays, no delay can be measured.
+        if arrival - self._changed_at > _CHANGE_LASTS:
             return
         if scan.bearings is not self._bearings:
             self._set_bearings(scan.bearings)
             had_last = False
-        if self._ray == 0.0:
+        if self._ray_step == 0.0:
             return
-        self._scans += 1
-        if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+
+        # 2. With enough pairs, two of four scans make a pair; the others are skipped.
+        self._scan_count += 1
+        if self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 > 1:
             return
-        before: cython.double = self._scan_at
-        x_before: cython.double = self._x
-        y_before: cython.double = self._y
-        self._keep(scan)
-        self._scan_at, self._has_last = at, True
+
+        # 3. Stores this scan. Skips a pair that is too far apart in time or place.
+        previous_arrival: cython.double = self._scan_at
+        previous_x: cython.double = self._x
+        previous_y: cython.double = self._y
+        self._store_ranges(scan)
+        self._scan_at, self._has_last = arrival, True
         self._x, self._y = self.pose.x, self.pose.y
-        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 == 0):
             return
-        if at - before > _MAX_APART or self._end == self._first:
+        if arrival - previous_arrival > _MAX_SCAN_PERIOD or self._end == self._first:
             return
-        if before - _LONGEST < self._times[self._first]:
+        if previous_arrival - _LONGEST_DELAY < self._times[self._first]:
             return
-        if hypot(self._x - x_before, self._y - y_before) > _MAX_SHIFT:
+        if hypot(self._x - previous_x, self._y - previous_y) > _MAX_SHIFT:
             return
-        self._predict_turns(before, at)
+
+        # 4. The turns that the candidates predict must differ, and be small enough to measure.
+        self._predict_turns(previous_arrival, arrival)
         k: cython.Py_ssize_t
-        low: cython.double = INFINITY
-        high: cython.double = -INFINITY
+        least: cython.double = INFINITY
+        most: cython.double = -INFINITY
         for k in range(_CANDIDATES):
-            low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
-        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            least, most = min(least, self._turns[k]), max(most, self._turns[k])
+        if most - least < _MIN_TURN_SPREAD or max(-least, most) + _MARGIN > _MAX_SEARCHED:
             return
-        turn: cython.double = self._measured(low - _SEARCHED, high + _SEARCHED)
+        turn: cython.double = self._measured_turn(least - _MARGIN, most + _MARGIN)
         if not isnan(turn):
             self._add(turn)
             self.at = now
@@ -266,60 +277,61 @@ class DelayByTurns:
         end: cython.Py_ssize_t = self._end - 1
         delay: cython.double
         for k in range(_CANDIDATES):
-            delay = _STEP * k
+            delay = _DELAY_STEP * k
             while end > self._first and self._times[end] > at - delay:
                 end -= 1
             while begin > self._first and self._times[begin] > before - delay:
                 begin -= 1
-            self._turn_of[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
+            self._turns[k] = self._heading(end, at - delay) - self._heading(begin, before - delay)
         return 0
 
     @cython.cfunc
     def _set_bearings(self, bearings):
         """Take other bearings, with the angle from one ray to the next if they are even."""
-        self._bearings, self._n = bearings, len(bearings)
-        self._ray = 0.0
+        self._bearings, self._rays = bearings, len(bearings)
+        self._ray_step = 0.0
         steps = np.diff(np.unwrap(bearings))
-        if self._n >= _MIN_RAYS:
+        if self._rays >= _MIN_RAYS:
             step: cython.double = steps.mean()
             is_even: cython.bint = np.abs(steps - step).max() < _UNEVEN_SHARE * fabs(step)
-            if is_even and fabs(fabs(step) * self._n - TURN) < _MISSED_STEPS * fabs(step):
-                self._ray = step
-        if self._ray == 0.0:
+            if is_even and fabs(fabs(step) * self._rays - TURN) < _MISSED_STEPS * fabs(step):
+                self._ray_step = step
+        if self._ray_step == 0.0:
             self.why = "its rays do not cover a full turn evenly"
-        self._relief, self._old_relief = new_doubles(2 * self._n), new_doubles(2 * self._n)
+        self._relief, self._old_relief = new_doubles(2 * self._rays), new_doubles(2 * self._rays)
 
     @cython.cfunc
-    def _keep(self, scan):
-        """Keep the ranges of a scan less their mean; 0 for a ray without a return.
+    def _store_ranges(self, scan):
+        """Store the ranges of a scan less their mean, and their norm; 0 for a ray without a return.
 
-        A far range instead of 0 would be a feature of the room, but lost rays and a blind sector do
-        not turn with the room.
+        The ranges are stored twice in a row, so that a circular correlation needs no modulo. A far
+        range instead of 0 would be a feature of the room, but lost rays and a blind sector do not
+        turn with the room.
         """
         ranges: cython.const[cython.double][::1] = view_of(
             np.ascontiguousarray(scan.ranges, np.float64)
         )
-        least: cython.double = scan.range_min
-        most: cython.double = scan.range_max
-        n: cython.Py_ssize_t = self._n
+        range_min: cython.double = scan.range_min
+        range_max: cython.double = scan.range_max
+        count: cython.Py_ssize_t = self._rays
         i: cython.Py_ssize_t
-        returns: cython.Py_ssize_t = 0
+        return_count: cython.Py_ssize_t = 0
         mean: cython.double = 0.0
-        square: cython.double = 0.0
+        square_sum: cython.double = 0.0
         self._relief, self._old_relief = self._old_relief, self._relief
         self._old_norm = self._norm
         relief: cython.double[::1] = self._relief
-        for i in range(n):
-            if least <= ranges[i] <= most:
+        for i in range(count):
+            if range_min <= ranges[i] <= range_max:
                 mean += min(ranges[i], _MAX_RANGE)
-                returns += 1
-        mean /= max(returns, 1)
-        for i in range(n):
-            is_return: cython.bint = least <= ranges[i] <= most
+                return_count += 1
+        mean /= max(return_count, 1)
+        for i in range(count):
+            is_return: cython.bint = range_min <= ranges[i] <= range_max
             relief[i] = min(ranges[i], _MAX_RANGE) - mean if is_return else 0.0
-            relief[n + i] = relief[i]
-            square += relief[i] * relief[i]
-        self._norm = sqrt(square)
+            relief[count + i] = relief[i]
+            square_sum += relief[i] * relief[i]
+        self._norm = sqrt(square_sum)
 
     @cython.cfunc
     def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
@@ -331,38 +343,43 @@ class DelayByTurns:
         return slope * (at - before) + self._yaws[k]
 
     @cython.cfunc
-    def _measured(self, low: cython.double, high: cython.double) -> cython.double:
-        """The turn in rad between the last two scans, between `low` and `high`; NaN: unclear.
+    def _measured_turn(self, low: cython.double, high: cython.double) -> cython.double:
+        """The turn in rad between the last two scans, by circular correlation of their ranges.
 
-        A turn of the robot by k rays to the left shifts all returns by k rays to the right.
+        Only turns from `low` to `high` are tried. A turn of the robot by k rays to the left shifts
+        all returns by k rays to the right. NaN if the scene has too few features, or if the scans
+        do not fit.
         """
-        least: cython.double = _MIN_RELIEF * sqrt(self._n)
-        if min(self._norm, self._old_norm) < least:
+        least_norm: cython.double = _MIN_RELIEF * sqrt(self._rays)
+        if min(self._norm, self._old_norm) < least_norm:
             self.why = "it sees no features to tell a turn by"
             return NAN
-        ray: cython.double = fabs(self._ray)
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / ray))
-        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
+
+        # 1. The shift in rays with the greatest correlation.
+        step: cython.double = fabs(self._ray_step)
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / step))
+        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / step))
         shift: cython.Py_ssize_t
         best: cython.Py_ssize_t = first
-        most: cython.double = -INFINITY
+        greatest: cython.double = -INFINITY
         for shift in range(first, last + 1):
-            likeness = self._likeness(shift)
-            if likeness > most:
-                most, best = likeness, shift
-        if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
+            correlation = self._correlation(shift)
+            if correlation > greatest:
+                greatest, best = correlation, shift
+        if not first < best < last or greatest < _MIN_CORRELATION * self._old_norm * self._norm:
             return NAN
-        # The top of the parabola through the best shift and those beside it.
-        a: cython.double = self._likeness(best - 1)
-        c: cython.double = self._likeness(best + 1)
-        return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
+
+        # 2. The top of the parabola through the best shift and its two neighbours.
+        before: cython.double = self._correlation(best - 1)
+        after: cython.double = self._correlation(best + 1)
+        return (best + 0.5 * (before - after) / (before - 2.0 * greatest + after)) * step
 
     @cython.cfunc
     @cython.boundscheck(False)
-    def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
+    def _correlation(self, shift: cython.Py_ssize_t) -> cython.double:
         """The correlation of the last two scans for a turn by `shift` rays, at most n."""
-        n: cython.Py_ssize_t = self._n
-        first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
+        n: cython.Py_ssize_t = self._rays
+        first: cython.Py_ssize_t = shift if self._ray_step > 0.0 else -shift
         if first < 0:
             first += n
         old: cython.double[::1] = self._old_relief
@@ -389,12 +406,12 @@ class DelayByTurns:
         self._mm = _FORGETTING * self._mm + turn * turn
         self._weight = _FORGETTING * self._weight + 1.0
         for k in range(_CANDIDATES):
-            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
-            self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
+            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turns[k]
+            self._pp[k] = _FORGETTING * self._pp[k] + self._turns[k] * self._turns[k]
             scale = self._mp[k] / max(self._pp[k], _MIN_SQUARE)
             scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
-            self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
-            if self._error_of[k] < self._error_of[best]:
+            self._errors[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
+            if self._errors[k] < self._errors[best]:
                 best = k
         self.pairs += 1
         self.delay = NAN
@@ -408,25 +425,30 @@ class DelayByTurns:
     def _set_delay(self, best: cython.Py_ssize_t) -> cython.int:
         """Set delay and spread by a parabola through the errors around the best candidate.
 
-        Nothing is set if candidates too far apart fit nearly as well.
+        `best` is the index of the candidate delay with the least squared error. Nothing is set if
+        candidates far from each other fit nearly as well, or if the longest candidate does.
         """
-        variance: cython.double = self._error_of[best] / (self._weight - 2.0)
+        # 1. The candidates, from `lowest` to `highest`, that fit nearly as well as the best.
+        variance: cython.double = self._errors[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
-        limit: cython.double = self._error_of[best] + _SQUARED_DEVIATIONS * variance
-        low: cython.Py_ssize_t = 0
-        high: cython.Py_ssize_t = _CANDIDATES - 1
-        while self._error_of[low] > limit:
-            low += 1
-        while self._error_of[high] > limit:
-            high -= 1
-        if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+        error_limit: cython.double = self._errors[best] + _SQUARED_DEVIATIONS * variance
+        lowest: cython.Py_ssize_t = 0
+        highest: cython.Py_ssize_t = _CANDIDATES - 1
+        while self._errors[lowest] > error_limit:
+            lowest += 1
+        while self._errors[highest] > error_limit:
+            highest -= 1
+        if highest == _CANDIDATES - 1 or (highest - lowest) * _DELAY_STEP > _MAX_INTERVAL:
             return 0
+
+        # 2. The minimum of the parabola. Its curvature gives the standard deviation.
         best = max(best, 1)
-        a: cython.double = self._error_of[best - 1]
-        c: cython.double = self._error_of[best + 1]
-        bend: cython.double = a - 2.0 * self._error_of[best] + c
-        if bend > 0.0:
-            self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
-            spread: cython.double = _ALIKE * _STEP * sqrt(2.0 * variance / bend)
+        error_before: cython.double = self._errors[best - 1]
+        error_after: cython.double = self._errors[best + 1]
+        curvature: cython.double = error_before - 2.0 * self._errors[best] + error_after
+        if curvature > 0.0:
+            change: cython.double = 0.5 * _DELAY_STEP * (error_before - error_after) / curvature
+            self.delay = max(_DELAY_STEP * best + change, 0.0)
+            spread: cython.double = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
             self.spread = max(spread, _MIN_DELAY_SPREAD)
         return 0

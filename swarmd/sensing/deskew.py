@@ -88,8 +88,9 @@ def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:
 class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
-    The returned scan has `ages` and `newest_age`. Its ages come from the first source that there
-    is: the measured sweep (`measured`), the driver, the platform's `sweep`. Exceptions:
+    The returned scan has `ages` and `newest_age`. Its ages come from the first of these sources
+    that gives ages: the measured sweep (`measured`), the driver, the platform's `sweep`.
+    Exceptions:
 
     - Without a source, the scan is returned unchanged.
     - While the measured sweep is not known, rays are not moved. The scan has the time of its mean
@@ -101,13 +102,13 @@ class Deskewer:
     _sweep: object
     _latency: cython.double
     _stale_after: cython.double
-    _measured: object
+    _measured_sweep: object
     _history: OdometryHistory
     _limits: cython.double[::1]  # of `move_rays`
-    _sector: cython.double[::1]  # of `rays_in_sector`
+    _sector_args: cython.double[::1]  # of `rays_in_sector`
     # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
-    _given: object
-    _given_ages: object
+    _bearings_of_scan: object
+    _ages_of_scan: object
     _ray_ages: object  # the array of `_ages`
     _bearings: cython.const[cython.double][::1]
     _cos: cython.const[cython.double][::1]
@@ -118,18 +119,18 @@ class Deskewer:
     _direction: cython.double
     _oldest: cython.double
     _spacing: cython.double
-    _last: object  # the scan that was returned last
+    _last_scan: object  # the scan that was returned last
     _last_at: cython.double  # the time of its newest ray
-    _filled: cython.Py_ssize_t  # its first rays, which are those of the scan before it
+    _filled_count: cython.Py_ssize_t  # its first rays, which are those of the scan before it
 
     def __init__(
         self, spec: ScanSpec, history: OdometryHistory, measured: MeasuredSweep | None = None
     ) -> None:
-        self._sweep, self._measured = spec.sweep, measured
+        self._sweep, self._measured_sweep = spec.sweep, measured
         self._latency, self._stale_after = spec.latency, spec.stale_after
         self._history, self._last_at = history, -INFINITY
         self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
-        self._sector = array("d", 3 * [0.0])
+        self._sector_args = array("d", 3 * [0.0])
         self._bearings = self._cos = self._sin = self._ages = None
 
     def deskew(
@@ -137,42 +138,52 @@ class Deskewer:
     ) -> Scan:
         """The scan that arrived at `now`, as the sensor would see it at the time of its newest ray.
 
-        `odometry_age` in s since the last reading arrived; None without a fresh reading. `delay` in
-        s by which the scan is older than the platform's `latency` says.
+        See the class for the ages of the rays, and for cases in which rays are not moved.
+
+        Args:
+            scan: the conditioned scan.
+            now: s on the robot's clock.
+            odometry_age: s since the last reading arrived; None without a fresh reading.
+            delay: s by which the scan is older than the platform's `latency` says.
         """
+        # 1. The ages of the rays. While the measured sweep is not known, rays are not moved.
         ages = scan.ages
-        if self._measured is not None:
-            ages = self._measured.ages(scan)
-            if self._measured.order is None:
+        if self._measured_sweep is not None:
+            ages = self._measured_sweep.ages(scan)
+            if self._measured_sweep.order is None:
                 scan = _scan_with(scan, scan.ranges, scan.bearings, ages, self._latency)
-                self._last, self._last_at = scan, now - self._latency - delay
-                self._filled = 0
+                self._last_scan, self._last_at = scan, now - self._latency - delay
+                self._filled_count = 0
                 return scan
         if ages is None and self._sweep is None:
             return scan
         ranges, bearings = scan.ranges, scan.bearings
-        if bearings is not self._given or ages is not self._given_ages:
+        if bearings is not self._bearings_of_scan or ages is not self._ages_of_scan:
             self._set_rays(bearings, ages)
-        ago: cython.double = self._newest_age + delay
+
+        # 2. Moves the rays to the stamp of the newest ray, on the clock of odometry.
+        newest_age: cython.double = self._newest_age + delay
         moved = None
         if odometry_age is not None:
-            stamp: cython.double = odometry_age
-            stamp = self._history.latest + stamp - ago
-            moved = self._moved(ranges, stamp, now - ago - self._last_at)
+            age: cython.double = odometry_age
+            newest_stamp: cython.double = self._history.latest + age - newest_age
+            moved = self._move_scan_rays(ranges, newest_stamp, now - newest_age - self._last_at)
+
+        # 3. The new scan; its first rays may fill a sector.
         if moved is None:
             result = _scan_with(scan, ranges, bearings, self._ray_ages, self._newest_age)
-            self._filled = 0
+            self._filled_count = 0
         else:
             result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
-            self._filled = len(result.ranges) - len(ranges)
-        self._last, self._last_at = result, now - ago
+            self._filled_count = len(result.ranges) - len(ranges)
+        self._last_scan, self._last_at = result, now - newest_age
         return result
 
     @cython.cfunc
     def _set_rays(self, bearings, ages):
         """Take other bearings and ages; with None as ages, the platform's sweep gives them."""
         rays = _timed_rays(bearings, ages, self._sweep)
-        self._given, self._given_ages = bearings, ages
+        self._bearings_of_scan, self._ages_of_scan = bearings, ages
         self._ray_ages = rays.ages
         self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
         self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
@@ -181,46 +192,51 @@ class Deskewer:
         self._spacing = rays.spacing
 
     @cython.cfunc
-    def _moved(self, measured, stamp: cython.double, seconds: cython.double):
-        """Ranges, bearings and ages (k,) of a scan, moved to the `stamp` of its newest ray.
+    def _move_scan_rays(self, ranges_of_scan, stamp: cython.double, seconds: cython.double):
+        """Ranges, bearings and ages (k,) of a scan, moved to the stamp of its newest ray.
 
-        The newest ray of the scan before is `seconds` older. None, if the rays are not to be moved:
-        at rest, if odometry does not reach back over the scan, if all rays have one age, or if an
-        unmeasured sector cannot be filled.
+        Rays of the scan before fill an unmeasured sector; these rays come first, so k may exceed n.
+        None if the rays are not to be moved: at rest, if odometry does not reach back over the
+        scan, if all rays have the same age, or if an unmeasured sector cannot be filled.
+
+        `ranges_of_scan`: (n,) m, the ranges of the scan. `stamp`: s on the clock of odometry, of
+        the newest ray. `seconds`: s by which the newest ray of the scan before is older.
         """
         history: OdometryHistory = self._history
-        rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
-        if rows == 0:
+        path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
+        if path_rows == 0:
             return None
-        # rad by which the robot has turned against the sensor.
-        unmeasured: cython.double = self._direction * history.path[rows - 1, 3]
+        # rad: the sector that the sensor missed, since the robot turned against it.
+        unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
         is_filled: cython.bint = unmeasured > 0.5 * self._spacing
         if is_filled and not self._can_fill(stamp, seconds):
             return None
-        n: cython.Py_ssize_t = self._ages.shape[0]
-        filled: cython.Py_ssize_t = 0
-        room: cython.Py_ssize_t = n + (len(self._last.ranges) if is_filled else 0)
+
+        # Makes room, fills the sector, then moves the rays of this scan.
+        count: cython.Py_ssize_t = self._ages.shape[0]
+        filled_count: cython.Py_ssize_t = 0
+        capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if is_filled else 0)
         ages = self._ray_ages
-        ranges, bearings = np.empty(room), np.empty(room)
+        ranges, bearings = np.empty(capacity), np.empty(capacity)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
         if is_filled:
-            history.set_way(stamp - seconds, stamp)
-            ages = np.empty(room)
-            filled = self._fill(unmeasured, seconds, distances, angles, view_of(ages))
-            ranges, bearings = ranges[: filled + n], bearings[: filled + n]
-            ages = ages[: filled + n]
+            history.set_motion(stamp - seconds, stamp)
+            ages = np.empty(capacity)
+            filled_count = self._fill_sector(unmeasured, seconds, distances, angles, view_of(ages))
+            ranges, bearings = ranges[: filled_count + count], bearings[: filled_count + count]
+            ages = ages[: filled_count + count]
         move_rays(
-            view_of(measured),
+            view_of(ranges_of_scan),
             self._bearings,
             self._cos,
             self._sin,
             self._ages,
             history.path,
-            rows,
+            path_rows,
             self._limits,
-            distances[filled:],
-            angles[filled:],
+            distances[filled_count:],
+            angles[filled_count:],
         )
         for values in (ranges, bearings, ages):
             values.setflags(write=False)
@@ -229,13 +245,13 @@ class Deskewer:
     @cython.cfunc
     def _can_fill(self, stamp: cython.double, seconds: cython.double) -> cython.bint:
         """True if the scan before is recent enough to fill the unmeasured sector of this scan."""
-        last = self._last
+        last = self._last_scan
         if last is None or last.ages is None or not 0.0 < seconds <= self._stale_after:
             return False
         return self._history.covers(stamp - seconds)
 
     @cython.cfunc
-    def _fill(
+    def _fill_sector(
         self,
         unmeasured: cython.double,
         seconds: cython.double,
@@ -246,19 +262,23 @@ class Deskewer:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
         Sets distances, angles and ages of these rays, and behind them the ages of this scan.
-        `set_way` of the history must have been called for the motion between the scans.
+        `set_motion` of the history must have been called for the motion between the scans.
+
+        `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both
+        scans. `distances`, `angles`, `ages`: (k,) m, rad, s; the arrays to fill.
         """
-        last = self._last
+        last = self._last_scan
         i: cython.Py_ssize_t
-        self._sector[0] = self._oldest - 0.5 * self._direction * self._spacing
-        self._sector[1], self._sector[2] = self._direction, unmeasured
+        # Begin, direction and width of the sector.
+        self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
+        self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
         count: cython.Py_ssize_t = rays_in_sector(
             view_of(last.ranges),
             view_of(last.bearings),
             view_of(last.ages),
-            self._filled,  # skips rays that were filled in, so that no ray is passed on for ever
-            self._history.way,
-            self._sector,
+            self._filled_count,  # skips filled rays: else a ray could be reused for ever
+            self._history.motion,
+            self._sector_args,
             self._limits,
             distances,
             angles,

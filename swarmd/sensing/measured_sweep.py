@@ -37,7 +37,7 @@ _SECTORS = 18
 _CENTRES = _TURN / _SECTORS * (np.arange(_SECTORS) + 0.5) - 0.5 * _CELL
 _SHIFTS = 20  # cells to each side by which a sector may be displaced
 _MAX_RANGE = 6.0  # m; farther returns, and rays without a return, count as this range
-_CLIP = 0.3  # m; greater differences of two ranges count as this difference
+_MAX_RANGE_DIFFERENCE = 0.3  # m; greater differences of two ranges count as this difference
 # m (root of the mean square): the least mean difference over all displacements of a sector.
 _MIN_CONTRAST = 0.02
 _MAX_MISFIT = 0.5  # share of the mean difference that may remain at the best displacement
@@ -55,21 +55,21 @@ _MIN_TURN, _MAX_TURN = 0.5, 1.2
 # rad by which the turn during one scan of a pair differs from the turn during the other.
 _MIN_SKEW, _MAX_SKEW = 0.03, 0.4
 _MAX_SHIFT = 0.1  # m between the two scans of a pair
-_HISTORY = 20  # scans
-_SKIPPED = 4  # once the order is known, every fourth scan is taken,
-_CHECKED = 2.0  # and a pair is compared after so many rad of turns
+_MAX_SCANS = 20  # scans
+_SCAN_STRIDE = 4  # once the order is known, every fourth scan is taken,
+_CHECK_TURN = 2.0  # and a pair is compared after so many rad of turns
 _AT_REST = 0.01  # rad
 _SPACING = 0.1  # rad of turn between scans that are kept, and between pairs
-_MAX_APART = 2.0  # s between the two scans of a pair
-_ALIKE = 0.8, 1.25  # durations whose ratio is between these are one candidate
-_SHORTEST = 0.25  # of the period: a shorter duration looks like all rays at once
+_MAX_SCAN_PERIOD = 2.0  # s between the two scans of a pair
+_SAME_DURATIONS = 0.8, 1.25  # durations whose ratio is between these are one candidate
+_MIN_DURATION_SHARE = 0.25  # of the period: a shorter duration looks like all rays at once
 _STARTS = 16  # rays at which the order of a candidate may begin
 _MAX_DELAY_CHANGE = 0.05  # s; a greater change of the delay drops all pairs
-_KEPT = 48  # pairs
+_MAX_PAIRS = 48  # pairs
 _MIN_PAIRS = 8
 _MIN_PAIRS_OF_SIDE = 2  # of turns to the left, and of turns to the right
-_CERTAIN = 5.0  # standard errors by which each other candidate must be worse,
-_CERTAIN_OF_NEIGHBOR = 2.0  # and those that differ only by one step of the start
+_STANDARD_ERRORS = 5.0  # standard errors by which each other candidate must be worse,
+_ERRORS_OF_NEIGHBOR = 2.0  # and those that differ only by one step of the start
 _MIN_SPREAD = 0.3  # least standard deviation of the votes
 _MIN_BETTER = 0.05  # share of the error by which each other candidate must be worse
 
@@ -129,7 +129,7 @@ class _Layout(NamedTuple):
         )
 
 
-class _Seen:
+class _ScanAtPose:
     """A scan with the pose of the sensor at its mean ray.
 
     `at` in s is the time of the mean ray on the clock of odometry. `x`, `y` in m and `yaw` in rad
@@ -148,7 +148,7 @@ class _Seen:
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
 
     def cells(self, x: float, y: float) -> Array:
-        """Ranges (360,) in m by heading, as seen from a place, if all rays were measured at once.
+        """Ranges (360,) in m by heading, as seen from a place, if all rays had the same time.
 
         NaN for headings outside the sector that the rays cover.
         """
@@ -164,10 +164,10 @@ class _Seen:
         cells: Array = np.interp(at, headings, np.hypot(along, across), right=right)
         return cells
 
-    def is_comparable(self, after: _Seen) -> bool:
+    def is_comparable(self, after: _ScanAtPose) -> bool:
         """True if this scan and a later scan make a pair: turned enough, and hardly moved."""
         return (
-            0.0 < after.at - self.at < _MAX_APART
+            0.0 < after.at - self.at < _MAX_SCAN_PERIOD
             and _MIN_TURN < abs(after.yaw - self.yaw) < _MAX_TURN
             and abs(after.skew - self.skew) < _MAX_SKEW
             and math.hypot(after.x - self.x, after.y - self.y) < _MAX_SHIFT
@@ -217,16 +217,16 @@ class MeasuredSweep:
         self._period, self._offset = 1.0 / spec.rate, spec.offset
         self.order: Order | None = None
         self._layout: _Layout | None = None
-        self._given: tuple[Array | None, Array | None] = None, None
+        self._given_rays: tuple[Array | None, Array | None] = None, None
         self._ages: Array | None = None
         self._candidates = _Candidates((AT_ONCE,))
-        self._seen: deque[_Seen] = deque(maxlen=_HISTORY)
+        self._stored_scans: deque[_ScanAtPose] = deque(maxlen=_MAX_SCANS)
         self._yaw = self._turned = 0.0  # rad turned since the last pair
-        self._scans = self._samples = 0  # so far; and pairs that told the order
-        self._fits: deque[Array] = deque(maxlen=_KEPT)
-        self._sides: deque[float] = deque(maxlen=_KEPT)  # of the same pairs: 1.0 left, -1.0 right
+        self._scan_count = self._pair_count = 0  # so far; and pairs that told the order
+        self._mean_errors: deque[Array] = deque(maxlen=_MAX_PAIRS)
+        self._sides: deque[float] = deque(maxlen=_MAX_PAIRS)  # of these pairs: 1.0 left, -1.0 right
         self._delay = 0.0
-        self._why = ""
+        self._reason = ""
 
     def ages(self, scan: Scan) -> Array:
         """(n,) s by which each ray is older than the newest ray; the same object for equal scans.
@@ -234,87 +234,101 @@ class MeasuredSweep:
         While the order is not known: half of the duration of a scan for each ray, the most by which
         a ray can be older than the mean ray.
         """
-        self._look_at(scan)
+        self._update_layout(scan)
         if self._ages is None:
             count = len(scan.ranges)
             if self.order is None:
-                self._ages = np.full(count, 0.5 * self._longest())
+                self._ages = np.full(count, 0.5 * self._longest_scan())
                 self._ages.flags.writeable = False
             else:
                 self._ages = self.order.ages(count)
         return self._ages
 
-    def on_scan(self, scan: Scan, at: float, delay: float, headings: Headings, place: Pose) -> None:
-        """Take in a raw scan: compare it with the kept scan whose skew differs most.
+    def on_scan(
+        self, scan: Scan, arrival: float, delay: float, headings: Headings, base: Pose
+    ) -> None:
+        """Take in a raw scan: compare it with the stored scan whose skew differs most.
 
-        The scan arrived at the time `at` of odometry's clock, `delay` s after its mean ray, while
-        the robot was at `place`.
+        The skew is the turn of the robot during a scan. Two scans with different skews show in
+        which order the sensor measures its rays.
+
+        Args:
+            scan: the raw scan.
+            arrival: s on the clock of odometry.
+            delay: s from the mean ray of the scan to the arrival.
+            headings: the headings of the robot by odometry.
+            base: the pose of the base when the scan arrived.
         """
-        layout, half = self._look_at(scan), 0.5 * self._longest()
-        self._scans += 1
-        if abs(delay - self._delay) > _MAX_DELAY_CHANGE:  # earlier pairs were of other headings
+        # 1. Skips scans that show nothing new: unusable rays, a known order, or a robot at rest.
+        layout, half = self._update_layout(scan), 0.5 * self._longest_scan()
+        self._scan_count += 1
+        if abs(delay - self._delay) > _MAX_DELAY_CHANGE:  # earlier pairs had wrong headings
             self._delay = delay
             self._forget_pairs()
-        if self.order is not None and self._scans % _SKIPPED:
+        if self.order is not None and self._scan_count % _SCAN_STRIDE:
             return
-        at -= delay
-        if layout.fault or layout.claim == 0.0 or at - half < headings.times[0]:
+        time = arrival - delay
+        if layout.fault or layout.claim == 0.0 or time - half < headings.times[0]:
             return
-        begin, yaw, end = np.interp((at - half, at, at + half), *headings).tolist()
-        kept, skew = self._seen, end - begin
-        turned = abs(yaw - kept[-1].yaw) if kept else math.inf
+        begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
+        stored, skew = self._stored_scans, end_yaw - begin_yaw
+        turned = abs(yaw - stored[-1].yaw) if stored else math.inf
         self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
         self._yaw = yaw
-        if turned + abs(skew) < _AT_REST and 0.0 < at - kept[-1].at < 0.5 * _MAX_APART:
+        if turned + abs(skew) < _AT_REST and 0.0 < time - stored[-1].at < 0.5 * _MAX_SCAN_PERIOD:
             return
-        cos, sin = math.cos(place.yaw), math.sin(place.yaw)
+
+        # 2. The partner: the stored scan whose skew differs most.
+        cos, sin = math.cos(base.yaw), math.sin(base.yaw)
         ahead, left = self._offset
-        sensor = Pose(place.x + cos * ahead - sin * left, place.y + sin * ahead + cos * left, yaw)
-        seen = _Seen(scan, layout, at, headings, sensor, skew)
-        before, greatest = None, _MIN_SKEW
-        for earlier in kept:
+        sensor = Pose(base.x + cos * ahead - sin * left, base.y + sin * ahead + cos * left, yaw)
+        scan_at_pose = _ScanAtPose(scan, layout, time, headings, sensor, skew)
+        partner, greatest_difference = None, _MIN_SKEW
+        for earlier in stored:
             difference = abs(skew - earlier.skew)
-            if difference > greatest and earlier.is_comparable(seen):
-                before, greatest = earlier, difference
-        if len(kept) > 1 and abs(yaw - kept[-2].yaw) < _SPACING:
-            kept.pop()
-        kept.append(seen)
-        if before is not None and self._turned > (_SPACING if self.order is None else _CHECKED):
+            if difference > greatest_difference and earlier.is_comparable(scan_at_pose):
+                partner, greatest_difference = earlier, difference
+
+        # 3. Stores the scan; near headings replace each other. Then compares the pair.
+        if len(stored) > 1 and abs(yaw - stored[-2].yaw) < _SPACING:
+            stored.pop()
+        stored.append(scan_at_pose)
+        if partner is not None and self._turned > (_SPACING if self.order is None else _CHECK_TURN):
             self._turned = 0.0
-            self._compare(before, seen)
+            self._compare(partner, scan_at_pose)
 
     def forget_scans(self) -> None:
         """Drop the kept scans, as when the clock of odometry was set."""
-        self._seen.clear()
+        self._stored_scans.clear()
 
     def figure(self) -> SweepFigure:
         """The measured order for the status, or the reason why the order is not known."""
         order, layout = self.order, self._layout
         if layout is None or order is None:
-            return SweepFigure(samples=len(self._fits), text=self._why or "no scan yet")
+            return SweepFigure(samples=len(self._mean_errors), text=self._reason or "no scan yet")
         if order == AT_ONCE:
-            return SweepFigure(direction="at once", samples=self._samples)
+            return SweepFigure(direction="at once", samples=self._pair_count)
         first = layout.bearings[0 if order.direction > 0.0 else -1]
         return SweepFigure(
             direction="ccw" if order.direction * layout.step > 0.0 else "cw",
             start_deg=round(math.degrees(math.remainder(float(first), _TURN)), 1),
             duration=order.duration / layout.cover,
-            samples=self._samples,
+            samples=self._pair_count,
         )
 
-    def _longest(self) -> float:
+    def _longest_scan(self) -> float:
         """The longest time in s that a scan may take, by its driver and by its rate."""
         assert self._layout is not None
         return max(self._layout.claim or 0.0, self._period * self._layout.cover)
 
-    def _look_at(self, scan: Scan) -> _Layout:
+    def _update_layout(self, scan: Scan) -> _Layout:
         """The layout of a scan; a layout of another sensor begins the measurement anew."""
-        given, layout = self._given, self._layout
+        given, layout = self._given_rays, self._layout
         is_known = layout is not None and _is_same(given[0], scan.bearings)
         if layout is not None and is_known and _is_same(given[1], scan.ages):
             return layout
         before, layout = layout, _layout_of(scan)
-        self._given, self._layout = (scan.bearings, scan.ages), layout
+        self._given_rays, self._layout = (scan.bearings, scan.ages), layout
         if self.order is None or before is None or len(before.bearings) != len(layout.bearings):
             self._ages = None
         if before is None or not layout.is_as(before):
@@ -324,13 +338,17 @@ class MeasuredSweep:
     def _begin(self, layout: _Layout) -> None:
         """Begin the measurement anew, with the candidates for a layout (module docstring, 2, 3)."""
         self.order = AT_ONCE if layout.claim == 0.0 else None
-        self._ages, self._samples = None, 0
+        self._ages, self._pair_count = None, 0
         self._forget_pairs()
-        self._why = layout.fault or "it has not turned enough to both sides yet"
+        self._reason = layout.fault or "it has not turned enough to both sides yet"
         period, claim = self._period * layout.cover, layout.claim or 0.0
         durations = [period, 0.5 * period]
-        if claim > _SHORTEST * period:
-            unlike = [time for time in durations if not _ALIKE[0] < claim / time < _ALIKE[1]]
+        if claim > _MIN_DURATION_SHARE * period:
+            unlike = [
+                time
+                for time in durations
+                if not _SAME_DURATIONS[0] < claim / time < _SAME_DURATIONS[1]
+            ]
             durations = [claim, *unlike]
         starts = [i / _STARTS for i in range(_STARTS)]
         orders = [
@@ -342,11 +360,11 @@ class MeasuredSweep:
         self._candidates = _Candidates((AT_ONCE, *orders))
 
     def _forget_pairs(self) -> None:
-        self._seen.clear()
-        self._fits.clear()
+        self._stored_scans.clear()
+        self._mean_errors.clear()
         self._sides.clear()
 
-    def _compare(self, before: _Seen, after: _Seen) -> None:
+    def _compare(self, before: _ScanAtPose, after: _ScanAtPose) -> None:
         """Add the mean error of each candidate for the displacements between two scans."""
         moved = _displacements(before.cells(before.x, before.y), after.cells(before.x, before.y))
         is_known = np.isfinite(moved)
@@ -357,42 +375,53 @@ class MeasuredSweep:
         errors = errors[:, is_known]
         # A late or scaled heading of odometry displaces all sectors alike: subtract the median.
         errors -= np.median(errors, axis=1, keepdims=True)
-        self._fits.append(np.minimum(np.abs(errors), _MAX_ERROR).mean(axis=1))
+        self._mean_errors.append(np.minimum(np.abs(errors), _MAX_ERROR).mean(axis=1))
         self._sides.append(math.copysign(1.0, after.yaw - before.yaw))
         self._decide()
 
     def _decide(self) -> None:
-        """Set the order if one candidate is better than each other in a paired test.
+        """Set the order if a single candidate fits better than all others in a paired test.
 
-        Each pair of scans votes between -1 and 1 on each other candidate. A candidate is worse if
-        the mean vote, the mean error and the errors of each side of turns say so.
+        The mean errors of all pairs of scans are compared with those of the best candidate. Each
+        pair votes between -1 (better) and 1 (worse) on each other candidate. A candidate is worse
+        if three measures say so: the mean vote, the mean error, and the mean errors of turns to
+        each side.
         """
-        rows, sides = np.array(self._fits), np.array(self._sides)
-        left = sides > 0.0
-        lefts = int(np.count_nonzero(left))
-        if len(rows) < _MIN_PAIRS or min(lefts, len(rows) - lefts) < _MIN_PAIRS_OF_SIDE:
+        # (p, c) the mean error of each candidate for each pair, and the side of each turn.
+        rows, sides = np.array(self._mean_errors), np.array(self._sides)
+        is_left = sides > 0.0
+        left_count = int(np.count_nonzero(is_left))
+        if len(rows) < _MIN_PAIRS or min(left_count, len(rows) - left_count) < _MIN_PAIRS_OF_SIDE:
             return
+
+        # 1. The best candidate, and by how much each other candidate is worse.
         means = rows.mean(axis=0)
         best = int(means.argmin())
-        worse = rows - rows[:, best : best + 1]
-        # Pairs differ in how much they show: how often a candidate is worse counts most.
-        usual = np.maximum(np.median(np.abs(worse), axis=0), 1e-9)
-        votes = np.minimum(np.maximum(worse / usual, -1.0), 1.0)
-        errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))
-        certain = np.where(self._candidates.is_neighbor(best), _CERTAIN_OF_NEIGHBOR, _CERTAIN)
-        is_worse = votes.mean(axis=0) > certain * errors
-        is_worse &= worse.mean(axis=0) > _MIN_BETTER * means[best]
-        is_worse &= (worse[left].mean(axis=0) > 0.0) & (worse[~left].mean(axis=0) > 0.0)
+        worse_by = rows - rows[:, best : best + 1]
+        # Pairs differ in their errors, so votes are limited: how often a candidate is worse counts.
+        usual_difference = np.maximum(np.median(np.abs(worse_by), axis=0), 1e-9)
+        votes = np.minimum(np.maximum(worse_by / usual_difference, -1.0), 1.0)
+        standard_errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))
+        needed_errors = np.where(
+            self._candidates.is_neighbor(best), _ERRORS_OF_NEIGHBOR, _STANDARD_ERRORS
+        )
+        is_worse = votes.mean(axis=0) > needed_errors * standard_errors
+        is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * means[best]
+        is_worse &= (worse_by[is_left].mean(axis=0) > 0.0) & (worse_by[~is_left].mean(axis=0) > 0.0)
+
+        # 2. Sets the order if all others are worse; drops an order that later turns contradict.
         orders, order = self._candidates.orders, None
         if np.count_nonzero(is_worse) == len(is_worse) - 1:
             order = orders[best] if orders[best].start == 0.0 else None
-            self._why = "" if order else "its rays do not follow one another in the message's order"
+            self._reason = (
+                "" if order else "its rays do not follow one another in the message's order"
+            )
         elif self.order is None or not is_worse[orders.index(self.order)]:
             order = self.order
-            self._why = "its turns do not tell one order of rays from another yet"
+            self._reason = "its turns do not tell one order of rays from another yet"
         if order != self.order:
             self.order, self._ages = order, None
-            self._samples = len(rows)
+            self._pair_count = len(rows)
             self._forget_pairs()
 
 
@@ -418,23 +447,26 @@ def _layout_of(scan: Scan) -> _Layout:
     return layout
 
 
-def _displacements(before: Array, after: Array) -> Array:
-    """The displacement (18,) in rad of each sector from one scan to a later one, both in cells.
+def _displacements(earlier: Array, later: Array) -> Array:
+    """The displacement (18,) in rad of each sector from one scan to a later scan.
 
-    The displacement with the least mean squared difference of ranges, refined by a parabola.
-    Counter-clockwise is positive. NaN: the minimum is not clear.
+    `earlier` and `later` (360,) are the ranges in m by heading, from `cells`. The displacement is
+    that with the least mean squared difference of ranges, refined by a parabola. Counter-clockwise
+    is positive. NaN: the minimum is not clear.
     """
-    around = np.concatenate((before[-_SHIFTS:], before, before[:_SHIFTS]))
-    apart = np.lib.stride_tricks.sliding_window_view(around, _CELLS) - after
-    np.multiply(apart, apart, out=apart)
-    np.minimum(apart, _CLIP**2, out=apart)
-    errors = apart.reshape(len(apart), _SECTORS, -1).mean(axis=2)
+    wrapped = np.concatenate((earlier[-_SHIFTS:], earlier, earlier[:_SHIFTS]))
+    differences = np.lib.stride_tricks.sliding_window_view(wrapped, _CELLS) - later
+    np.multiply(differences, differences, out=differences)
+    np.minimum(differences, _MAX_RANGE_DIFFERENCE**2, out=differences)
+    errors = differences.reshape(len(differences), _SECTORS, -1).mean(axis=2)
     best = errors.argmin(axis=0)
     inner = np.minimum(np.maximum(best, 1), len(errors) - 2)
     sectors = np.arange(_SECTORS)
-    a, b, c = (errors[inner + by, sectors] for by in (-1, 0, 1))
+    before, least, after = (errors[inner + offset, sectors] for offset in (-1, 0, 1))
     contrast = errors.mean(axis=0)
-    is_clear = (inner == best) & (b <= _MAX_MISFIT * contrast) & (contrast >= _MIN_CONTRAST**2)
-    bend = np.where(is_clear, a - 2.0 * b + c, math.nan)
-    places: Array = _CELL * (_SHIFTS - inner - 0.5 * (a - c) / np.where(bend > 0.0, bend, math.nan))
-    return places
+    is_clear = (inner == best) & (least <= _MAX_MISFIT * contrast) & (contrast >= _MIN_CONTRAST**2)
+    curvature = np.where(is_clear, before - 2.0 * least + after, math.nan)
+    displacements: Array = _CELL * (
+        _SHIFTS - inner - 0.5 * (before - after) / np.where(curvature > 0.0, curvature, math.nan)
+    )
+    return displacements

@@ -54,26 +54,26 @@ class OdometryHistory:
 
     latest = cython.declare(cython.double, visibility="readonly")
     _delay: ScanDelay
-    _readings: cython.double[::1]  # the last ones, in turn
-    _last: cython.Py_ssize_t  # the number of the last reading among them
-    _known: cython.Py_ssize_t  # how many there are
+    _readings: cython.double[::1]  # a ring buffer: _COLUMNS numbers each
+    _newest: cython.Py_ssize_t  # the number of the newest reading in the buffer
+    _count: cython.Py_ssize_t  # readings in use
     _x: cython.double  # the pose that `_set_pose` sets
     _y: cython.double
     _yaw: cython.double
     path: cython.double[:, ::1]  # see `set_path`
-    way: cython.double[::1]  # see `set_way`
+    motion: cython.double[::1]  # see `set_motion`
 
     def __init__(self, delay: ScanDelay | None = None) -> None:
         """`delay` gets each reading whose stamp is new."""
         self._delay = delay
         self.latest, self._readings = NAN, array("d", (_COLUMNS * _READINGS) * [0.0])
-        self.path, self.way = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
+        self.path, self.motion = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
         """Take in a reading that arrived at `now`; True if its stamp is new, None if it is invalid.
 
-        If the stamp of a new reading does not rise, or its pose jumps, all earlier readings are
-        dropped.
+        If the stamp of a new reading does not rise, or its pose jumps (beyond MAX_STEP and
+        MAX_SPEED), all earlier readings are dropped. False for a repeated stamp.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -93,102 +93,114 @@ class OdometryHistory:
             and fabs(lateral) <= _MAX_COORDINATE
         ):
             return None
+
+        # 1. A new stamp also updates the measured delay of scans.
         is_new: cython.bint = stamp != self.latest
         if is_new and self._delay is not None:
             self._delay.read(stamp, yaw, angular, pose, now)
+
+        # 2. A repeated reading changes nothing; a jump drops the earlier readings.
         r: cython.double[::1] = self._readings
-        at: cython.Py_ssize_t = self._place(0)
-        if self._known:
+        start: cython.Py_ssize_t = self._place(0)
+        if self._count:
             if (
                 not is_new
-                and (x == r[at + _X] and y == r[at + _Y] and yaw == r[at + _YAW])
-                and (linear == r[at + _LINEAR] and angular == r[at + _ANGULAR])
-                and lateral == r[at + _LATERAL]
+                and (x == r[start + _X] and y == r[start + _Y] and yaw == r[start + _YAW])
+                and (linear == r[start + _LINEAR] and angular == r[start + _ANGULAR])
+                and lateral == r[start + _LATERAL]
             ):
                 return False
-            apart: cython.double = hypot(x - r[at + _X], y - r[at + _Y])
-            apart = max(apart, fabs(remainder(yaw - r[at + _YAW], TURN)))
-            if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
-                self._known = 0
-        self._last = (self._last + 1) % _READINGS
-        self._known = min(self._known + 1, _READINGS)
-        at = self._place(0)
-        r[at + _STAMP] = self.latest = stamp
-        r[at + _X], r[at + _Y] = x, y
-        r[at + _YAW] = yaw
-        r[at + _LINEAR], r[at + _ANGULAR] = linear, angular
-        r[at + _LATERAL] = lateral
+            jump: cython.double = hypot(x - r[start + _X], y - r[start + _Y])
+            jump = max(jump, fabs(remainder(yaw - r[start + _YAW], TURN)))
+            if stamp <= r[start] or jump > _MAX_STEP + _MAX_SPEED * (stamp - r[start]):
+                self._count = 0
+
+        # 3. Overwrites the oldest reading.
+        self._newest = (self._newest + 1) % _READINGS
+        self._count = min(self._count + 1, _READINGS)
+        start = self._place(0)
+        r[start + _STAMP] = self.latest = stamp
+        r[start + _X], r[start + _Y] = x, y
+        r[start + _YAW] = yaw
+        r[start + _LINEAR], r[start + _ANGULAR] = linear, angular
+        r[start + _LATERAL] = lateral
         return is_new
 
     @cython.cfunc
     def _place(self, before: cython.Py_ssize_t) -> cython.Py_ssize_t:
         """The index at which the reading begins that is `before` readings before the last one."""
-        return _COLUMNS * ((self._last - before + _READINGS) % _READINGS)
+        return _COLUMNS * ((self._newest - before + _READINGS) % _READINGS)
 
     @cython.cfunc
-    def covers(self, at: cython.double) -> cython.bint:
+    def covers(self, stamp: cython.double) -> cython.bint:
         """True if the readings reach back to a time."""
-        if self._known == 0:
+        if self._count == 0:
             return False
-        return at >= self._readings[self._place(self._known - 1)] - _MAX_EXTRAPOLATION
+        return stamp >= self._readings[self._place(self._count - 1)] - _MAX_EXTRAPOLATION
 
     @cython.cfunc
-    def _set_pose(self, at: cython.double) -> cython.int:
-        """Set the pose at a time: interpolated between two readings, or extrapolated.
+    def _set_pose(self, stamp: cython.double) -> cython.int:
+        """Set `_x`, `_y` and `_yaw` to the pose at a stamp of odometry.
 
-        There must be a reading.
+        Interpolates between two readings, or extrapolates from the newest reading for
+        _MAX_EXTRAPOLATION s at most. Before the oldest reading, extrapolates back from that
+        reading. There must be a reading.
         """
         r: cython.double[::1] = self._readings
         k: cython.Py_ssize_t
-        early: cython.Py_ssize_t
-        late: cython.Py_ssize_t = self._place(0)
-        for k in range(self._known):
-            early = self._place(k)
-            if r[early] <= at:
+        earlier: cython.Py_ssize_t
+        later: cython.Py_ssize_t = self._place(0)
+
+        # 1. Interpolates: goes back to the first reading that is not after the stamp.
+        for k in range(self._count):
+            earlier = self._place(k)
+            if r[earlier] <= stamp:
                 if k == 0:
                     break
-                share = (at - r[early]) / (r[late] - r[early])
-                turned = remainder(r[late + _YAW] - r[early + _YAW], TURN)
-                self._x = r[early + _X] + share * (r[late + _X] - r[early + _X])
-                self._y = r[early + _Y] + share * (r[late + _Y] - r[early + _Y])
-                self._yaw = r[early + _YAW] + share * turned
+                fraction = (stamp - r[earlier]) / (r[later] - r[earlier])
+                turned = remainder(r[later + _YAW] - r[earlier + _YAW], TURN)
+                self._x = r[earlier + _X] + fraction * (r[later + _X] - r[earlier + _X])
+                self._y = r[earlier + _Y] + fraction * (r[later + _Y] - r[earlier + _Y])
+                self._yaw = r[earlier + _YAW] + fraction * turned
                 return 0
-            late = early
-        # At a constant twist, along the chord of its arc.
-        seconds: cython.double = min(at - r[late], _MAX_EXTRAPOLATION)
-        turn: cython.double = r[late + _ANGULAR] * seconds
-        c: cython.double = cos(r[late + _YAW] + 0.5 * turn)
-        s: cython.double = sin(r[late + _YAW] + 0.5 * turn)
-        ahead: cython.double = r[late + _LINEAR] * seconds
-        left: cython.double = r[late + _LATERAL] * seconds
-        self._x = r[late + _X] + c * ahead - s * left
-        self._y = r[late + _Y] + s * ahead + c * left
-        self._yaw = r[late + _YAW] + turn
+            later = earlier
+
+        # 2. Extrapolates at a constant twist, along the chord of the arc.
+        seconds: cython.double = min(stamp - r[later], _MAX_EXTRAPOLATION)
+        turn: cython.double = r[later + _ANGULAR] * seconds
+        cos_chord: cython.double = cos(r[later + _YAW] + 0.5 * turn)
+        sin_chord: cython.double = sin(r[later + _YAW] + 0.5 * turn)
+        ahead: cython.double = r[later + _LINEAR] * seconds
+        left: cython.double = r[later + _LATERAL] * seconds
+        self._x = r[later + _X] + cos_chord * ahead - sin_chord * left
+        self._y = r[later + _Y] + sin_chord * ahead + cos_chord * left
+        self._yaw = r[later + _YAW] + turn
         return 0
 
     @cython.cfunc
-    def set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
-        """Set `path`, the motion of the last `seconds` before the time `at`; the number of rows.
+    def set_path(self, end: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
+        """Set `path`, the motion in the `seconds` before the stamp `end`; the number of its rows.
 
-        Each row of `path` has s before `at`, and x and y in m and yaw in rad relative to the pose
-        at `at`. 0 rows at rest, if the readings do not reach back that far, or if `seconds` is 0.
+        Each row of `path` has the s before `end`, and x and y in m and yaw in rad relative to the
+        pose at `end`. The rows: `end`, each reading in between, and the begin. 0 rows if the robot
+        is at rest, if the readings do not reach back that far, or if `seconds` is 0.
         """
-        if seconds == 0.0 or not self.covers(at - seconds):
+        if seconds == 0.0 or not self.covers(end - seconds):
             return 0
         r: cython.double[::1] = self._readings
         rows: cython.Py_ssize_t = 1
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        self._set_pose(at)
+        start: cython.Py_ssize_t
+        self._set_pose(end)
         self._set_row(0, 0.0, self._x, self._y, self._yaw)
-        for i in range(self._known):
-            k = self._place(i)
-            if at - r[k] >= seconds - _MIN_STEP:
+        for i in range(self._count):
+            start = self._place(i)
+            if end - r[start] >= seconds - _MIN_STEP:
                 break
-            if at - r[k] > _MIN_STEP:
-                self._set_row(rows, at - r[k], r[k + _X], r[k + _Y], r[k + _YAW])
+            if end - r[start] > _MIN_STEP:
+                self._set_row(rows, end - r[start], r[start + _X], r[start + _Y], r[start + _YAW])
                 rows += 1
-        self._set_pose(at - seconds)
+        self._set_pose(end - seconds)
         self._set_row(rows, seconds, self._x, self._y, self._yaw)
         rows += 1
         return rows if self._makes_relative(rows) else 0
@@ -210,36 +222,36 @@ class OdometryHistory:
     @cython.cfunc
     def _makes_relative(self, rows: cython.Py_ssize_t) -> cython.bint:
         """Make the poses of the path relative to the first one; false if all are at rest."""
-        p: cython.double[:, ::1] = self.path
-        x: cython.double = p[0, 1]
-        y: cython.double = p[0, 2]
-        yaw: cython.double = p[0, 3]
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
+        path: cython.double[:, ::1] = self.path
+        x: cython.double = path[0, 1]
+        y: cython.double = path[0, 2]
+        yaw: cython.double = path[0, 3]
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
         turned: cython.double = 0.0
         moves: cython.bint = False
         i: cython.Py_ssize_t
         for i in range(rows):
-            dx, dy = p[i, 1] - x, p[i, 2] - y
-            turned += remainder(p[i, 3] - yaw - turned, TURN)
-            p[i, 1], p[i, 2] = c * dx + s * dy, c * dy - s * dx
-            p[i, 3] = turned
-            if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
+            dx, dy = path[i, 1] - x, path[i, 2] - y
+            turned += remainder(path[i, 3] - yaw - turned, TURN)
+            path[i, 1], path[i, 2] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+            path[i, 3] = turned
+            if max(fabs(path[i, 1]), fabs(path[i, 2]), fabs(turned)) > _AT_REST:
                 moves = True
         return moves
 
     @cython.cfunc
-    def set_way(self, at: cython.double, end: cython.double) -> cython.int:
-        """Set x, y and yaw of the pose at a time, relative to that at an `end`."""
+    def set_motion(self, stamp: cython.double, end: cython.double) -> cython.int:
+        """Set `motion`: x, y, yaw of the pose at a stamp, relative to the pose at `end`."""
         self._set_pose(end)
         x: cython.double = self._x
         y: cython.double = self._y
         yaw: cython.double = self._yaw
-        self._set_pose(at)
+        self._set_pose(stamp)
         dx: cython.double = self._x - x
         dy: cython.double = self._y - y
-        c: cython.double = cos(yaw)
-        s: cython.double = sin(yaw)
-        self.way[0], self.way[1] = c * dx + s * dy, c * dy - s * dx
-        self.way[2] = self._yaw - yaw
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
+        self.motion[0], self.motion[1] = cos_yaw * dx + sin_yaw * dy, cos_yaw * dy - sin_yaw * dx
+        self.motion[2] = self._yaw - yaw
         return 0

@@ -2,7 +2,7 @@
 
 Source: Kaiser et al., "ROS2swarm - A ROS 2 Package for Swarm Robot Behaviors", ICRA 2022,
 doi 10.1109/ICRA46639.2022.9812417. Our deviation, off with `ignore_near=True`: a ray nearer than
-`range_min` counts as one at `range_min`; in the original it counts as free.
+`range_min` counts as a ray at `range_min`; in the original, as no return.
 """
 
 from __future__ import annotations
@@ -46,10 +46,19 @@ def potential_field(
 ) -> FieldResult:
     """The vector of the field, the number of returns within range, and whether they are too few.
 
-    `ranges` (n,) m and `bearings` (n,) rad. NaN never counts, +inf is out of range, -inf is near.
-    `range_max` is the reach of the field in m and must exceed `range_min`; a ray weighs
-    1 - r / range_max, or r / range_max for "attraction". `bias` is added along x (subtracted for
-    "attraction2"). With a `range_max` of 0 nothing is within range.
+    Each ray within range contributes the unit vector of its bearing times a weight; see FieldKind.
+    The weight of a ray with range r is 1 - r / range_max, or r / range_max for "attraction".
+
+    Args:
+        ranges: (n,) m; NaN and +inf do not count, -inf (too close to measure) counts as near.
+        bearings: (n,) rad.
+        range_max: m, the reach of the field, greater than `range_min`; with 0 no return is in
+            range.
+        range_min: m; a nearer ray counts as a ray at `range_min`.
+        bias: added along x; subtracted for "attraction2".
+        ray_threshold: up to this number of returns the robot counts as alone.
+        kind: see FieldKind.
+        ignore_near: rays nearer than `range_min` do not count, as in the original.
     """
     is_seen = ranges < range_max
     if ignore_near:
@@ -59,8 +68,8 @@ def potential_field(
     count = int(np.count_nonzero(is_seen))
     x = y = 0.0
     if count:
-        share = np.minimum(np.maximum(ranges[is_seen], range_min) / range_max, 1.0)
-        weights = share if kind == "attraction" else 1.0 - share
+        range_share = np.minimum(np.maximum(ranges[is_seen], range_min) / range_max, 1.0)
+        weights = range_share if kind == "attraction" else 1.0 - range_share
         seen_bearings = bearings[is_seen]
         x = float(weights @ np.cos(seen_bearings))
         y = float(weights @ np.sin(seen_bearings))

@@ -26,9 +26,9 @@ else:
 PACKET_RAYS = 6  # rays that an LDS loses together
 
 _SMALL_ANGLE = cython.declare(cython.double, 1e-9)  # rad, of rounding
-_UNEVEN = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
-_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which these may miss a full turn
-_GUESSED_FROM = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
+_MAX_UNEVENNESS = cython.declare(cython.double, 0.2)  # steps by which evenly spaced rays may be off
+_MAX_TURN_ERROR = cython.declare(cython.double, 0.5)  # steps by which these may miss a full turn
+_GUESSES = cython.declare(cython.Py_ssize_t, 3)  # places from the hint on that are tried first
 # The sensor is blind if so many far returns, and this share of the rays, all vanish from one scan
 # to the next. Fewer may vanish, as those of a ring of few sensors.
 _BLIND_RETURNS = cython.declare(cython.double, 8.0)
@@ -48,15 +48,18 @@ _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
 def _nearest_angle(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double, hint: cython.Py_ssize_t
 ) -> cython.Py_ssize_t:
-    """The index of the angle nearest to `wanted`, of n rising angles.
+    """The index of the angle nearest to `wanted` (rad), by binary search.
 
-    `hint`: an index from which the search begins, such as the last result.
+    `rising`: angles in [0, a full turn), of which the first `n` are in use and rise. `wanted`: rad,
+    any angle. `hint`: an index at which the search begins, such as the last result.
     """
     angle: cython.double = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
-    for middle in range(hint, min(hint + _GUESSED_FROM, n)):
+
+    # 1. Finds the first angle that is not below: near the hint, else by halving.
+    for middle in range(hint, min(hint + _GUESSES, n)):
         if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
             low = high = middle
             break
@@ -66,6 +69,8 @@ def _nearest_angle(
             low = middle + 1
         else:
             high = middle
+
+    # 2. This angle or the angle before, whichever is nearer.
     after: cython.Py_ssize_t = low if low < n else 0
     before: cython.Py_ssize_t = after - 1 if after else n - 1
     if angle_between(rising[before], wanted) < angle_between(rising[after], wanted):
@@ -96,7 +101,7 @@ class RayMemory:
     _yaw: cython.double  # of the robot, to which the memory is turned
     _far_returns: cython.Py_ssize_t  # of the last scan with returns
     _given: object  # the array of the bearings
-    _n: cython.Py_ssize_t
+    _ray_count: cython.Py_ssize_t
     _bearings: cython.double[::1]
     _direction: cython.double  # 1.0 if bearings rise, -1.0 if they fall
     _is_even: cython.bint  # rays cover a full turn, one each `_step`
@@ -107,7 +112,7 @@ class RayMemory:
     _ranges: cython.double[::1]
     _seen_at: cython.double[::1]
     _near_at: cython.double[::1]
-    _turned: cython.Py_ssize_t
+    _shift: cython.Py_ssize_t
     _is_zero: cython.uchar[::1]
     _is_lost: cython.uchar[::1]
 
@@ -120,102 +125,118 @@ class RayMemory:
         self._near_below = spec.range_min + _NEAR_MARGIN
         self._step = TURN / max(len(spec.bearings), 1)
         self._yaw, self._far_returns = NAN, 0
-        self._given, self._n = None, 0
+        self._given, self._ray_count = None, 0
         self._bearings = self._rising = self._ranges = self._seen_at = self._near_at = None
         self._order = self._place = self._is_zero = self._is_lost = None
 
     def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
         """The conditioned ranges (n,) of a scan; None if the scan is invalid.
 
-        If `bearings` (n,) is the same object as before, its values must be the same. `yaw` of the
-        robot in rad, NaN if unknown; `now` in s.
+        `raw`: (n,) m, the ranges of the driver. `bearings`: (n,) rad; the same object as before
+        must have the same values. `yaw`: rad, of the robot; NaN: unknown. `now`: s.
         """
         ranges = np.array(raw, dtype=np.float64, order="C")
         return ranges if self.interpret(view_of(ranges), bearings, yaw, now) else None
 
     @cython.cfunc
     def interpret(
-        self, out: cython.double[::1], bearings, yaw: cython.double, now: cython.double
+        self, ranges: cython.double[::1], bearings, yaw: cython.double, now: cython.double
     ) -> cython.bint:
-        """Replace raw ranges by conditioned ones; false if the scan is invalid."""
-        n: cython.Py_ssize_t = out.shape[0]
-        if self._goes_blind(out):
+        """Replace the raw `ranges` (n,) of a scan by conditioned ranges; False: invalid scan.
+
+        A conditioned range is a distance, +inf (no return) or -inf (too close to measure).
+        `bearings` (n,) and the robot's `yaw` in rad (NaN: unknown), `now` in s. Sets `known_at`.
+        """
+        count: cython.Py_ssize_t = ranges.shape[0]
+        if self._goes_blind(ranges):
             return False
+
+        # 1. Turns the memory with the robot, so that the memory stays with the surroundings.
         turned: cython.double = self._turn_of(yaw)
-        if bearings is not self._given and self._n and np.array_equal(bearings, self._bearings):
+        if (
+            bearings is not self._given
+            and self._ray_count
+            and np.array_equal(bearings, self._bearings)
+        ):
             self._given = bearings
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
         elif turned != 0.0 and self._is_even:
-            self._turned += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
-            self._turned += n if self._turned < 0 else -n if self._turned >= n else 0
+            self._shift += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
+            self._shift += count if self._shift < 0 else -count if self._shift >= count else 0
         elif turned != 0.0:
             self._recall(self._rising, turned)
-        if self._interpret(out):
-            self._interpret_zeros(out, now)
-        unknown: cython.Py_ssize_t = self._remember(out, now)
-        if 2 * unknown > n:  # fewer than half of the rays are known
+
+        # 2. Interprets the ranges, and stores the known rays.
+        if self._interpret_ranges(ranges):
+            self._interpret_zeros(ranges, now)
+        unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
+        if 2 * unknown_count > count:  # fewer than half of the rays are known
             return False
+
+        # 3. Fills unknown rays from the memory, then by their neighbours.
         self.known_at = now
-        if unknown == 0:
+        if unknown_count == 0:
             return True
         self.known_at = self._lost_since(now)
-        return self._fill_from_memory(out, now) == 0 or self._bridge(out)
+        return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
     @cython.cfunc
-    def _fill_from_memory(self, out: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+    def _fill_from_memory(
+        self, ranges: cython.double[::1], now: cython.double
+    ) -> cython.Py_ssize_t:
         """Fill unknown rays with their last ranges, if not stale; the number still unknown."""
-        left: cython.Py_ssize_t = 0
+        unknown_count: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        for i in range(out.shape[0]):
-            if isnan(out[i]):
-                k = self._at(i)
-                if self._seen_at[k] >= now - self._stale_after:
-                    out[i] = self._ranges[k]
-                if isnan(out[i]):
-                    left += 1
-        return left
+        index: cython.Py_ssize_t
+        for i in range(ranges.shape[0]):
+            if isnan(ranges[i]):
+                index = self._index(i)
+                if self._seen_at[index] >= now - self._stale_after:
+                    ranges[i] = self._ranges[index]
+                if isnan(ranges[i]):
+                    unknown_count += 1
+        return unknown_count
 
     @cython.cfunc
     def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
         """Store the known rays; the number of unknown rays, which keep their memory."""
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        unknown: cython.Py_ssize_t = 0
+        index: cython.Py_ssize_t
+        unknown_count: cython.Py_ssize_t = 0
         near_below: cython.double = self._near_below
-        known: cython.double[::1] = self._ranges
+        known_ranges: cython.double[::1] = self._ranges
         seen_at: cython.double[::1] = self._seen_at
         is_zero: cython.uchar[::1] = self._is_zero
         is_lost: cython.uchar[::1] = self._is_lost
         for i in range(ranges.shape[0]):
             distance = ranges[i]
             if isnan(distance):
-                unknown += 1
+                unknown_count += 1
                 is_lost[i] = not (self._is_lds and is_zero[i])
                 continue
-            is_lost[i], k = False, self._at(i)
-            known[k], seen_at[k] = distance, now
-            # A zero does not count as near: else its own memory would keep a ray near for ever.
+            is_lost[i], index = False, self._index(i)
+            known_ranges[index], seen_at[index] = distance, now
+            # A zero does not count as near: else guesses would keep a ray near for ever.
             if distance < near_below and not is_zero[i]:
-                self._near_at[k] = now
-        return unknown
+                self._near_at[index] = now
+        return unknown_count
 
     @cython.cfunc
     @cython.inline
-    def _at(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    def _index(self, ray: cython.Py_ssize_t) -> cython.Py_ssize_t:
         """The index of a ray in the memory."""
-        return wrapped_index(self._place[ray] + self._turned, self._n)
+        return wrapped_index(self._place[ray] + self._shift, self._ray_count)
 
     @cython.cfunc
     def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
         """True if the scan has no return, although the last scan with returns had many far returns.
 
         Then the sensor is blind: a robot cannot reach an open field between two scans. An obstacle
-        in the blind zone may hide all returns, but then the returns before were near.
+        in the blind zone may hide all returns, but only after near returns.
         """
         i: cython.Py_ssize_t
-        far: cython.Py_ssize_t = 0
+        far_count: cython.Py_ssize_t = 0
         has_return: cython.bint = False
         near_below: cython.double = self._near_below
         range_max: cython.double = self._range_max
@@ -225,12 +246,12 @@ class RayMemory:
             if (0.0 < distance <= range_max) or distance == -INFINITY:
                 has_return = True
                 if near_below < distance < far_below:
-                    far += 1
+                    far_count += 1
         if has_return:
-            self._far_returns = far
+            self._far_returns = far_count
             return False
-        least: cython.double = max(_BLIND_SHARE * raw.shape[0], _BLIND_RETURNS)
-        return self._far_returns >= least
+        min_far_count: cython.double = max(_BLIND_SHARE * raw.shape[0], _BLIND_RETURNS)
+        return self._far_returns >= min_far_count
 
     @cython.cfunc
     def _turn_of(self, yaw: cython.double) -> cython.double:
@@ -248,36 +269,41 @@ class RayMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
-        """Take other bearings; their rays get the memory of the nearest earlier rays."""
+        """Replace the bearings; each ray gets the memory of the nearest earlier ray.
+
+        `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
+        whether they are even (a ray at each `_step` of a full turn), and in which direction
+        bearings change.
+        """
         i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = len(bearings)
-        had: cython.Py_ssize_t = self._n
+        count: cython.Py_ssize_t = len(bearings)
+        old_count: cython.Py_ssize_t = self._ray_count
         step: cython.double = self._step
-        rising: cython.double[::1] = self._rising
+        old_rising: cython.double[::1] = self._rising
         values = np.array(bearings, dtype=np.float64, order="C")
         order = np.argsort(values % TURN, kind="stable")
-        self._given, self._n = bearings, n
+        self._given, self._ray_count = bearings, count
         self._direction = 1.0
         self._bearings, self._order = memoryview(values), memoryview(order)
         self._rising = memoryview(values[order] % TURN)
         self._place = memoryview(np.argsort(order))
-        if n > 1:
-            last = math.remainder(values[n - 1] - values[n - 2], TURN)
+        if count > 1:
+            last = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last)
-        self._is_even = fabs(n * step - TURN) < _TURN_ERROR * step
-        for i in range(n):
-            if fabs(self._rising[i] - self._rising[0] - i * step) > _UNEVEN * step:
+        self._is_even = fabs(count * step - TURN) < _MAX_TURN_ERROR * step
+        for i in range(count):
+            if fabs(self._rising[i] - self._rising[0] - i * step) > _MAX_UNEVENNESS * step:
                 self._is_even = False
-        self._is_zero, self._is_lost = new_flags(n), new_flags(n)
-        if had:
-            self._recall(rising, turned)
+        self._is_zero, self._is_lost = new_flags(count), new_flags(count)
+        if old_count:
+            self._recall(old_rising, turned)
             return
         self._set_empty_memory()
 
     @cython.cfunc
     def _set_empty_memory(self) -> cython.int:
         i: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._n
+        n: cython.Py_ssize_t = self._ray_count
         self._ranges, self._seen_at = new_doubles(n), new_doubles(n)
         self._near_at = new_doubles(n)
         for i in range(n):
@@ -288,30 +314,30 @@ class RayMemory:
     @cython.cfunc
     def _recall(self, rising: cython.double[::1], turned: cython.double) -> cython.int:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
-        n: cython.Py_ssize_t = self._n
-        had: cython.Py_ssize_t = rising.shape[0]
+        count: cython.Py_ssize_t = self._ray_count
+        old_count: cython.Py_ssize_t = rising.shape[0]
         ranges: cython.double[::1] = self._ranges
         seen_at: cython.double[::1] = self._seen_at
         near_at: cython.double[::1] = self._near_at
-        too_far: cython.double = 2.0 * TURN / had
+        too_far: cython.double = 2.0 * TURN / old_count
         place: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        at: cython.Py_ssize_t
+        source: cython.Py_ssize_t
+        target: cython.Py_ssize_t
         self._set_empty_memory()
-        for i in range(n):
+        for i in range(count):
             wanted = mod_turn(self._bearings[i] + turned)
-            place = _nearest_angle(rising, had, wanted, place)
+            place = _nearest_angle(rising, old_count, wanted, place)
             is_far = angle_between(rising[place], wanted) > too_far
-            k, at = wrapped_index(place + self._turned, had), self._place[i]
-            self._ranges[at] = ranges[k]
-            self._seen_at[at] = -INFINITY if is_far else seen_at[k]
-            self._near_at[at] = -INFINITY if is_far else near_at[k]
-        self._turned = 0
+            source, target = wrapped_index(place + self._shift, old_count), self._place[i]
+            self._ranges[target] = ranges[source]
+            self._seen_at[target] = -INFINITY if is_far else seen_at[source]
+            self._near_at[target] = -INFINITY if is_far else near_at[source]
+        self._shift = 0
         return 0
 
     @cython.cfunc
-    def _interpret(self, out: cython.double[::1]) -> cython.bint:
+    def _interpret_ranges(self, out: cython.double[::1]) -> cython.bint:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
         i: cython.Py_ssize_t
         range_min: cython.double = self._range_min
@@ -364,7 +390,7 @@ class RayMemory:
         self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
     ) -> cython.double:
         """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost."""
-        at: cython.Py_ssize_t = self._at(ray)
+        at: cython.Py_ssize_t = self._index(ray)
         had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
             self._ranges[at]
         )
@@ -382,13 +408,13 @@ class RayMemory:
         direction: cython.Py_ssize_t
         step: cython.Py_ssize_t
         beside: cython.Py_ssize_t
-        n: cython.Py_ssize_t = self._n
+        n: cython.Py_ssize_t = self._ray_count
         for direction in range(-1, 2, 2):
             for step in range(n):
                 beside = self._order[(self._place[ray] + direction * step + n) % n]
                 if angle_between(self._bearings[ray], self._bearings[beside]) > _NEAR_SECTOR:
                     break
-                if self._near_at[self._at(beside)] >= since:
+                if self._near_at[self._index(beside)] >= since:
                     return True
         return False
 
@@ -404,9 +430,9 @@ class RayMemory:
         i: cython.Py_ssize_t
         while True:
             latest = -INFINITY
-            for i in range(self._n):
-                if self._is_lost[i] and latest < self._seen_at[self._at(i)] < before:
-                    latest = self._seen_at[self._at(i)]
+            for i in range(self._ray_count):
+                if self._is_lost[i] and latest < self._seen_at[self._index(i)] < before:
+                    latest = self._seen_at[self._index(i)]
             if latest == -INFINITY or self._widest(latest) <= self._max_gap:
                 return latest
             before = latest
@@ -417,9 +443,9 @@ class RayMemory:
 
         inf if all rays were.
         """
-        n: cython.Py_ssize_t = self._n
+        n: cython.Py_ssize_t = self._ray_count
         first: cython.Py_ssize_t = 0
-        while first < n and self._is_lost[first] and self._seen_at[self._at(first)] < before:
+        while first < n and self._is_lost[first] and self._seen_at[self._index(first)] < before:
             first += 1
         if first == n:
             return INFINITY
@@ -429,7 +455,7 @@ class RayMemory:
         i: cython.Py_ssize_t
         for k in range(first + 1, first + n + 1):
             i = wrapped_index(k, n)
-            if self._is_lost[i] and self._seen_at[self._at(i)] < before:
+            if self._is_lost[i] and self._seen_at[self._index(i)] < before:
                 continue
             if k - last > 1:
                 step = self._bearings[wrapped_index(last, n)] - self._bearings[i]
@@ -438,68 +464,80 @@ class RayMemory:
         return widest
 
     @cython.cfunc
-    def _bridge(self, out: cython.double[::1]) -> cython.bint:
+    def _bridge_sectors(self, ranges: cython.double[::1]) -> cython.bint:
         """Fill each unknown sector up to `max_gap` wide with the smaller range at its two edges.
 
-        False if a wider sector is left.
+        `ranges` (n,) has NaN for unknown rays. False if a wider sector is left unknown.
         """
-        n: cython.Py_ssize_t = out.shape[0]
+        count: cython.Py_ssize_t = ranges.shape[0]
         first: cython.Py_ssize_t = 0
-        while first < n and isnan(out[first]):
+        while first < count and isnan(ranges[first]):
             first += 1
-        if first == n:
+        if first == count:
             return False
-        # The angle unwraps as in numpy.unwrap, from a known ray on.
+        # Angles are unwrapped as in numpy.unwrap, from a known ray on.
         start: cython.double = self._bearings[first]
         angle: cython.double = start
-        before: cython.double = start  # the angle of the last known ray
-        edge: cython.double = out[first]
+        before: cython.double = start
+        last_range: cython.double = ranges[first]
         last: cython.Py_ssize_t = first
-        shift: cython.double = 0.0
+        unwrap_shift: cython.double = 0.0
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
         is_filled: cython.bint = True
-        for k in range(first + 1, first + n):
-            i = wrapped_index(k, n)
-            step = self._bearings[i] - self._bearings[wrapped_index(k - 1, n)]
+
+        # Each known ray ends the unknown rays behind the last known ray.
+        for k in range(first + 1, first + count):
+            i = wrapped_index(k, count)
+            step = self._bearings[i] - self._bearings[wrapped_index(k - 1, count)]
             if fabs(step) >= PI:
                 wrapped_step = wrap(step)
                 if wrapped_step == -PI and step > 0.0:
                     wrapped_step = PI
-                shift += wrapped_step - step
-            angle = self._bearings[i] + shift
-            if isnan(out[i]):
+                unwrap_shift += wrapped_step - step
+            angle = self._bearings[i] + unwrap_shift
+            if isnan(ranges[i]):
                 continue
-            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[i]):
+            if k - last > 1 and not self._fill_between(
+                ranges, last, k, before, angle, last_range, ranges[i]
+            ):
                 is_filled = False
             last, before = k, angle
-            edge = out[i]
-        if last < first + n - 1:
-            after = start + math.copysign(TURN, angle - start)
-            if not self._fill(out, last, first + n, before, after, edge, out[first]):
+            last_range = ranges[i]
+
+        # The sector between the last known ray and the first known ray, a turn later.
+        if last < first + count - 1:
+            end_angle = start + math.copysign(TURN, angle - start)
+            if not self._fill_between(
+                ranges, last, first + count, before, end_angle, last_range, ranges[first]
+            ):
                 is_filled = False
         return is_filled
 
     @cython.cfunc
-    def _fill(
+    def _fill_between(
         self,
-        out: cython.double[::1],
+        ranges: cython.double[::1],
         last: cython.Py_ssize_t,
-        end: cython.Py_ssize_t,
+        next_known: cython.Py_ssize_t,
         before: cython.double,
-        after: cython.double,
-        range_last: cython.double,
-        range_end: cython.double,
+        next_angle: cython.double,
+        last_range: cython.double,
+        next_range: cython.double,
     ) -> cython.bint:
-        """Fill the rays between the known rays `last` and `end` with the smaller of their ranges.
+        """Fill the rays between two known rays with the smaller of the two known ranges.
 
-        `range_last`, `range_end`: these ranges in m. `before`, `after`: the angles of the two rays
-        in rad.
-        False, and nothing is filled, if the angles differ by more than `max_gap`.
+        False, and no ray is filled, if the angles of the known rays differ by more than `max_gap`.
+
+        Args:
+            ranges: (n,) m, the ranges of the scan; indices beyond n wrap around.
+            last, next_known: the indices of the two known rays.
+            before, next_angle: rad, the angles of these rays.
+            last_range, next_range: m, the ranges of these rays.
         """
-        if not fabs(after - before) <= self._max_gap:
+        if not fabs(next_angle - before) <= self._max_gap:
             return False
         k: cython.Py_ssize_t
-        for k in range(last + 1, end):
-            out[wrapped_index(k, out.shape[0])] = min(range_last, range_end)
+        for k in range(last + 1, next_known):
+            ranges[wrapped_index(k, ranges.shape[0])] = min(last_range, next_range)
         return True

@@ -61,74 +61,86 @@ def move_rays(
     sines: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
     path: cython.double[:, ::1],
-    rows: cython.Py_ssize_t,
+    row_count: cython.Py_ssize_t,
     limits: cython.double[::1],
     distances: cython.double[::1],
     angles: cython.double[::1],
 ) -> cython.int:
-    """Move rays to the end of a path: sets `distances` and `angles` (n,).
+    """Move rays to the end of a path of the base: sets `distances` and `angles` (n,).
 
-    A ray without a finite range only turns. A return nearer than range_min at the end of the path
-    becomes -inf, too close to measure. The new bearings are within [-pi, pi).
+    Each ray was measured somewhere on the path. The result is how the sensor would see its return
+    from the end of the path. A ray without a finite range only turns. A return nearer than
+    range_min there becomes -inf, too close to measure. The new bearings are within [-pi, pi).
 
     Args:
         ranges: (n,) m.
         bearings: (n,) rad.
         cosines, sines: (n,) of the bearings.
         ages: (n,) s before the end of the path at which each ray was measured.
-        path: 2 or more `rows` of: s before the end, x and y in m and yaw in rad relative to the
-            pose at the end. Between two rows the pose changes linearly.
+        path: (`row_count`, 4), 2 rows or more: s before the end, x and y in m and yaw in rad
+            relative to the pose at the end. Between two rows the pose changes linearly.
         limits: x and y of the sensor in the base frame, range_min and range_max; m.
+        distances, angles: (n,) m and rad, the arrays to fill.
     """
-    n: cython.Py_ssize_t = ranges.shape[0]
-    last: cython.Py_ssize_t = rows - 1
-    k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
+    count: cython.Py_ssize_t = ranges.shape[0]
+    last_row: cython.Py_ssize_t = row_count - 1
+    row: cython.Py_ssize_t = 1  # ends the segment of the path in which the ray was measured
     i: cython.Py_ssize_t
-    # The stretch: its begin and how long it is, in time, x, y and turn.
-    begin: cython.double = INFINITY
-    end: cython.double = -INFINITY
+    # The segment between two rows: ages (s before the end of the path), and begin and change of
+    # x, y and turn.
+    begin_age: cython.double = INFINITY
+    end_age: cython.double = -INFINITY
     x_begin: cython.double = 0.0
     y_begin: cython.double = 0.0
     turn_begin: cython.double = 0.0
-    x_way: cython.double = 0.0
-    y_way: cython.double = 0.0
-    turn_way: cython.double = 0.0
-    # The pose at which rays of one age were measured; many sensors give one age to a whole sector.
+    x_change: cython.double = 0.0
+    y_change: cython.double = 0.0
+    turn_change: cython.double = 0.0
+    # The pose at the present age, used again for rays of the same age: many sensors give a whole
+    # sector the same age. `fraction`: place within the segment.
     age: cython.double = NAN
-    has_place: cython.bint = False
-    share: cython.double = 0.0
+    has_pose: cython.bint = False
+    fraction: cython.double = 0.0
     turn: cython.double = 0.0
     x: cython.double = 0.0
     y: cython.double = 0.0
-    c: cython.double = 1.0
-    s: cython.double = 0.0
-    for i in range(n):
+    cos_turn: cython.double = 1.0
+    sin_turn: cython.double = 0.0
+    for i in range(count):
         distance = ranges[i]
+
+        # 1. The turn of the pose at the age of the ray.
         if age != ages[i]:
-            age, has_place = ages[i], False
-            if not begin <= age <= end:
-                while k < last and age > path[k, 0]:
-                    k += 1
-                while k > 1 and age < path[k - 1, 0]:
-                    k -= 1
-                begin, end = path[k - 1, 0], path[k, 0]
-                x_begin, y_begin = path[k - 1, 1], path[k - 1, 2]
-                turn_begin = path[k - 1, 3]
-                x_way, y_way = path[k, 1] - x_begin, path[k, 2] - y_begin
-                turn_way = path[k, 3] - turn_begin
-            share = min(max((age - begin) / (end - begin), 0.0), 1.0)
-            turn = turn_begin + share * turn_way
+            age, has_pose = ages[i], False
+            if not begin_age <= age <= end_age:
+                while row < last_row and age > path[row, 0]:
+                    row += 1
+                while row > 1 and age < path[row - 1, 0]:
+                    row -= 1
+                begin_age, end_age = path[row - 1, 0], path[row, 0]
+                x_begin, y_begin = path[row - 1, 1], path[row - 1, 2]
+                turn_begin = path[row - 1, 3]
+                x_change, y_change = path[row, 1] - x_begin, path[row, 2] - y_begin
+                turn_change = path[row, 3] - turn_begin
+            fraction = min(max((age - begin_age) / (end_age - begin_age), 0.0), 1.0)
+            turn = turn_begin + fraction * turn_change
+
+        # 2. A ray without a finite range only turns.
         if not isfinite(distance):
             distances[i], angles[i] = distance, wrap(bearings[i] + turn)
             continue
-        if not has_place:
-            has_place = True
-            c, s = cos(turn), sin(turn)
-            x, y = x_begin + share * x_way, y_begin + share * y_way
-            x += (c - 1.0) * limits[0] - s * limits[1]
-            y += s * limits[0] + (c - 1.0) * limits[1]
-        ahead = c * cosines[i] - s * sines[i]
-        left = s * cosines[i] + c * sines[i]
+
+        # 3. The place of the sensor at the age of the ray.
+        if not has_pose:
+            has_pose = True
+            cos_turn, sin_turn = cos(turn), sin(turn)
+            x, y = x_begin + fraction * x_change, y_begin + fraction * y_change
+            x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
+            y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
+
+        # 4. The return in the frame of its old ray, then as range and bearing.
+        ahead = cos_turn * cosines[i] - sin_turn * sines[i]
+        left = sin_turn * cosines[i] + cos_turn * sines[i]
         along, across = distance + (ahead * x + left * y), ahead * y - left * x
         distances[i] = _moved_range(along, across, limits[2], limits[3])
         angles[i] = _moved_bearing(bearings[i], turn, along, across)
@@ -141,46 +153,53 @@ def rays_in_sector(
     bearings: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
     first: cython.Py_ssize_t,
-    way: cython.double[::1],
+    motion: cython.double[::1],
     sector: cython.double[::1],
     limits: cython.double[::1],
     distances: cython.double[::1],
     angles: cython.double[::1],
     kept_ages: cython.double[::1],
 ) -> cython.Py_ssize_t:
-    """Move the rays in a sector to another pose; the number of these rays.
+    """Move the rays that lie in a sector to another pose; the number of these rays.
 
-    Sets `distances`, `angles` and `kept_ages`. A ray counts if it lies in the sector as seen from
-    the old or from the new pose.
+    Sets `distances`, `angles` and `kept_ages`, one element for each of these rays. A ray counts if
+    it lies in the sector as seen from the old or from the new pose.
 
     Args:
-        ranges, bearings, ages: (n,) of rays that were all measured at the old pose.
-        first: the first ray that may count.
-        way: the old pose relative to the new one: x and y in m, yaw in rad.
+        ranges, bearings, ages: (n,) m, rad, s of rays that were all measured at the old pose.
+        first: the index of the first ray that may count.
+        motion: the old pose relative to the new pose: x and y in m, yaw in rad.
         sector: the bearing of its start in rad, 1.0 (counter-clockwise) or -1.0, its width in rad.
         limits: as in `move_rays`.
+        distances, angles, kept_ages: (n,) m, rad, s; the arrays to fill.
     """
-    x: cython.double = way[0]
-    y: cython.double = way[1]
-    turn: cython.double = way[2]
+    x: cython.double = motion[0]
+    y: cython.double = motion[1]
+    turn: cython.double = motion[2]
     start: cython.double = sector[0]
     direction: cython.double = sector[1]
     width: cython.double = sector[2]
-    c: cython.double = cos(turn)
-    s: cython.double = sin(turn)
-    x += (c - 1.0) * limits[0] - s * limits[1]
-    y += s * limits[0] + (c - 1.0) * limits[1]
-    # Nothing changes its direction by more than this: rays farther from the sector are skipped.
-    most: cython.double = PI
-    away: cython.double = sqrt(x * x + y * y)
-    if away < _LEAST_SHARE * limits[2]:
-        most = asin(away / limits[2]) + _ROUNDING
+
+    # 1. The motion of the sensor.
+    cos_turn: cython.double = cos(turn)
+    sin_turn: cython.double = sin(turn)
+    x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
+    y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
+
+    # 2. No return beyond range_min changes its direction by more than `max_change` rad. Rays
+    # farther from the sector are skipped.
+    max_change: cython.double = PI
+    sensor_motion: cython.double = sqrt(x * x + y * y)
+    if sensor_motion < _LEAST_SHARE * limits[2]:
+        max_change = asin(sensor_motion / limits[2]) + _ROUNDING
     n: cython.Py_ssize_t = ranges.shape[0]
+
+    # 3. Moves the rays, and counts those in the sector.
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     for i in range(first, n):
-        before = direction * (bearings[i] + turn - start)
-        if mod_turn(before + most) > width + 2.0 * most:
+        from_start = direction * (bearings[i] + turn - start)
+        if mod_turn(from_start + max_change) > width + 2.0 * max_change:
             continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
@@ -189,7 +208,7 @@ def rays_in_sector(
             angles[count] = _moved_bearing(bearings[i], turn, along, across)
         else:
             distances[count], angles[count] = ranges[i], wrap(bearings[i] + turn)
-        if mod_turn(before) < width or mod_turn(direction * (angles[count] - start)) < width:
+        if mod_turn(from_start) < width or mod_turn(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1
     return count

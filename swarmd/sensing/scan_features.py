@@ -60,26 +60,33 @@ def unit_vectors(bearings):
 
 
 def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
-    """See `rays.closest_points`."""
+    """The closest points of a scan: (p, 2) range in m and bearing in rad.
+
+    The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
+    whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
+    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
+    """
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
     layout: ScanLayout = layout_of(scan)
     if layout is None:
         return np.empty((0, 2))
     ranges: cython.const[cython.double][::1] = layout.known
-    n: cython.Py_ssize_t = layout.n
+    ray_count: cython.Py_ssize_t = layout.n
     layout.set_sectors(count)
-    least: cython.double = scan.range_min
+    range_min: cython.double = scan.range_min
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
+
+    # 1. The nearest ray of each sector.
     lowest: cython.double[::1] = layout.lowest
     is_seen: cython.bint = False
     for k in range(count):
         lowest[k], layout.nearest_ray[k] = INFINITY, 0
-    for i in range(n):
+    for i in range(ray_count):
         distance = ranges[i]
-        if distance < least:
-            distance = least
+        if distance < range_min:
+            distance = range_min
         if distance <= within:
             is_seen = True
             k = layout.sector[i]
@@ -87,46 +94,48 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
                 lowest[k], layout.nearest_ray[k] = distance, i
     if not is_seen:
         return np.empty((0, 2))
-    points: cython.Py_ssize_t = _keep_local_minima(layout, count) if count >= 3 else 0
-    if points == 0:
-        points = _keep_least(layout, count)
-    return layout.points[:points].copy()
+
+    # 2. A point for each local minimum, else for each nearest sector.
+    point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
+    if point_count == 0:
+        point_count = _store_nearest_sectors(layout, count)
+    return layout.points[:point_count].copy()
 
 
 @cython.cfunc
-def _keep_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Keep a point for each sector that is nearer than those beside it; their number."""
+def _store_local_minima(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Store a point for each sector that is nearer than both neighbours; the number of points."""
     lowest: cython.double[::1] = layout.lowest
     before: cython.double = lowest[count - 1]
-    points: cython.Py_ssize_t = 0
+    point_count: cython.Py_ssize_t = 0
     k: cython.Py_ssize_t
     for k in range(count):
         after = lowest[k + 1] if k + 1 < count else lowest[0]
         if lowest[k] < before and lowest[k] <= after:
-            _keep_point(layout, points, k)
-            points += 1
+            _store_point(layout, point_count, k)
+            point_count += 1
         before = lowest[k]
-    return points
+    return point_count
 
 
 @cython.cfunc
-def _keep_least(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
-    """Keep a point for each sector that is as near as the nearest one; their number."""
+def _store_nearest_sectors(layout: ScanLayout, count: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """Store a point for each sector as near as the nearest sector; the number of points."""
     lowest: cython.double[::1] = layout.lowest
     least: cython.double = INFINITY
-    points: cython.Py_ssize_t = 0
+    point_count: cython.Py_ssize_t = 0
     k: cython.Py_ssize_t
     for k in range(count):
         least = min(least, lowest[k])
     for k in range(count):
         if lowest[k] == least and least < INFINITY:
-            _keep_point(layout, points, k)
-            points += 1
-    return points
+            _store_point(layout, point_count, k)
+            point_count += 1
+    return point_count
 
 
 @cython.cfunc
-def _keep_point(
+def _store_point(
     layout: ScanLayout, place: cython.Py_ssize_t, sector: cython.Py_ssize_t
 ) -> cython.int:
     layout.point[place, 0] = layout.lowest[sector]
@@ -136,15 +145,22 @@ def _keep_point(
 
 @cython.boundscheck(False)
 def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
-    """The arrays of `rays.RayClusters`; None without a return."""
+    """The objects in a scan as the arrays of `rays.RayClusters`; None without a return.
+
+    An object is a run of neighbouring rays with returns of a single surface. Two neighbouring
+    ranges belong to an object if they differ by at most `jump`, plus the change along a surface at
+    the angle `grazing` to the ray.
+
+    `scan`: the scan. `within`: m; returns beyond count as no return. `jump`: m. `grazing`: rad.
+    """
     layout: ScanLayout = layout_of(scan)
     if layout is None:
         return None
-    given: cython.const[cython.double][::1] = layout.known
-    n: cython.Py_ssize_t = layout.n
+    known_ranges: cython.const[cython.double][::1] = layout.known
+    ray_count: cython.Py_ssize_t = layout.n
     layout.set_grazing(grazing)
     ranges: cython.double[::1] = layout.work
-    least: cython.double = scan.range_min
+    range_min: cython.double = scan.range_min
     is_seen: cython.bint = False
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
@@ -152,10 +168,12 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     slopes: cython.double[::1] = layout.slopes
     is_apart: cython.uchar[::1] = layout.is_apart
     is_last: cython.uchar[::1] = layout.is_last
-    for i in range(n):
-        distance = given[order[i]]
-        if distance < least:
-            distance = least
+
+    # 1. The ranges in the order of bearing; _UNSEEN for rays without a return within reach.
+    for i in range(ray_count):
+        distance = known_ranges[order[i]]
+        if distance < range_min:
+            distance = range_min
         if distance > within:
             distance = _UNSEEN
         else:
@@ -163,26 +181,30 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         ranges[i] = distance
     if not is_seen:
         return None
-    shift: cython.Py_ssize_t = 0
-    for i in range(n):
-        distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
+
+    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle or in range.
+    start: cython.Py_ssize_t = 0
+    for i in range(ray_count):
+        distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]
         is_last[i] = is_apart[i] or (
             fabs(distance - after) > jump + (after if after < distance else distance) * slopes[i]
         )
-        if shift == 0 and is_last[i]:
-            shift = i + 1
-    # Start behind a break, so that no object spans the end of the arrays.
-    is_whole: cython.bint = shift == 0
+        if start == 0 and is_last[i]:
+            start = i + 1
+    # Starts behind a break, so that no object spans the end of the arrays.
+    is_whole: cython.bint = start == 0
     if is_whole:
-        shift = 1
+        start = 1
+
+    # 3. Measures each run between two breaks.
     objects: cython.Py_ssize_t = 0
-    first: cython.Py_ssize_t = shift
+    first: cython.Py_ssize_t = start
     lowest: cython.double = INFINITY
-    for i in range(shift, shift + n):
-        k = i - n if i >= n else i
+    for i in range(start, start + ray_count):
+        k = i - ray_count if i >= ray_count else i
         if ranges[k] < lowest:
             lowest = ranges[k]
-        if is_last[k] or (is_whole and i == shift + n - 1):
+        if is_last[k] or (is_whole and i == start + ray_count - 1):
             if lowest < _UNSEEN:
                 _measure(layout, objects, first, i, lowest)
                 objects += 1

@@ -110,65 +110,70 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def set_grazing(self, grazing: cython.double):
-        """Set the order of rising bearings, and `steps`, `slopes`, `is_apart` of each ray.
+        """Set the order of rising bearings, and `steps`, `slopes` and `is_apart` of each ray.
 
-        `slopes`: by how much the range changes to the next ray on a surface at `grazing` rad to the
-        ray, as a share of the range. `is_apart`: the next ray is too far away to be of the same
-        object; up to two rays may be unknown in the middle of an object.
+        `steps` in rad: the angle to the next ray. `slopes`: how much the range changes to the next
+        ray on a surface at `grazing` rad to the ray, as a share of the range. `is_apart`: the next
+        ray is too far away to be of the same object; up to two rays may be unknown within an
+        object.
         """
-        n: cython.Py_ssize_t = self.n
+        count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
-        if not self.is_ordered:
+        if not self.is_ordered:  # 1. order and steps, once for the bearings
             if not self.has_sorted():
-                order: cython.longlong[::1] = np.argsort(self.angles[:n], kind="stable")
-                self.order[:n] = order
-            for i in range(n):
+                order: cython.longlong[::1] = np.argsort(self.angles[:count], kind="stable")
+                self.order[:count] = order
+            for i in range(count):
                 self.rising[i] = self.wrapped[self.order[i]]
-            for i in range(n - 1):
+            for i in range(count - 1):
                 self.steps[i] = self.rising[i + 1] - self.rising[i]
-            self.steps[n - 1] = self.rising[0] - self.rising[n - 1] + TURN
-            self.slopes[:n] = self.steps[:n]
-            self.spacing = _smallest(self.slopes, n, n // 2)
+            self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
+            self.slopes[:count] = self.steps[:count]
+            self.spacing = _smallest(self.slopes, count, count // 2)
             self.is_ordered = True
-        if grazing != self.grazing:
+        if grazing != self.grazing:  # 2. slopes, once for an angle
             slope: cython.double = tan(grazing)
-            least: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
-            for i in range(n):
+            max_step: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
+            for i in range(count):
                 self.slopes[i] = self.steps[i] / slope if slope else INFINITY
-                self.is_apart[i] = self.steps[i] >= least
+                self.is_apart[i] = self.steps[i] >= max_step
             self.grazing = grazing
 
     @cython.cfunc
     @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
-        """Set `order` by an insertion sort; False if the bearings are too disordered for it.
+        """Set `order` and `rising` by an insertion sort of the bearings; False if it is too slow.
 
         The sort begins at the smallest bearing. The bearings of most sensors rise or fall from
-        there on almost everywhere.
+        there on, with few exceptions.
         """
-        n: cython.Py_ssize_t = self.n
+        count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t = 0
-        for i in range(n):
+
+        # 1. Begins at the smallest bearing, in the direction in which bearings rise.
+        for i in range(count):
             if self.wrapped[i] < self.wrapped[ray]:
                 ray = i
-        step: cython.Py_ssize_t = 1
-        if self.wrapped[(ray + n - 1) % n] < self.wrapped[(ray + 1) % n]:
-            step = n - 1  # they fall
-        moves: cython.Py_ssize_t = _MOVES_A_RAY * n
-        for i in range(n):
+        index_step: cython.Py_ssize_t = 1
+        if self.wrapped[(ray + count - 1) % count] < self.wrapped[(ray + 1) % count]:
+            index_step = count - 1  # bearings fall with the index: one back, modulo the number
+
+        # 2. Inserts each bearing; gives up after _MOVES_A_RAY moves per ray.
+        moves_left: cython.Py_ssize_t = _MOVES_A_RAY * count
+        for i in range(count):
             angle, k = self.wrapped[ray], i
             while k > 0 and (
                 self.rising[k - 1] > angle
                 or (self.rising[k - 1] == angle and self.order[k - 1] > ray)
             ):
                 self.rising[k], self.order[k] = self.rising[k - 1], self.order[k - 1]
-                k, moves = k - 1, moves - 1
+                k, moves_left = k - 1, moves_left - 1
             self.rising[k], self.order[k] = angle, ray
-            if moves < 0 or not isfinite(angle):
+            if moves_left < 0 or not isfinite(angle):
                 return False
-            ray = wrapped_index(ray + step, n)
+            ray = wrapped_index(ray + index_step, count)
         return True
 
     @cython.cfunc

@@ -412,7 +412,7 @@ def test_a_decision_leaves_out_what_cannot_have_come_near_enough_since_its_own_r
     gap = binding_range(0.5 * platform.scan.latency + 0.1 + REACTION_TIME)
     ring = [(0, 360, gap + float(np.hypot(*platform.footprint.T).min()) - platform.scan.range_min)]
     decided_by(barrier, platform, ring, Twist(0.1), 0.0, 0.2)
-    passed = feasible.situation.now - feasible.motion.taken + REACTION_TIME
+    passed = feasible.situation.now - feasible.motion.measured_at + REACTION_TIME
     near, seen = feasible.near.points, feasible.constraints.placed.seen
     points = list(zip(near.gap, near.age, strict=True))[: near.count]
     assert seen == sum(gap < binding_range(passed + age) for gap, age in points)

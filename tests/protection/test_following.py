@@ -247,7 +247,7 @@ def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_chang
         begin = stamp - DELAY - 2.0 * period
         held = [command for at, command in given if at <= begin] or [given[0][1]]
         slow += min(max(held[-1] - slow, -0.25 * period), 0.25 * period)
-        assert axis._slow == pytest.approx(slow, abs=1e-9)
+        assert axis._slow_speed == pytest.approx(slow, abs=1e-9)
 
 
 @compares_forms

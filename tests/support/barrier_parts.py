@@ -177,7 +177,8 @@ def after_stop_check(
     barrier = interpreted(platform)
     stop, feasible = barrier._stop, barrier._feasible
     assumptions, constraints = feasible.assumptions, feasible.constraints
-    assumptions.others, assumptions.is_passive, assumptions.margin = others_speed, True, free
+    assumptions.others_speed, assumptions.is_passive = others_speed, True
+    assumptions.margin = free
     assumptions.braking_linear, assumptions.braking_angular = braking
     constraints.axes.along_x, constraints.axes.along_y = along
     constraints.axes.limit = platform.limits.linear
