@@ -436,7 +436,7 @@ def in_parts(
             parts[-1][1].append(item)
         else:
             parts[-1][0].append(item)
-    return [(tuple(some), tuple(names)) for some, names in parts[:256]]
+    return [(tuple(members_of_part), tuple(names)) for members_of_part, names in parts[:256]]
 
 
 _LIST_FIELDS = 110  # bytes of a `MemberList` beside members and roster: name, instance, numbers

@@ -240,8 +240,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
     if file.id is not None:
         yield from _check_id(("id",), file.id)
     roster: list[str] = []
-    for index, word in enumerate(file.roster):
-        names, faults = _expanded(("roster", index), word)
+    for index, names_text in enumerate(file.roster):
+        names, faults = _expanded(("roster", index), names_text)
         yield from faults
         for name in names:
             if name in roster:
@@ -256,8 +256,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             example = f"{robots[0]}: [{label}]" if robots else f"red: [{label}]"
             yield fault_at(("labels", label), f"{text} {example}")
             continue
-        for word in robots:
-            names, faults = _expanded(("labels", label), word)
+        for names_text in robots:
+            names, faults = _expanded(("labels", label), names_text)
             yield from faults
             for name in names:
                 yield from _check_robot(("labels", label), name, roster)
