@@ -271,11 +271,11 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Renews the lease of a run: without renewal for the lease's time the robots stop.
+    """Renews the lease of a run: without renewal for the time of the lease the robots stop.
 
-    The operator sends it at least each third of the lease. `id`: of the goal. `count` rises with
-    each `RunLease`: a robot ignores a count that is not greater than the last count, so that a
-    replayed datagram cannot keep a run going.
+    The operator sends a `RunLease` at least each third of this time. `id`: of the goal. `count`
+    rises with each `RunLease`: a robot ignores a count that is not greater than the last count, so
+    that a replayed datagram cannot keep a run going.
     """
 
     id: Name

@@ -1,4 +1,4 @@
-"""The search of an operator for the members of a swarm (a look). Pure: datagrams and times in.
+"""The query of an operator for all members of a swarm (a look). Pure: datagrams and times in.
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
