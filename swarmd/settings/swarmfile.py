@@ -93,9 +93,9 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`: platforms whose robots may drive beside a robot that does not see them.
-    - `accepts_faster`: platforms whose robots may drive beside a robot that assumes a lower speed.
-      Each is a list of platforms, or a reason by platform. Robots may collide with such robots.
+    - `accepts_unseen`, `accepts_faster`: platforms whose robots may drive beside a robot that does
+      not see them (`accepts_unseen`), or that assumes a lower speed (`accepts_faster`). A list of
+      platforms, or reasons by platform. Robots may collide with robots of these platforms.
     """
 
     identity: str | None = None
