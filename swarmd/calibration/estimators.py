@@ -87,7 +87,7 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     if slope <= 3.0 * slope_deviation:
         return Figure(why="it brakes within the scatter of its odometry"), delay_figure
 
-    # 2. The deceleration. To first order the scatter of `seconds` gives its scatter.
+    # 2. The deceleration, with its scatter to first order from the errors of the fast stops.
     is_fast = speeds > speeds.mean()
     relative_errors = errors[is_fast] / (slope * speeds[is_fast])
     deceleration = 0.5 / slope

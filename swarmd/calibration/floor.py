@@ -58,18 +58,18 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
     `reach`: distance in m from axle to outline in the direction of the drive.
     """
     barrier, spec = _barrier(platform), platform.scan
-    way = travel(speed)
+    drive_length = travel(speed)
     age = 1.0 / spec.rate + spec.latency + late + _TICK
     brake = float(barrier.get("braking_linear") or 1.0)
     others = float(barrier.get("others_speed") or 0.0)
     gap = speed * _TICK + 0.5 * speed * speed / brake
     gap += others * (age + _TICK + speed / brake)
     gap += float(barrier.get("margin") or 0.0) + float(barrier.get("unseen_extent") or 0.0)
-    half = gap + max(reach + way, _outer(platform))
+    half = gap + max(reach + drive_length, _outer(platform))
     keep_out = barrier.get("keep_out")
     if keep_out is not None:  # two robots that meet share the room between them by halves
         room = 2.0 * (speed * (2.0 * _TICK + age) + 0.5 * speed * speed / brake)
-        half = max(half, float(keep_out) + room + way + float(np.hypot(*spec.offset)))
+        half = max(half, float(keep_out) + room + drive_length + float(np.hypot(*spec.offset)))
     return half
 
 

@@ -204,13 +204,13 @@ class Calibration(Pattern[CalibrationParams]):
         arrivals, seen, track = yield from self._swing()
         self._step_name = "matches scans"
         headings: list[tuple[float, float]] = []
-        for at, points in zip(arrivals, seen, strict=True):
+        for arrival, points in zip(arrivals, seen, strict=True):
             yield ZERO  # only one scan is matched in each step, to keep the step short
-            guess = self._relative(self._pose_at(at - self._spec.latency - self._late))
+            guess = self._relative(self._pose_at(arrival - self._spec.latency - self._late))
             located = self._locate(points, guess)
             if located is not None and located.binds_yaw:
-                off = math.remainder(located.pose.yaw - guess.yaw, 2.0 * math.pi)
-                headings.append((at, guess.yaw + off))
+                error = math.remainder(located.pose.yaw - guess.yaw, 2.0 * math.pi)
+                headings.append((arrival, guess.yaw + error))
         self._finish(stops, scales, headings, track)
 
     def _look(self) -> _Drives:
@@ -497,9 +497,8 @@ class Calibration(Pattern[CalibrationParams]):
         limits = self.context.platform.limits
         top_speed = math.hypot(limits.linear, limits.lateral)
         surface_speed = max(barrier.get("surface_speed") or others_speed, top_speed)
-        reaction = max(
-            (delay.value + 2.0 * delay.spread for delay in delays if delay.is_measured), default=0.0
-        )
+        reactions = [delay.value + 2.0 * delay.spread for delay in delays if delay.is_measured]
+        reaction = max(reactions, default=0.0)
         excess = max(reaction - REACTION_TIME, 0.0) * (surface_speed + others_speed)
         margin = float(barrier["margin"])
         return Figure(margin + excess, 0.0, sum(delay.samples for delay in delays), margin)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import State, Status
@@ -65,53 +65,35 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     ]
 
     # 2. The goal.
-    change = _goal_change(file, view, statuses, labels)
-    lines += change.lines
+    goal_plan = _goal_plan(file, view, statuses, labels)
+    lines += goal_plan.lines
 
     # 3. Parameters of running patterns.
     params: dict[str, Params] = {}
     for name, status in statuses.items():
-        new_params = _param_changes(file, name, status, labels, change.goal)
+        new_params = _param_changes(file, name, status, labels, goal_plan.goal)
         if new_params:
             params[name] = new_params
         for key, value in new_params.items():
             lines.append(("param", name, f"{key} {_value(status, key)} -> {number(value)}"))
-    return Plan(
-        labels=new_labels,
-        goal=change.goal,
-        targets=change.targets,
-        resume=change.resume,
-        params=params,
-        lines=tuple(lines),
-        unknown=_unknown_robots(file, view, statuses),
-        left=change.left,
-    )
+    unknown = _unknown_robots(file, view, statuses)
+    return replace(goal_plan, labels=new_labels, params=params, lines=tuple(lines), unknown=unknown)
 
 
-class _GoalChange(NamedTuple):
-    """The part of a plan that concerns the goal; the fields are those of `Plan`."""
-
-    goal: Mapping[str, Any] | None = None
-    targets: tuple[str, ...] = ()
-    resume: tuple[str, ...] = ()
-    left: Mapping[str, str] = {}
-    lines: tuple[tuple[str, str, str], ...] = ()
-
-
-def _goal_change(
+def _goal_plan(
     file: SwarmFile,
     view: MembersView,
     statuses: Mapping[str, Status],
     labels: Mapping[str, tuple[str, ...]],
-) -> _GoalChange:
-    """The change from the present goal of the swarm to the goal in the file.
+) -> Plan:
+    """A plan with only the change from the present goal of the swarm to the goal in the file.
 
     `labels`: the labels of the file by robot, empty if the file names none. If the present goal has
     the content of the file, robots that were offered the goal resume it, and runs that have ended
     are only reported (`left`). Otherwise the file's goal is a new goal.
     """
     if file.goal is None:
-        return _GoalChange()
+        return Plan()
     content = file.goal.content
     wanted = Goal(generation=1, issuer="file", id="file", **content)
     robot_labels = {name: labels.get(name, status.labels) for name, status in statuses.items()}
@@ -120,7 +102,7 @@ def _goal_change(
     if not is_like(present, content):
         before = "no goal" if present is None else present.text
         line = ("goal", _words(targets), f"{before} -> {_goal_text(content)}")
-        return _GoalChange(goal=content, targets=targets, lines=(line,))
+        return Plan(goal=content, targets=targets, lines=(line,))
     resume = tuple(name for name in targets if _is_offered(statuses[name]))
     left = {
         name: status.goal.reason
@@ -128,7 +110,7 @@ def _goal_change(
         if name in targets and status.goal and _has_ended(status.goal)
     }
     lines = tuple(("resume", name, file.goal.pattern or "stand") for name in resume)
-    return _GoalChange(targets=targets, resume=resume, left=left, lines=lines)
+    return Plan(targets=targets, resume=resume, left=left, lines=lines)
 
 
 def _unknown_robots(
@@ -185,8 +167,8 @@ def _param_changes(
     wanted = dict(params_in(file, robot, labels.get(robot, status.labels), pattern))
     if file.goal is not None and file.goal.pattern == pattern:
         wanted |= file.goal.params
-    known = {key: param.value for key, param in status.params.items()}
-    return {key: value for key, value in wanted.items() if key in known and known[key] != value}
+    present = {key: param.value for key, param in status.params.items()}
+    return {key: value for key, value in wanted.items() if key in present and present[key] != value}
 
 
 def _has_ended(goal: GoalStatus) -> bool:

@@ -31,16 +31,16 @@ def choose_canaries(
     RequestError if the named robot is no target. ConfigError for a number below 1, and if no target
     is left for the run after the canaries. `option`: the option's name, for errors.
     """
-    known = tuple(names)
+    all_names = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
     if is_wrong or (isinstance(wanted, int) and wanted < 1):
         raise ConfigError(f"{option} {wanted}: expected a number of robots, or a robot's name")
-    if not isinstance(wanted, int) and wanted not in known:
-        targets = ", ".join(known) or "none"
+    if not isinstance(wanted, int) and wanted not in all_names:
+        targets = ", ".join(all_names) or "none"
         raise RequestError(f"{option} {wanted} is not among the targets: {targets}", NO_TARGET)
-    if len(known) <= (wanted if isinstance(wanted, int) else 1):
-        raise ConfigError(f"{option} {wanted}: {len(known)} targeted, no other robot is left")
-    return known[:wanted] if isinstance(wanted, int) else (wanted,)
+    if len(all_names) <= (wanted if isinstance(wanted, int) else 1):
+        raise ConfigError(f"{option} {wanted}: {len(all_names)} targeted, no other robot is left")
+    return all_names[:wanted] if isinstance(wanted, int) else (wanted,)
 
 
 def fault_of(before: Status | None, first: Status, now: Status) -> str:

@@ -32,16 +32,16 @@ def follow_runs(
     is ignored. A robot that sends no status for `patience` s counts as ended.
     """
     heard = dict.fromkeys(running, boottime())
-    with statuses_of(session.operator) as news:
+    with statuses_of(session.operator) as status_queue:
         while running:
-            status, now = next_status(news, 0.5), boottime()
+            status, now = next_status(status_queue, 0.5), boottime()
             if status is not None and (robot := status.robot) in running:
                 heard[robot] = now
                 if not _is_on(status, goal) and not _is_older(status, running[robot]):
                     del running[robot]
                     detail = f" {status.detail}" if status.detail else ""
                     session.tell(f"{robot}: {status.state} ({status.reason}){detail}")
-            for name in [one for one in running if now - heard[one] > patience]:
+            for name in [name for name in running if now - heard[name] > patience]:
                 del running[name]
                 session.tell(f"{name} was not heard for {seconds(patience)}: it is not waited for")
 

@@ -76,7 +76,7 @@ class NetworkConnection:
         drops: DropCounter,
         owner: ConnectionOwner,
     ) -> None:
-        """Everything stays closed until `open`. `owner` gets the datagrams and changes."""
+        """Carrier and session stay closed until `open`. `owner` gets datagrams and changes."""
         self._settings = settings
         self._robot = robot
         self._tag = tag
@@ -246,9 +246,9 @@ class NetworkConnection:
 
         Datagrams and the run of the robot continue.
         """
-        old = self._release_session()
-        if old is not None:
-            closing = self._loop.run_in_executor(None, _close, old)
+        old_session = self._release_session()
+        if old_session is not None:
+            closing = self._loop.run_in_executor(None, _close, old_session)
             await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
         while not self._is_stale:
             try:

@@ -1,7 +1,8 @@
 """The network of one daemon: datagrams between robots, and a Zenoh session that operators dial.
 
-`Network` connects the pure `Peer` (all decisions) to the `NetworkConnection` (sockets and session)
-and to the daemon. Everything runs on the loop. The daemon's tick calls `advance`.
+`Network` connects three parts: `Peer`, the pure datagram protocol, which makes all decisions;
+`NetworkConnection` with the sockets and the session; and the daemon. All calls are on the loop. The
+daemon's tick calls `advance`.
 """
 
 from __future__ import annotations

@@ -111,7 +111,10 @@ class RequestServer:
         drops: DropCounter,
         is_secured: bool = False,
     ) -> None:
-        """A verb whose row names a service is answered by the service, else by the robot."""
+        """Look up the handler of each verb: a method of a service, or else `on_request`.
+
+        `audit` takes each answered request. `drops` counts requests whose handler failed.
+        """
         self._drops = drops
         self._is_secured = is_secured
         self._robot = robot

@@ -209,7 +209,8 @@ class FieldTools:
     def _doctor(self, heard: dict[str, int]) -> verbs.DoctorReply:
         """Measure machine and network, in a thread; facts may be CACHE_TIME s old.
 
-        `heard`: by way of the datagrams, the count of robots alive that were heard by this way.
+        `heard`: for each way of datagrams, such as `multicast`, the number of robots that are heard
+        by this way; `any`: by any way.
         """
         settings, keys = self._settings, self._keys()
         with self._measuring:

@@ -1,9 +1,10 @@
 """The access rules of a Zenoh session: the messages that each name of a roster may send. Pure.
 
-A roster and the own name give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh
-drops a message that no rule allows, without notice to its sender. A rule applies to a link if the
-subject of the rule equals the common name in the certificate at the other end. A session keeps its
-rules until it is closed: another roster needs another session.
+A roster is the signed list of a swarm's robots, operators and viewers. A roster and the own name
+give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh drops a message that no rule
+permits, without notice to its sender. A rule applies to a link if its subject equals the common
+name in the certificate at the other end. A session keeps its rules until it is closed: another
+roster needs another session.
 
 Directions are seen from the session that has the rules: `ingress` messages come from the named end
 of the link, `egress` messages go to that end.

@@ -271,11 +271,11 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Renews the lease of a run: without renewal for the lease's time the robots stop.
+    """Renews the lease of a run: without renewal for the time of the lease the robots stop.
 
-    The operator sends it at least each third of the lease. `id`: of the goal. `count` rises with
-    each `RunLease`: a robot ignores a count that is not greater than the last count, so that a
-    replayed datagram cannot keep a run going.
+    The operator sends a `RunLease` at least each third of this time. `id`: of the goal. `count`
+    rises with each `RunLease`: a robot ignores a count that is not greater than the last count, so
+    that a replayed datagram cannot keep a run going.
     """
 
     id: Name
@@ -436,7 +436,7 @@ def in_parts(
             parts[-1][1].append(item)
         else:
             parts[-1][0].append(item)
-    return [(tuple(some), tuple(names)) for some, names in parts[:256]]
+    return [(tuple(members_of_part), tuple(names)) for members_of_part, names in parts[:256]]
 
 
 _LIST_FIELDS = 110  # bytes of a `MemberList` beside members and roster: name, instance, numbers

@@ -270,10 +270,10 @@ class Peer:
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
-            case Solicit() if is_any:
+            case Solicit() if is_any:  # of a program that looks for swarms
                 if self._answers.may_answer_scout(now):
                     effects.sends.append((self._swarm, source))
-            case Solicit():
+            case Solicit():  # asks for an answer
                 is_robot = author is not None and author.role is Role.ROBOT
                 self._on_solicit(body, source, now, summary, effects, is_robot=is_robot)
             case MemberList():
@@ -281,9 +281,9 @@ class Peer:
                 effects.indirect_addresses = self._indirect_addresses(body)
             case Stop():
                 self._on_stop(body, source, now, effects)
-            case Ack() if self.membership.knows(body.robot):
+            case Ack() if self.membership.knows(body.robot):  # of a stop that this robot relays
                 effects.sends.extend(self._relay.on_ack(body, source, now))
-            case Latches() if body.instance != self._instance:
+            case Latches() if body.instance != self._instance:  # emergency stops that a peer holds
                 self._times.on_latches(body.digest)
                 self._sync.on_latches(body)
                 effects.latches = dict(body.held)
@@ -291,7 +291,7 @@ class Peer:
                 self._on_goal(body, now, effects)
             case RunLease():
                 effects.leases.append(body)
-            case Message() if body.robot != self.robot:
+            case Message() if body.robot != self.robot:  # of a pattern
                 is_new, effects.lost = self._windows.take(body)
                 if is_new:
                     effects.messages.append(body)
@@ -451,12 +451,9 @@ class Peer:
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         effects.beacon = beacon if is_owner else None
         is_stranger = not self.membership.is_established(beacon.robot)
+        digest, own_digest = beacon.digest(RecordKind.LATCH), digest_of(summary.latches)
         if is_owner and self._sync.wants(
-            beacon.instance,
-            beacon.digest(RecordKind.LATCH),
-            digest_of(summary.latches),
-            now,
-            is_stranger=is_stranger,
+            beacon.instance, digest, own_digest, now, is_stranger=is_stranger
         ):
             effects.sends.append((self._solicit(now, latches=True), source))
         if is_owner and self._claim is None and self.is_in_sync(now):

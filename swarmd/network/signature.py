@@ -160,16 +160,16 @@ class Verifier:
         A datagram of another generation has a flaw, except a stop of the previous generation.
         """
         try:
-            end = length_without_trailer(payload)
-            form, generation = _START.unpack_from(payload, end)
+            trailer_begin = length_without_trailer(payload)
+            form, generation = _START.unpack_from(payload, trailer_begin)
         except (CodecError, struct.error):
             return Flaw.UNSIGNED
         if generation == self._keys.generation:
-            return self._author(payload, end, form)
+            return self._author(payload, trailer_begin, form)
         previous = self._previous if now < self._until else None
         is_stop = payload[KIND_OFFSET] == Kind.STOP
         if previous is not None and is_stop and generation == previous.generation:
-            author = previous._author(payload, end, form)
+            author = previous._author(payload, trailer_begin, form)
             return author if isinstance(author, Flaw) else author._replace(is_previous=True)
         return Flaw.NEWER if generation > self._keys.generation else Flaw.OLDER
 

@@ -123,7 +123,7 @@ class Authority:
             master=os.urandom(datagram_keys.SECRET_BYTES), days=days, now=Generation(secret, signed)
         )
 
-        # 3. The files. KEY is written last.
+        # 3. The files. KEY comes last: a folder without KEY counts as no authority.
         write_private(folder / STATE, msgspec.msgpack.encode(state))
         write_private(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM))
         write_private(folder / KEY, pem_of(key, passphrase))

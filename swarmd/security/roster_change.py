@@ -146,14 +146,14 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
     if role is Role.ROBOT:
         shared = SharedRoster(identity.signed_roster, keys.secret)
     else:
-        own = reader_keys(
+        asker_keys = reader_keys(
             keys.generation,
             keys.secret,
             asker,
             is_operator=role is Role.OPERATOR,
             answers={identity.name: keys.answer_to(asker)},
         )
-        shared = SharedRoster(identity.signed_roster, keys=own)
+        shared = SharedRoster(identity.signed_roster, keys=asker_keys)
     return msgspec.msgpack.encode(shared)
 
 
@@ -182,25 +182,30 @@ def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, byte
 
 
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
-    """The keys of the identity at the generation of `roster`; empty for a name not on it."""
-    role, old = roster.role_of(identity.name), identity.datagram_keys
+    """The datagram keys of the identity's name at the generation of `roster`.
+
+    Empty if the roster lacks the name, or has it in another role. CodecError if the digests in the
+    roster show that the handed over secret or keys are not those of this roster.
+    """
+    role, present = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:
         return DatagramKeys(generation=roster.generation)
     if role is Role.ROBOT:
         if digest_of(shared.secret) != roster.secret_digest:
             raise CodecError("a roster with a secret that does not belong to it")
-        return robot_keys(roster.generation, shared.secret, old.answer_secret)
+        return robot_keys(roster.generation, shared.secret, present.answer_secret)
     keys = shared.keys
     if keys is None or reader_digest(keys) != roster.readers.get(identity.name):
         raise CodecError("a roster without the keys that belong to it")
-    own = DatagramKeys(
+    new_keys = DatagramKeys(
         generation=roster.generation,
         operators=keys.operators,
         viewers=keys.viewers,
         own=keys.own,
-        answers=old.answers,
+        answers=present.answers,
     )
-    return _with_answers(own, roster, {n: key for n, key in keys.answers.items() if n == giver})
+    pair_key = {robot: key for robot, key in keys.answers.items() if robot == giver}
+    return _with_answers(new_keys, roster, pair_key)
 
 
 def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:

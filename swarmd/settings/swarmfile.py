@@ -93,9 +93,9 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`: platforms whose robots may drive beside a robot that does not see them.
-    - `accepts_faster`: platforms whose robots may drive beside a robot that assumes a lower speed.
-      Each is a list of platforms, or a reason by platform. Robots may collide with such robots.
+    - `accepts_unseen`, `accepts_faster`: platforms whose robots may drive beside a robot that does
+      not see them (`accepts_unseen`), or that assumes a lower speed (`accepts_faster`). A list of
+      platforms, or reasons by platform. Robots may collide with robots of these platforms.
     """
 
     identity: str | None = None
@@ -240,8 +240,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
     if file.id is not None:
         yield from _check_id(("id",), file.id)
     roster: list[str] = []
-    for index, word in enumerate(file.roster):
-        names, faults = _expanded(("roster", index), word)
+    for index, names_text in enumerate(file.roster):
+        names, faults = _expanded(("roster", index), names_text)
         yield from faults
         for name in names:
             if name in roster:
@@ -256,8 +256,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             example = f"{robots[0]}: [{label}]" if robots else f"red: [{label}]"
             yield fault_at(("labels", label), f"{text} {example}")
             continue
-        for word in robots:
-            names, faults = _expanded(("labels", label), word)
+        for names_text in robots:
+            names, faults = _expanded(("labels", label), names_text)
             yield from faults
             for name in names:
                 yield from _check_robot(("labels", label), name, roster)

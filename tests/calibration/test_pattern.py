@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.calibration.floor import needed_floor, top_speeds
-from swarmd.calibration.pattern import Calibration, _way
+from swarmd.calibration.pattern import Calibration, _distances
 from swarmd.core.values import Inputs, Odometry, Outputs, Pose, Twist
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
@@ -28,7 +28,7 @@ def test_ways_are_along_the_first_heading_to_its_left_and_turned(yaw: float, sig
     y = -3.0 + math.sin(yaw) * ahead + math.cos(yaw) * left
     track = np.stack((np.arange(3.0), x, y, yaw + turned), axis=1)
     for axis, way in (("linear", ahead), ("lateral", left), ("angular", turned)):
-        assert _way(track, axis, sign) == pytest.approx(sign * way)
+        assert _distances(track, axis, sign) == pytest.approx(sign * way)
 
 
 def driven(noise: float, until: float = 40.0) -> list[Outputs]:

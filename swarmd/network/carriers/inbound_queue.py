@@ -47,7 +47,9 @@ class DropCounter:
     def refusing(
         self, kind: str, refuse: Callable[[Code, str], object] | None = None
     ) -> Iterator[None]:
-        """Catch and count errors of the handler in this block; use it on the loop only.
+        """A context manager that catches and counts errors of a handler; for use on the loop only.
+
+        `kind`: of the message, such as `control/run`. `refuse(code, text)` answers the sender.
 
         1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
         2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`

@@ -57,9 +57,9 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     `Swarm` with the tag of any swarm. `is_ipv6`: the family of the socket; rules on sources of the
     other family are left out. Returns an array of struct sock_filter as bytes.
 
-    The program is a sequence of blocks, each a verdict with tests. The first block whose tests all
-    hold decides. The first stage tests the head of the datagram. The blocks of the second stage
-    stand in this order:
+    The program is a sequence of blocks, each a verdict with tests. A test compares a loaded value
+    with an operand. The first block whose tests all hold decides. The first stage (`heads`) tests
+    the head of the datagram. The blocks of the second stage (`limits`) stand in this order:
 
     1. Drop a share of the urgent datagrams (`URGENT`) of thinned sources.
     2. Accept datagrams of known sources.

@@ -329,10 +329,10 @@ class RobotServer:
 
 
 class RobotClient:
-    """The daemon's side: `run` keeps a connection, on an asyncio loop.
+    """The daemon's side of the link: `run` keeps a TCP connection, on an asyncio loop.
 
-    `on_frames` gets the frames in the order of arrival. `is_known`: the server has accepted the
-    hello of this robot.
+    `hello`: the first frame, which names swarm and robot. `on_frames` gets the frames of the
+    simulator in the order of arrival. `is_known`: the simulator has accepted the hello.
     """
 
     def __init__(

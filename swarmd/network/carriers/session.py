@@ -66,8 +66,8 @@ def open_session(
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
     reads the addresses of interfaces once per process. So this function names each late address in
-    the scouting options, which joins the multicast group of scouts there, and as an endpoint, which
-    Zenoh programs learn. Raises NetworkError in one line if the session cannot be opened.
+    the options: for scouting, by which Zenoh programs find the session, and as an endpoint, which
+    these programs then dial. Raises NetworkError in one line if the session cannot be opened.
     """
     options = session_options(settings, identity)
     if late:

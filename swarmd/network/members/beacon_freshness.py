@@ -1,7 +1,8 @@
 """Detection of replayed beacons without a shared clock. Pure: beacons and times in.
 
-Only secured swarms use this module. A signed beacon may be an old beacon that an attacker replays.
-An *instance* is one life (start to end) of a robot's daemon.
+Only secured swarms use this module. A beacon is the datagram that a robot sends each second to show
+that it is alive. A signed beacon may be an old beacon that an attacker replays. An *instance* is
+one life (start to end) of a robot's daemon.
 
 1. An instance that is unknown, or was silent for a lease, is accepted only once it has answered a
    question (`Solicit`) asked after its last beacon. The answer is a beacon with the `echo` of the
@@ -84,13 +85,13 @@ class BeaconFreshness:
     def on_beacon(self, beacon: Beacon, now: float) -> Flaw | None:
         """Take a beacon; returns the flaw of a beacon that is refused, or None."""
         key = beacon.robot, beacon.instance
-        known = self._known.get(key)
-        if known is not None and now - known.heard <= self._lease:
-            if beacon.sequence <= known.sequence:
+        proven = self._known.get(key)
+        if proven is not None and now - proven.heard <= self._lease:
+            if beacon.sequence <= proven.sequence:
                 return Flaw.REPEATED
-            known.sequence, known.heard = beacon.sequence, now
+            proven.sequence, proven.heard = beacon.sequence, now
             return None
-        after = -1e9 if known is None else known.heard
+        after = -1e9 if proven is None else proven.heard
         if beacon.flags & Flag.LEFT or not self.is_own_echo(beacon.echo, now, after):
             return Flaw.UNPROVEN
         self._asked.pop(key, None)

@@ -1,9 +1,11 @@
 """One owner for each robot id: a claim by beacons. Pure: beacons and times in, the outcome out.
 
+A beacon is the datagram by which a daemon shows its id and its instance (a random number).
+
 1. A daemon that starts (a claimer) sends beacons with Flag.JOINING and listens.
 2. The owner of the id answers each beacon of a claimer. A claimer that hears two beacons of the
    owner has lost. A single beacon may be a delayed beacon of a daemon that has ended.
-3. Of several claimers the smallest instance wins.
+3. Of several claimers the claimer with the smallest instance wins.
 4. A claim is won after `settle` seconds of listening without a rival. Each call of `is_won` adds
    the time since the call before, at most LONGEST_LOOK: after a stall of the process, beacons of
    rivals may still wait to be read. So a claim takes at least settle / LONGEST_LOOK calls.

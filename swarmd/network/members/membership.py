@@ -3,10 +3,11 @@
 The lease (`network/settings.py`) is the silence after which a member has failed. Each robot or
 operator judges for itself. A member is
 
-- alive while its beacons are heard: a silent member is solicited before its lease ends,
-- left once its latest instance sent a beacon with Flag.LEFT,
-- failed when its lease ended without such a beacon. A failed member stays listed until it returns
-  or is forgotten.
+- alive while its beacons (datagrams, one a second) are heard. A silent member is solicited (asked
+  for a beacon) before its lease ends.
+- left once its latest instance (life of its daemon) sent a beacon with Flag.LEFT,
+- failed when its lease ended without a beacon with Flag.LEFT. A failed member stays listed until it
+  returns or is forgotten.
 
 An indirect member is a robot that only the member lists of other robots name: its beacons do not
 arrive here. A robot hands indirect members on with their age and the number of hops. Indirect
@@ -350,12 +351,12 @@ class Membership:
         last beacon of a robot that is alive, or since the robot left or failed.
         """
         reports = []
-        for robot, known in sorted(self._robots.items()):
-            if known.shown is None:
+        for robot, entry in sorted(self._robots.items()):
+            if entry.shown is None:
                 continue
-            instance, presence = known.shown
-            latest = known.latest
-            since = latest.heard if presence is Presence.ALIVE else known.since
+            instance, presence = entry.shown
+            latest = entry.latest
+            since = latest.heard if presence is Presence.ALIVE else entry.since
             reports.append(
                 MemberReport(
                     robot=robot,

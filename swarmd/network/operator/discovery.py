@@ -1,4 +1,4 @@
-"""The search of an operator for the members of a swarm (a look). Pure: datagrams and times in.
+"""The query of an operator for all members of a swarm (a look). Pure: datagrams and times in.
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
@@ -110,7 +110,7 @@ class Discovery:
     # Events
 
     def wants_members(self, now: float) -> bool:
-        """True if the next solicit must ask for member lists; it then counts as asked.
+        """True if the next solicit must ask for member lists; then notes `now` as asked.
 
         Lists are long. So this asks for lists at the start, soon again while a robot that is heard
         has not sent its list, and every LISTS_PERIOD after that.
@@ -131,8 +131,8 @@ class Discovery:
         robot, instance = beacon.robot, beacon.instance.hex()
         if not self._has_room(robot):
             return
-        left = self._members.left_at(robot, beacon.instance)
-        is_answer = left is not None and self._trips.is_after(beacon.echo, left)
+        left_at = self._members.left_at(robot, beacon.instance)
+        is_answer = left_at is not None and self._trips.is_after(beacon.echo, left_at)
         change = self._members.take(beacon, address, now, is_answer=is_answer)
         if change is Change.LEFT:
             self._lists_at = -float("inf")  # ask at once whether the other robots confirm it
@@ -390,7 +390,9 @@ class Discovery:
             answered=frozenset((self.settled & alive) | of_other_version),
             roster=frozenset(self._roster),
             duplicates={
-                robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
+                robot: tuple(sorted(instances))
+                for robot, instances in holders.items()
+                if len(instances) > 1
             },
             round_trip=self.round_trip,
             loss=self._loss(now),

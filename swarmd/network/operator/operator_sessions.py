@@ -103,14 +103,14 @@ class OperatorSessions:
         """
         # 1. The robots to dial: new robots, robots with a new address, and robots without answer.
         with self._arrivals.lock:
-            found = discovery.to_dial(now)
+            reachable = discovery.to_dial(now)
             if only is not None:
-                found = {key: address for key, address in found.items() if key[0] in only}
+                reachable = {key: address for key, address in reachable.items() if key[0] in only}
             answered = discovery.settled if only is None else frozenset[str]()
             round_trip = discovery.round_trip
         redial_after = REDIAL_WAIT + REDIAL_TRIPS * round_trip
         to_dial: dict[tuple[str, str], Address] = {}
-        for (robot, instance), address in found.items():
+        for (robot, instance), address in reachable.items():
             dialled_address, dialled_at = self._dialled.get((robot, instance), (None, 0.0))
             waits_since = max(dialled_at, discovery.started)
             lacks_answer = robot not in answered and now - waits_since >= redial_after
@@ -129,10 +129,11 @@ class OperatorSessions:
         if now < due_at:
             return due_at - now
 
-        # 3. Open the session, and subscribe on it to the keys that are watched.
+        # 3. Open the session, and subscribe on it to the keys that are watched. The pause before
+        # the next session doubles with each session.
         if len(self._opened) >= MAX_SESSIONS:
             self.close()
-            to_dial = dict(found)
+            to_dial = dict(reachable)
         interface = self._settings.interface_name
         endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
         opened = self._open_to(endpoints)

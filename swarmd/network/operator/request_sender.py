@@ -135,13 +135,13 @@ class RequestSender:
         """
         asked, answers = sorted(set(robots)), dict[str, bytes]()
         until = boottime() + timeout
-        while len(answers) < len(asked) and (left := until - boottime()) > 0:
+        while len(answers) < len(asked) and (time_left := until - boottime()) > 0:
             for robot in asked:
                 if robot not in answers:
-                    self._sessions.get(robot, CONTROL, name, payload, left, answers.setdefault)
+                    self._sessions.get(robot, CONTROL, name, payload, time_left, answers.setdefault)
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(
-                    lambda: len(answers) == len(asked), min(left, REPEAT_PERIOD)
+                    lambda: len(answers) == len(asked), min(time_left, REPEAT_PERIOD)
                 )
         with self._arrivals.lock:
             return dict(answers)

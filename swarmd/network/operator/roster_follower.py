@@ -29,9 +29,9 @@ class Follower(Protocol):
 
 
 class RosterFollower:
-    """Takes newer rosters and missing keys from robots for `operator`.
+    """Takes newer rosters, and keys that `operator` lacks, from robots.
 
-    `is_on` False: it takes nothing. `notices`: lines for the user. `shown`: a robot that may have a
+    `is_on` False: nothing is taken. `notices`: lines for the user. `shown`: a robot that may have a
     newer roster, with its address and the roster's generation; no signature proves these values.
     """
 

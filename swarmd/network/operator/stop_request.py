@@ -1,7 +1,8 @@
-"""The state of a stop or estop under way: which robots lack an ack, and when it is done. Pure.
+"""A stop or emergency stop under way: the robots without an ack, and the end of sending. Pure.
 
-A robot acks at once, and its ack shows whether its base is known to rest. The stop is repeated to
-the robot until the base rests, or the robot reports that it has not stopped.
+A robot acks (acknowledges) a stop at once, and the ack shows whether the robot's base is known to
+rest. The stop is repeated to the robot until the base rests, or until the robot reports that the
+base has not stopped.
 """
 
 from __future__ import annotations

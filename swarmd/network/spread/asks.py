@@ -1,4 +1,4 @@
-"""Limits the questions of a robot for the records whose digests beacons show. Pure.
+"""Limits the questions that a robot sends to peers for their records. Pure.
 
 A robot asks a peer for a record, such as its goal or roster, if the peer's datagrams show that the
 record differs. `Asks` keeps forged datagrams from making a robot send many questions.

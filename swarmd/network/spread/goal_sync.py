@@ -1,5 +1,7 @@
 """How the greatest goal spreads: beacons show digests, and a robot asks for a goal. Pure.
 
+A goal is the run that an operator has given to a swarm; goals are numbered by generation.
+
 1. If the beacon of a peer shows another goal, of at least the generation of this robot's goal, this
    robot asks the peer for its goal.
 2. Each question has a random number that the answer repeats. An answer without such a number is

@@ -4,8 +4,8 @@ Each robot that hears a stop repeats it by the Trickle algorithm (RFC 6206):
 
 1. Intervals double, from FIRST_INTERVAL to LAST_INTERVAL. The stop is sent at a random moment of
    each interval, unless REDUNDANCY other robots have sent the stop in that interval. So a hundred
-   robots that all hear each other send little. A robot that hears a single robot still
-   gets the stop.
+   robots that all hear each other send little. A robot that hears a single robot still gets the
+   stop.
 2. The relay ends LIFETIME after the operator sent its last copy, or once all named targets have
    acked and rest. Each copy carries the age at which the operator sent it (`repeated`), so that a
    copy that travels in a circle does not prolong the relay.
