@@ -1,7 +1,7 @@
-"""Forks a pattern host from the process that becomes its daemon, so that both share imports.
+"""Forks a pattern host from the process that becomes its daemon, so that both share their imports.
 
 The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
-host keeps no descriptor of the daemon, and waits until the daemon uses it as the first host.
+host keeps no file descriptor of the daemon, and waits until the daemon uses it as its first host.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def host_sockets() -> tuple[socket.socket, socket.socket]:
 
 
 def fork_host() -> None:
-    """Fork a host for this process, which then becomes a daemon.
+    """Fork a pattern host for this process, which becomes a daemon afterwards.
 
-    Called before the process starts a thread or reads a secret.
+    Must be called before the process starts a thread or reads a secret.
     """
     ours, theirs = host_sockets()
     parent = os.getpid()
@@ -62,7 +62,7 @@ def fork_host() -> None:
 def take_forked_host(
     folders: Sequence[Sequence[str]], printed: int
 ) -> tuple[ForkedHost, socket.socket] | None:
-    """The forked host and its socket, at the first call; None later, or without a forked host.
+    """(the forked host, its socket) at the first call; None later, or without a forked host.
 
     `folders` and `printed`: as for a host that is started by exec.
     """
