@@ -72,9 +72,10 @@ class Origin:
 
 @dataclass(frozen=True, slots=True)
 class PatternFolder:
-    """A folder with the `pattern.py` of one pattern; `package` is imported, `source` as of Origin.
+    """A folder with the `pattern.py` of one pattern. `package`: its import name.
 
-    Beside it may lie `scenario.yaml`, which shows the pattern, `page.md` and `outcome.py`.
+    `source`: as in `Origin`. Beside `pattern.py` may lie `scenario.yaml`, which shows the pattern,
+    `page.md` and `outcome.py`.
     """
 
     path: Path
@@ -199,28 +200,32 @@ def command_names() -> Mapping[str, EntryPoint]:
 
 
 def command_summaries() -> Mapping[str, str]:
-    """The line of help of each verb of plugins, by name.
+    """The line of help of each verb that plugins add, by name.
 
-    The lines are cached in a file, until a folder of sys.path or the source of a verb has another
-    time. Without the file, the search in the metadata of packages takes 17 ms of `--help`.
+    The lines are cached in a file. The cache is valid until the time stamp of a folder of sys.path,
+    or of the source of a verb, changes. Without the cache, the search in the metadata of packages
+    takes 17 ms of `--help`.
     """
+    # 1. Read the cache. O_NONBLOCK and the limit: a named pipe without a writer must not block, and
+    #    a device may never end. Any error counts as no cache.
     try:
-        # A queue without a writer must not block, and a device may never end.
         handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with open(handle, "rb") as stored:
-            kept = json.loads(stored.read(MAX_SUMMARIES))
-        if kept["times"] == {path: _time(path) for path in (*sys.path, *kept["sources"])}:
-            return {str(name): str(text) for name, text in kept["lines"].items()}
+            cache = json.loads(stored.read(MAX_SUMMARIES))
+        if cache["times"] == {path: _time(path) for path in (*sys.path, *cache["sources"])}:
+            return {str(name): str(text) for name, text in cache["lines"].items()}
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
-        pass  # the first time, or no file of this version
-    points = command_names()
-    lines = {name: command_summary(point) for name, point in points.items()}
-    sources = [str(path) for point in points.values() if (path := _source_file(point.module))]
+        pass
+    # 2. Search the metadata, and write the cache.
+    entry_points = command_names()
+    lines = {name: command_summary(point) for name, point in entry_points.items()}
+    source_files = [_source_file(point.module) for point in entry_points.values()]
+    sources = [str(path) for path in source_files if path]
     times = {path: _time(path) for path in (*sys.path, *sources)}
-    kept = {"times": times, "sources": sources, "lines": lines}
+    cache = {"times": times, "sources": sources, "lines": lines}
     with suppress(OSError, RuntimeError):
         _summaries_file().parent.mkdir(parents=True, exist_ok=True)
-        write_whole(_summaries_file(), json.dumps(kept).encode())
+        write_whole(_summaries_file(), json.dumps(cache).encode())
     return lines
 
 
@@ -238,9 +243,9 @@ def _time(path: str) -> int:
 
 
 def command_summary(point: EntryPoint) -> str:
-    """The first line of a verb's docstring, read from its source; nothing is imported.
+    """The first line of a verb's docstring, read from the source file without an import.
 
-    Names the distribution instead if the source has no such line.
+    If the source has no such line, a text that names the distribution.
     """
     with suppress(OSError, ValueError, SyntaxError):
         file = _source_file(point.module)
@@ -267,7 +272,7 @@ def _source_file(module: str) -> Path | None:
 
 
 def load_command(name: str) -> click.Command:
-    """The verb of that name, imported.
+    """Import the verb of a plugin by its name.
 
     PluginError if there is no such verb, or a module is missing.
     """

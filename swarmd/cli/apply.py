@@ -36,7 +36,7 @@ _file = click.argument("file", type=FILE)
 def diff(options: CommonOptions, file: Path) -> None:
     """Print what `apply FILE` would change: labels, the goal and parameters of robots.
 
-    The exit code is 0 if nothing differs, 3 if something does or is not known.
+    The exit code is 0 if nothing differs, 3 if something differs or is not known.
     """
     with replace(options, config=file).operator() as operator:
         view = known_members(options, operator)

@@ -49,8 +49,8 @@ class _Line(NamedTuple):
 def audit(options: CommonOptions, targets: Targets, since: float | None, count: int) -> None:
     """Print the requests to TARGETS, or to all robots: operators, requests and answers.
 
-    Each robot keeps its audit log on its own disk, about 10000 entries. Times are those of this
-    machine's clock: robots tell how old an entry is.
+    Each robot keeps its audit log on its own disk, about 10000 entries. Times are by this machine's
+    clock, since robots send the ages of entries.
     """
     with options.operator() as operator:
         view = known_members(options, operator)

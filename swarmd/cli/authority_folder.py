@@ -38,11 +38,11 @@ def authority_folder(swarm: str) -> Path:
 
 
 def open_authority(swarm: str | None) -> Authority:
-    """The authority of a swarm; asks for its passphrase if it has one.
+    """The authority (signing folder) of a swarm; asks for the passphrase if the folder has one.
 
     `swarm` None: the swarm of the option before the verb, of $SWARM, of the context in use or of
-    the file of --config; without these, the only folder. ConfigError without a folder, or with
-    several folders and no name.
+    the file of --config; without any of these, the only folder. ConfigError without a folder, or
+    with several folders and no name.
     """
     from swarmd.security.authority import Authority, is_encrypted
 

@@ -25,9 +25,9 @@ def read_canary(text: str | None) -> int | str | None:
 
 
 def canaries_of(text: str, names: Iterable[str]) -> tuple[str, ...]:
-    """The canaries among the targets; `text`: a number of robots, or the name of a robot.
+    """The canaries, which get a change first; `text`: their number, or the name of one target.
 
-    UsageError if no target is left for later, RequestError if that robot is no target.
+    UsageError if all targets would be canaries. RequestError if the named robot is no target.
     """
     try:
         return choose_canaries(read_canary(text) or text, names, "--canary")

@@ -1,7 +1,7 @@
-"""`swarmctl completion`: scripts for the shells, and what Tab offers for each kind of value.
+"""`swarmctl completion`: scripts for the shells, and the values that Tab offers.
 
-The functions that offer values are called with the context of the line that is typed. What they
-print on standard error is discarded (see `run_cli`).
+A function that offers values gets the context of the line that the user types. Text on standard
+error is discarded (see `run_cli`).
 """
 
 from __future__ import annotations

@@ -33,11 +33,11 @@ _name = click.argument("name", shell_complete=_names)
 
 @click.group(cls=VerbGroup)
 def context() -> None:
-    """Keep sets of network options by name; every verb takes those of the one in use.
+    """Keep sets of network options by name (contexts); every verb uses the options of one context.
 
-    An option of the line counts more, then the environment ($SWARM, $SWARM_CONFIG), then the
-    context. A context of one swarm is not used if they name another swarm. $SWARM_CONTEXT names
-    another context than the one in use.
+    Options of the command line count most, then the environment ($SWARM, $SWARM_CONFIG), then the
+    context. A context of one swarm is ignored if line or environment name another swarm.
+    $SWARM_CONTEXT replaces the context in use.
     """
 
 

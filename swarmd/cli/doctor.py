@@ -45,9 +45,8 @@ class _Line(NamedTuple):
 def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
     """Check this machine, and TARGETS or all robots: network, clocks, keys, disks, load.
 
-    The worst findings come first, and equal ones of several robots in one line. Works without
-    robots. Exit code 1 if there is a fault; warnings and unknown figures are no
-    faults.
+    The worst findings come first; robots with an equal finding share a line. Works without robots.
+    Exit code 1 if there is a fault; a warning or an unknown figure is no fault.
     """
     lines: list[_Line] = [_Line(HERE, one) for one in findings_of.of_machine(measure_machine(()))]
     try:

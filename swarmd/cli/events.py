@@ -46,7 +46,8 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
             session = session_of(options, operator)
             followed_targets = session.named_now(targets)
             with signals_end():
-                _follow(session, feed, followed_targets, is_json=options.is_json)  # until a signal
+                # Does not return: a signal ends the program.
+                _follow(session, feed, followed_targets, is_json=options.is_json)
         view = known_members(options, operator)
         robots = robots_of(view, targets)
         lines = events_of(feed, view, robots)

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 @takes_targets(is_required=False)
 @common_options
 def goal(options: CommonOptions, targets: Targets) -> None:
-    """Print what TARGETS, or all robots, are to do beside what they do.
+    """Print the goal of each of TARGETS, or of all robots, beside its present run.
 
-    Each `run` sets a goal, and robots hand the latest one on. A robot that joined later is offered
-    it; `swarmctl resume` takes it up. The exit code is 0 only if each robot does what its goal
+    Each `run` sets a goal, and robots hand the latest goal on. A robot that joined later is offered
+    the goal; `swarmctl resume` runs it. The exit code is 0 only if each robot does what its goal
     wants.
     """
     with options.operator() as operator:
@@ -50,8 +50,8 @@ def goal(options: CommonOptions, targets: Targets) -> None:
 def resume(options: CommonOptions, targets: Targets) -> None:
     """Let TARGETS run the goal that they were offered, or whose run has ended.
 
-    A robot refuses if its goal has changed since swarmctl looked, and if the goal is of a run with
-    `--lease` whose operator is not heard.
+    A robot refuses if its goal has changed since swarmctl looked. A robot also refuses the goal of
+    a run with `--lease` while the operator of that run is not heard.
     """
     with asking(options, targets, needs_status=True) as asked:
         wait = asked.targeted.time_left
@@ -61,10 +61,10 @@ def resume(options: CommonOptions, targets: Targets) -> None:
 @click.command()
 @common_options
 def undo(options: CommonOptions) -> None:
-    """Set the goal before the present one again, from any machine: robots keep both.
+    """Set the goal before the present goal again, from any machine: robots keep both goals.
 
-    Robots run it at once. Robots that only the present goal is for are stopped. A second undo takes
-    the first one back. A run with `--lease` is not set again.
+    The robots of that goal run it at once. Robots that only the present goal targets are stopped. A
+    second undo reverses the first. The goal of a run with `--lease` is not set again.
     """
     with options.operator() as operator:
         report(options, set_before(session_of(options, operator)))

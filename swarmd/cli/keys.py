@@ -233,8 +233,8 @@ def list_(options: CommonOptions) -> None:
 def install(file: Path, interface: str | None, force: bool) -> None:
     """Take the bundle FILE of an operator or viewer: this user gets that name.
 
-    It writes the identity with the swarm's settings into ~/.config/swarmd/identities, and a context
-    named like the swarm (see `swarmctl context`), which it uses if no other is in use.
+    Writes the identity with the swarm's settings into ~/.config/swarmd/identities, and a context
+    named like the swarm (see `swarmctl context`). That context is used if no context is in use.
     """
     from swarmd.security.bundle import read_bundle
 
@@ -333,8 +333,9 @@ def _login_id() -> str:
 def router(swarm: str, identity: Path | None, listen: str) -> None:
     """Print the configuration of a Zenoh router (zenohd) with the identity of this machine.
 
-    Make it a name of its own, such as the viewer `router`. The configuration lists the names of the
-    roster: print it again after `keys add` or `keys revoke`, and start the router again.
+    Give the router a name of its own in the roster, such as the viewer `router`. The configuration
+    lists the names of the roster: print it again after `keys add` or `keys revoke`, and restart the
+    router.
     """
     found = choose_identity(swarm, identity, insecure=False)
     if found is None:

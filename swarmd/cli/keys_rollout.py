@@ -47,9 +47,10 @@ ANSWER_TIME = 3.0
 )
 @common_options
 def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
-    """Add each NAME, or range such as 'tb3-[41-50]', to the roster, and roll the roster out.
+    """Add each NAME, or range such as 'tb3-[41-50]', to the roster, and send it to all robots.
 
-    All robots that take it stand. Then write the bundles of the new names with `keys bundle`.
+    A robot that takes a new roster stands. Then write the bundles of the new names with `keys
+    bundle`.
     """
     authority = open_authority(options.swarm)
     new = [name for word in names for name in expand_names(word)]
@@ -63,11 +64,11 @@ def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @common_options
 def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
-    """Take each NAME from the roster, and roll the roster out: no robot accepts that name any more.
+    """Take each NAME from the roster, and send it to all robots: none accepts that name any more.
 
-    All robots that take it stand. A robot that misses it still trusts the name until it hears from
-    another robot, or `keys push` reaches it. The name cannot be added again before its last
-    certificate ends.
+    A robot that takes a new roster stands. A robot that misses the roster still trusts the name
+    until it hears from another robot, or `keys push` reaches it. The name cannot be added again
+    before its last certificate ends.
     """
     authority = open_authority(options.swarm)
     roster = authority.roster
@@ -141,8 +142,8 @@ def roll_out(
 ) -> NoReturn:
     """Send the roster to all robots that may lack it, report, and end with the exit code.
 
-    Robots without a bundle are left out: they have no keys yet. A revoked robot gets the roster
-    without the secret, if it is in reach: then it stands.
+    Robots without a bundle are left out, since they have no keys yet. A revoked robot in reach gets
+    the roster without the swarm's secret, and stands.
     """
     settings, own = _network(options, authority)
     wanted = _outstanding(authority)
@@ -255,10 +256,11 @@ def _send_roster(
 
 
 def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> Iterator[Identity]:
-    """This user's identity with all keys, for each generation that a robot may have.
+    """Yields this user's identity with the keys of each generation that a robot may have.
 
-    A datagram is signed with keys of one generation, and a robot accepts only its own generation. A
-    robot may already have the present generation: its answer was lost, or it took a new bundle.
+    A generation is a version of the roster. A datagram is signed with keys of one generation, and a
+    robot accepts only its own generation. A robot may already have the present generation, if its
+    answer was lost or its bundle is new.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)

@@ -152,10 +152,10 @@ class VerbGroup(click.Group):
 
 
 class LazyVerb(NamedTuple):
-    """A verb that is imported when it is used.
+    """A verb of the command line that is imported when it is used.
 
     `place`: `module:function`. `text`: the line of --help, which must not import the verb.
-    `section`: the title above that line. `example`: the last line of the verb's help.
+    `section`: the title above that line in --help. `example`: the last line of the verb's own help.
     """
 
     place: str

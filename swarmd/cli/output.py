@@ -54,8 +54,7 @@ def print_table(
 ) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set.
 
-    The last column is cut between words so that a line has at most `width` characters, if that
-    suffices.
+    If a line is longer than `width` characters, its last column is cut between words.
     """
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
     if width is not None:
@@ -144,9 +143,9 @@ def need_terminal(verb: str, instead: str) -> None:
 
 @contextlib.contextmanager
 def signals_end(*numbers: signal.Signals) -> Iterator[None]:
-    """Within the block signals raise SystemExit with 128 plus their number.
+    """A context in which signals, by default SIGTERM and SIGHUP, end the program.
 
-    By default SIGTERM and SIGHUP. So `finally` blocks run.
+    A signal raises SystemExit with 128 plus its number, so that `finally` blocks run.
     """
 
     def end(number: int, _: object) -> None:

@@ -48,8 +48,9 @@ def patterns(options: CommonOptions) -> None:
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
     """Print all patterns, a line each. `--timeout` is for each pattern [15s].
 
-    NEEDS and SUMMARY are cut to the terminal, without one to 100 columns; `patterns show NAME` and
-    `-o json` have all. FROM is left out if all come with swarmd.
+    NEEDS and SUMMARY are cut to the width of the terminal, or to 100 columns without a terminal;
+    `patterns show NAME` and `-o json` show both in full. FROM is left out if all patterns come with
+    swarmd.
     """
     rows = describe_patterns((), plugin_dir, platform, options.timeout or DESCRIBE_TIMEOUT)
     if options.is_json:
@@ -110,7 +111,7 @@ def mission() -> None:
 def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
     """Check the mission in FILE; moves nothing and needs no network.
 
-    Prints each fault with file, line and key. Exit code 2 if there is a fault.
+    Prints each fault with file, line and key. The exit code is 2 if the mission has a fault.
     """
     if not file.is_file():
         raise click.UsageError(f"{file} is no file; expected the YAML file of a mission")

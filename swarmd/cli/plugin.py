@@ -151,9 +151,9 @@ def check(options: CommonOptions, file: Path) -> None:
 def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) -> None:
     """Replace the code of pattern NAME on TARGETS: names, globs such as 'tb3-*', or --all.
 
-    Each robot first tries the new code in a process of its own. If that fails, the robot refuses
-    with the reason and keeps running the old code. Else a robot that runs NAME stops, and its
-    pattern host is replaced. Other patterns keep running.
+    Each robot first tries the new code in a process of its own. If the trial fails, the robot
+    refuses with the reason and keeps the old code. Otherwise a robot that runs NAME stops, and its
+    pattern host is replaced. A robot that runs another pattern keeps running.
     """
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")

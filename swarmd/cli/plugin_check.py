@@ -1,7 +1,7 @@
 """Inspects plugin code in a child process: swarmctl and swarmd import no plugin code.
 
-Plugin code may end the child, or never return. Then the present item is reported with the line of
-code, and another child goes on with the remaining items (`swarmd.pattern_host.plugin_inspector`).
+Plugin code may end the child, or hang. Then the present item is reported with the line of code, and
+another child inspects the remaining items (`swarmd.pattern_host.plugin_inspector`).
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ _NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]\d+)?")
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One point of a plugin check. `text`: the fault, or a remark.
+    """A checked rule of the contract of patterns. `text`: the fault, or a remark.
 
-    `repeated`: the point fails for a reason that an earlier point has reported.
+    `repeated`: the rule is violated by a fault that an earlier point has reported.
     """
 
     name: str
@@ -61,10 +61,10 @@ class Point:
 def describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: str, timeout: float = DESCRIBE_TIMEOUT
 ) -> list[Record]:
-    """A row for each of the named patterns; without names, for all patterns.
+    """A description (JSON object) of each of the named patterns; without names, of all patterns.
 
-    A pattern that cannot be loaded within `timeout` s has a row with `error`. Raises PluginError if
-    the child itself fails.
+    A pattern that cannot be loaded within `timeout` s has a description with `error`. PluginError
+    if the child process that imports the patterns fails.
     """
     options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
     left = list(names or pattern_names(plugin_dir))
@@ -104,7 +104,8 @@ def check_parameters(
 ) -> None:
     """ConfigError for a parameter that the pattern does not take, or a value out of its bounds.
 
-    A rule between parameters is checked by robots only. PluginError if the pattern does not load.
+    Rules between several parameters are not checked; robots check these. PluginError if the pattern
+    does not load.
     """
     (row,) = describe_patterns((pattern,), plugin_dir, platform)
     if "error" in row:
@@ -260,7 +261,7 @@ def _inspect(
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
     """Yields whole lines until the end of the stream; TimeoutError without a line for `timeout` s.
 
-    A process that has used less than `timeout` s of processor time gets longer while it works,
+    A process that works, and has used less than `timeout` s of processor time, gets more time,
     since a busy machine or a cold disk may delay it.
     """
     buffer = b""
@@ -284,7 +285,7 @@ def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
 
 
 def used_by(pid: int) -> tuple[float, bool]:
-    """The processor time of a process in s, and whether it runs or waits for a processor or disk.
+    """(processor time of a process in s, True if the process runs or waits for processor or disk).
 
     (0.0, False) for a process that has ended.
     """

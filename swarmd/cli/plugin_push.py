@@ -248,10 +248,10 @@ def read_source(file: Path) -> Source:
 
 
 def greatest_of(replies: Iterable[PushedPatternsReply], identity: Identity | None) -> int:
-    """The greatest generation of a pushed pattern that robots know; 0 without any.
+    """The greatest generation (version number) of a pushed pattern that robots know; 0 without any.
 
-    In a secured swarm an operator of the roster must have signed it: a robot that was taken over
-    may tell any.
+    In a secured swarm only manifests that an operator of the roster signed count: a robot that was
+    taken over may report any number.
     """
     if identity is None:
         return max((reply.generation for reply in replies), default=0)
@@ -288,7 +288,7 @@ class _Pusher:
         self._replace, self._rerun, self._name = replace, rerun, name
 
     def next_generation(self) -> int:
-        """A generation greater than that of every robot in reach that answers.
+        """The generation for a push: greater than the generation of every robot that answers.
 
         Failure if no robot answers; ConfigError after the last generation.
         """

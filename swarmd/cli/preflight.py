@@ -82,9 +82,10 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
 
 
 def peers_text(settings: DaemonSettings) -> str:
-    """The platforms of swarmd beside which this robot is held; its roster names no platform.
+    """The platforms that come with swarmd beside which this robot must stand, as text.
 
-    An accepted platform may be a file of another robot, so that an unknown platform is no fault.
+    The platforms of the real peers are unknown, since the roster has only names. An accepted
+    platform may be a file of another robot, so that an unknown platform is no fault.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []

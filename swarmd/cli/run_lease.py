@@ -21,9 +21,9 @@ SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waite
 
 
 def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn:
-    """Carry a run with a lease out until all robots have ended it, or a signal; then stop them.
+    """Run a pattern with a lease until all robots have ended the run, or until a signal stops them.
 
-    `targets`: those of its goal.
+    A lease ends the run of a robot that does not hear this program. `targets`: those of its goal.
     """
     lease, ended = run.lease or 0.0, None
     with signals_end(), ExitStack() as opened:

@@ -177,9 +177,9 @@ def _rows(outcome: Outcome) -> list[tuple[str, str, str]]:
 
 
 def _silence(name: str, outcome: Outcome) -> str:
-    """What is known of a robot that did not answer, in words.
+    """Why a robot may not have answered, in words.
 
-    A robot that does not permit a request does not answer.
+    A robot does not answer a request that the operator's role forbids.
     """
     return "no answer or not permitted" if name in outcome.mute else NOTHING
 

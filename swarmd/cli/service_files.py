@@ -55,9 +55,9 @@ class Steps:
             shutil.rmtree(there) if there.is_dir() else there.unlink()
 
     def run(self, name: str, *words: str, otherwise: str) -> bool:
-        """Run a program on the root; False, with the line `otherwise`, if it is not installed.
+        """Run a program on the root folder; prints the line `otherwise` if it is not installed.
 
-        Failure if it ends with an error.
+        True if the program has run, False if it is not installed. Failure if it ends with an error.
         """
         if shutil.which(name) is None:
             click.echo(f"skip {name}: it is not on this machine; {otherwise}")
@@ -90,11 +90,11 @@ def check_may_write(steps: Steps) -> None:
 
 
 def keep_for_root(root: Path = Path("/")) -> None:
-    """Make root the owner of the folder around the identities.
+    """Make root the owner of the folder around the identities; nothing if this process is not root.
 
-    The service's account owns each identity, which its daemon renews. If the account could change
-    the folder around them as well, its links would lead root to other files. ConfigError if
-    another user owns the daemon's folder; nothing if this process is not root.
+    The account of the service owns each identity, which its daemon renews. If the account could
+    change the folder around the identities as well, its links could lead root to other files.
+    ConfigError if another user owns the daemon's folder.
     """
     if os.geteuid() != 0:
         return
@@ -116,9 +116,9 @@ def keep_for_root(root: Path = Path("/")) -> None:
 def give_to_service(root: Path = Path("/")) -> bool:
     """Let the service's account read the daemon's file and use the identities of the machine.
 
-    False if there is no such account below `root`, there is nothing to give, or this process is
-    not root. ConfigError as `keep_for_root`. The account gets what root has written; what it owns
-    already is left as it is, since it may have put links to other files there.
+    Returns False, and changes nothing, without such an account below `root`, without files to give,
+    or if this process is not root. ConfigError as `keep_for_root`. The account gets only files of
+    root: among its own files may be links to other files.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:

@@ -127,7 +127,7 @@ class Verbs(LazyGroup):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the verb; if a plugin lacks a library, the error has the command to install it.
 
-        A mistake in the line of a stop must not pass for a stop: the error says so first.
+        If the line of a stop has a mistake, the error first says that no stop was sent.
         """
         try:
             return super().invoke(ctx)
@@ -182,9 +182,10 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def _flushed() -> int:
-    """Write buffered output; the exit code if that fails: a closed pipe, or a full disk.
+    """Write buffered output; returns the exit code if that fails: a closed pipe, or a full disk.
 
-    Unwritten output is then discarded: otherwise Python would fail at its end, with exit code 120.
+    Output that cannot be written is discarded: Python would try again at its end, and fail with
+    exit code 120.
     """
     code = 0
     for stream in (sys.stdout, sys.stderr):
@@ -260,8 +261,9 @@ def run_cli(
 def _not_text(words: Sequence[str]) -> str:
     """The fault of the first word that is not UTF-8; empty without such a word, and for a stop.
 
-    Answers, manifests and messages to processes cannot contain such a file name. A stop sends no
-    file name, checks the names of robots, and replaces wrong characters in its reason.
+    Such a word may be a file name, which answers, manifests and messages to processes cannot
+    contain. A stop sends no file name, checks the names of robots, and replaces wrong characters in
+    its reason.
     """
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
     if bad is None or any(map(_is_stop, words)):

@@ -1,6 +1,6 @@
-"""The targets of a verb, as words of the command line.
+"""The targets (robots) of a verb, as words of the command line.
 
-`takes_targets` reads names, globs and labels into `Targets`.
+The decorator `takes_targets` reads names, globs and labels into `Targets`.
 """
 
 from __future__ import annotations

@@ -92,9 +92,10 @@ def view(
 def _live(
     options: CommonOptions, reason: str, *, with_patterns: bool = True
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
-    """The source of a living swarm, and the commander of its pages; latches keep `reason`.
+    """A context with the source of a living swarm, the commander of its pages, and the identity.
 
-    `with_patterns`: a child process describes the patterns, for views that command.
+    `reason`: stored with each emergency stop of a page. `with_patterns`: a child process describes
+    the patterns, for views that can start a run.
     """
     from swarmd.cli.plugin_check import describe_patterns
     from swarmd.client.known_robots import remember

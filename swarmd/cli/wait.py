@@ -28,9 +28,9 @@ from swarmd.texts.awaited import read_awaited
 def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> None:
     """Wait until TARGETS, or all robots, meet each condition; for --timeout, or 30 s.
 
-    goal: each does what its goal wants. count=5: at least five of them are alive and meet the other
-    conditions. A robot of the roster, or that is named, is waited for until it is there. The exit
-    code is 5 if the time ends before.
+    goal: each robot does what its goal wants. count=5: at least five robots are alive and meet all
+    other conditions. Robots of the roster and named robots are waited for even if they are not
+    heard yet. The exit code is 5 if the time ends before.
     """
     conditions = read_awaited(wanted)
     with options.operator() as operator:

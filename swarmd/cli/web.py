@@ -53,10 +53,10 @@ _OPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class WebOptions:
-    """Where a page is served, and with which tokens; an empty token counts as absent.
+    """The address of a page, its tokens and its certificate; an empty token counts as absent.
 
-    `tls`: certificate and key; an empty tuple: those of the identity. `is_read_only`: no page may
-    command.
+    `tls`: files of certificate and key; an empty tuple: those of the identity; None: no TLS.
+    `is_read_only`: no page may send commands.
     """
 
     bind: str
@@ -74,9 +74,9 @@ class WebOptions:
         return Access(self.token, self.viewer_token, self.is_read_only)
 
     def of(self, identity: Identity | None) -> WebOptions:
-        """These options for a page that looks and commands as `identity`.
+        """These options for a page of a swarm in which this user is `identity`.
 
-        With an identity the page has a token: every user of this computer reaches loopback.
+        With an identity the page gets a token, since every user of this computer can open it.
         """
         if identity is None:
             return self
@@ -157,8 +157,8 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
 class Served:
     """A page that a thread serves until `close`, while the program does other work.
 
-    `reason`: the text that the page shows after the end of the server. `addresses` are printed on
-    standard error, a line each, since the program itself uses standard output.
+    `reason`: the text that the page shows after the end of the server. `addresses`: lines that are
+    printed on standard error, since the program uses standard output.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""Decides which commands a driver publishes while its base is lost, back, or being left. Pure.
+"""Decides which commands a driver publishes: none to a lost base, zero first and last. Pure.
 
 A driver whose base other nodes may command passes `is_stopped` to `filter`; any other driver omits
-`is_stopped`. `protection/arbiter.py` applies the limits, before this gate.
+`is_stopped`. `protection/arbiter.py` applies the limits before this gate.
 """
 
 from __future__ import annotations
@@ -63,9 +63,10 @@ class CommandGate:
         return twist
 
     def close(self, now: float) -> bool:
-        """Note that the base is lost; True if the driver must publish zero now.
+        """Note that the base is lost; returns True if the driver must publish zero now.
 
-        `repeats_zero` is then True for ZERO_REPEAT_TIME.
+        In that case `repeats_zero` is True for ZERO_REPEAT_TIME: the driver publishes zero
+        repeatedly.
         """
         is_wanted = self._is_open and self._has_sent
         self._is_open = False

@@ -50,11 +50,12 @@ class Driver(Protocol):
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command: never blocks, keeps no queue, drops it while the base is lost.
+        """Send a safe command. Never blocks, keeps no queue, drops commands to a lost base.
 
-        The first command after a (re)connect is zero: see `CommandGate`. `is_stopped`: the robot is
-        stopped, estopped or faulted. Then a base that other nodes may command is sent zero although
-        it is lost: with each call, and at once when a command of another node is heard.
+        The first command after each (re)connect is zero: see `CommandGate`. `is_stopped`: the robot
+        is stopped, estopped or faulted. In these states a base that other nodes may command is sent
+        zero although it is lost: with each call, and at once when a command of another node is
+        heard.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
@@ -63,9 +64,9 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ZeroSenderSpec:
-    """How the watchdog's process makes its ZeroSender.
+    """How the watchdog's process makes its connection to the base, a ZeroSender.
 
-    `maker`: `module:callable`. `options`: its keyword arguments, which must be valid JSON.
+    `maker`: `module:callable`. `options`: keyword arguments of the callable, as valid JSON.
     """
 
     maker: str
@@ -101,7 +102,7 @@ class ZeroSenderProvider(Protocol):
     """
 
     def zero_sender(self) -> ZeroSenderSpec | None:
-        """How the watchdog sends zero to this base.
+        """The connection by which the watchdog sends zero to this base.
 
         None: a process of the driver itself, which outlives the daemon, sends zero.
         """

@@ -132,10 +132,10 @@ class WatchdogTimer:
 
 
 class Watchdog:
-    """Serves one daemon's socket until its end and until enough zeros were sent.
+    """Serves the socket of one daemon until its end, and until enough zeros were sent.
 
-    `name`: the name of the robot's watchdog, None: unnamed. An earlier watchdog with this name is
-    relieved once its daemon is silent. `tie`: a process whose end makes this process end.
+    `name`: the robot's name for its watchdog, None without a name. An earlier watchdog with this
+    name ends once its daemon is silent. `tie`: a process whose end makes this process end.
     """
 
     def __init__(
@@ -265,9 +265,9 @@ def say(text: str) -> None:
 
 
 def _claimed(name: str) -> socket.socket:
-    """Claim the robot's name, an abstract datagram socket.
+    """The abstract datagram socket of the robot's name, which only one watchdog can hold.
 
-    DriverError if the watchdog of a daemon that still ticks has the name.
+    DriverError if another watchdog holds the name, and its daemon still ticks.
     """
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     claim.setblocking(False)

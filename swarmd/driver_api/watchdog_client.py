@@ -1,7 +1,7 @@
 """The daemon's side of the watchdog: a driver that runs only while its base has a watchdog.
 
-Each command, at least one per tick, feeds the watchdog. So the watchdog notices a daemon that no
-longer decides.
+Each command, at least one per tick, feeds the watchdog. So the watchdog detects a daemon that has
+stopped deciding.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ _FEED_PERIOD = 0.04
 
 
 class WatchdogProcess:
-    """Starts a watchdog, feeds it, and detects its loss.
+    """Starts a watchdog process, feeds it, and detects its end.
 
-    `name`: as in `watchdog_name`, None: unnamed. `tie`: a process whose end also ends the watchdog.
-    `requires_zero`: while True, the daemon's commands must be zero.
+    `name`: of the robot, as in `watchdog_name`; None: unnamed. `tie`: a process whose end also ends
+    the watchdog. `requires_zero`: while True, the daemon's commands must be zero.
     """
 
     def __init__(self, spec: ZeroSenderSpec, *, name: str | None, tie: int | None = None) -> None:

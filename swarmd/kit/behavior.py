@@ -34,11 +34,11 @@ class Make(Protocol):
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
-        """A part: pattern `name` with these parameters; all others derive from the platform.
+        """Make a part: pattern `name` with these parameters, all others from the platform.
 
-        `part` names the part within this pattern (default: `name`). A part shares its channels with
-        the stand-alone pattern, unless it is `private`. PluginError if there is no such pattern,
-        ConfigError if a parameter is wrong.
+        `part` names the part within this pattern (default: `name`). A part shares its message
+        channels with the stand-alone pattern, unless the part is `private`. PluginError if there is
+        no such pattern, ConfigError if a parameter is wrong.
         """
 
 

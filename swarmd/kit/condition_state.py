@@ -76,7 +76,7 @@ class UntilConditions:
 
 
 def until_conditions(until: Sequence[str], platform: Platform) -> UntilConditions | None:
-    """The conditions of a run; None without any.
+    """The conditions that end a run; None for an empty `until`.
 
     ConfigError if a condition cannot be read, MissingSensorError if the platform lacks its inputs.
     """
@@ -92,13 +92,17 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
 
 
 def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
-    """The function that evaluates a condition; some have a memory. `started` in s is time 0."""
+    """The function that evaluates `condition` on the observation of a step; True if it holds.
+
+    Some of these functions have a memory, so they must be called at every step. `started`: the
+    start of the run in s, from which a timeout counts.
+    """
     match condition:
         case conditions.AnyOf() | conditions.AllOf():
-            inner = [_evaluator(part, started) for part in condition.conditions]
+            parts = [_evaluator(part, started) for part in condition.conditions]
             combine = any if isinstance(condition, conditions.AnyOf) else all
-            # A list, not a generator: every condition has a memory, and is evaluated at every step.
-            return lambda seen: combine([evaluate(seen) for evaluate in inner])
+            # A list, not a generator: every part is evaluated at every step, for its memory.
+            return lambda seen: combine([evaluate(seen) for evaluate in parts])
         case conditions.Not():
             opposite = _evaluator(condition.condition, started)
             return lambda seen: not opposite(seen)
@@ -108,7 +112,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
         case conditions.Done():
             return lambda seen: condition.part in seen.done
         case conditions.Nearer():
-            # -inf (too close to measure) is nearer, NaN (unknown) is not.
+            # A range of -inf (too close to measure) is nearer; a range of NaN (unknown) is not.
             distance = condition.distance
             return lambda seen: seen.scan is not None and bool((seen.scan.ranges < distance).any())
         case conditions.Settled():
@@ -117,6 +121,8 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
         case conditions.Reading():
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
+        # The count of neighbours: compared with a limit, or with a slope drawn at random by a
+        # probability that rises with the count, 0.5 at the limit.
         case conditions.Neighbors(slope=None):
             return lambda seen: _count(condition, seen) >= condition.count
         case conditions.Neighbors(slope=slope):

@@ -1,8 +1,8 @@
-"""Conditions as values: what can end a run, an element of a mission, or choose a branch.
+"""Conditions as values: what can end a run, end an element of a mission, or choose a branch.
 
-`swarmd.mission.document` reads the structs from a mission's file, where the key that names the kind
-is also the tag; `parse_condition` reads the short forms of the command line.
-`swarmd.kit.condition_state` evaluates them. Imports no numpy, for the command line.
+`swarmd.mission.document` reads conditions from a mission's file, where the key that names the kind
+is the tag of the struct. `parse_condition` reads the short forms of the command line.
+`swarmd.kit.condition_state` evaluates conditions. Imports no numpy, for the command line.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True
 
 
 class Probability(Struct, frozen=True, tag="probability", forbid_unknown_fields=True):
-    """Holds in a second with this probability, drawn at each evaluation.
+    """Holds within a second with the probability `value`, drawn at random at each evaluation.
 
     Over dt seconds the probability is 1 - (1 - p)^dt, so the rate of steps does not matter.
     """

@@ -43,22 +43,27 @@ def assemble(
     rng: Generator,
     channel_prefix: str = "",
 ) -> Assembled:
-    """The pattern called `name` for one robot.
+    """Make the pattern called `name` for one robot, with the patterns that it contains.
 
-    UnknownPatternError, MissingSensorError, or ParameterError if a parameter is wrong.
+    `layers`: the parameters as (source, values), weakest first. `find` returns the class of a
+    pattern. `rng`: the random generator of the pattern. `channel_prefix`: put before the names of
+    its message channels. UnknownPatternError for an unknown name, MissingSensorError if the
+    platform lacks a sensor, ParameterError for a wrong parameter, PluginError for a wrong class.
     """
     kind = find(name)
     _check_needs(name, kind.needs, platform)
-    built, sources = build(kind.params_type, full_layers(kind, platform, layers))
+    params, sources = build(kind.params_type, full_layers(kind, platform, layers))
 
+    # The pattern calls this function for each pattern that it contains. `part` and `private` give
+    # the inner pattern message channels of its own.
     def make(
-        inner: str, /, *, part: str = "", private: bool = False, **params: Value
+        inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:
-        prefix = f"{part or inner}-" if private else f"{inner}/"
-        part_layers = (("platform", platform.patterns.get(inner, {})), (name, params))
+        prefix = f"{part or inner_name}-" if private else f"{inner_name}/"
+        platform_params = platform.patterns.get(inner_name, {})
         return assemble(
-            inner,
-            part_layers,
+            inner_name,
+            (("platform", platform_params), (name, inner_params)),
             find=find,
             robot=robot,
             platform=platform,
@@ -66,9 +71,8 @@ def assemble(
             channel_prefix=prefix,
         ).pattern
 
-    context = Context(robot, platform, rng, make, channel_prefix)
-    pattern = kind(built, context)
-    _check_needs(name, pattern.needs, platform)
+    pattern = kind(params, Context(robot, platform, rng, make, channel_prefix))
+    _check_needs(name, pattern.needs, platform)  # may differ from `kind.needs` by its parameters
     _check_channels(name, pattern.channels)
     check_zone(name, pattern.touches)
     check_scan_delay(name, pattern.scan_delay)

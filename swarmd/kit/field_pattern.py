@@ -1,6 +1,7 @@
 """The base of patterns whose law "paper" follows a potential field over all returns of the lidar.
 
-Source: Kaiser et al., ICRA 2022, and its code ROS2swarm; always at full speed, so it never rests.
+Source: Kaiser et al., ICRA 2022, and its code ROS2swarm. With law "paper" the robot always drives
+at full speed, so it never rests.
 """
 
 from __future__ import annotations
@@ -63,9 +64,9 @@ F = TypeVar("F", bound=FieldParams)
 
 
 class FieldPattern(MovementPattern[F]):
-    """Follows the field with law "paper"; with law "settling", `settle` gives the command.
+    """Follows a potential field with law "paper"; with law "settling", `settle` gives the command.
 
-    `state` is reported.
+    The report is "paper", or with law "settling" the attribute `state`, which the subclass sets.
     """
 
     field_kind: ClassVar[FieldKind]

@@ -80,12 +80,12 @@ def radius_of(spacing: float, count: int) -> float:
 
 
 def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
-    """The centers (k, 2) of objects up to `reach` m away and at most `width` m wide.
+    """The centers (k, 2) in m of objects up to `reach` m away and at most `width` m wide.
 
-    `offset` is the lidar's from the axle. An object is assumed to be as deep as wide. An object
-    hidden on one side by a nearer object is assumed to have the width of the free objects, measured
-    from its visible side. An object hidden on both sides is ignored: a wall behind two robots may
-    look like that.
+    `offset`: the position of the lidar in the base frame, in m. An object is assumed to be as deep
+    as wide. An object that a nearer object hides on one side is assumed to have the usual width of
+    the free objects, measured from its visible side. An object hidden on both sides is ignored: a
+    wall behind two robots may look like such an object.
     """
     seen = clusters(scan, within=reach)
     lists = (seen.ranges, seen.bearings, seen.widths, seen.counts, seen.is_free)

@@ -1,9 +1,9 @@
 """The base of patterns that form a shape. A pattern gives the robot's place in the shape.
 
 This base senses the other robots and drives to the place. With range-and-bearing hardware a robot
-measures each neighbour. Without it, narrow objects in the scan count as robots. The robot keeps its
-place in the odometry frame and drives there, slower the nearer it is. Then the robot rests until
-the place is farther away than `tolerance`.
+measures each neighbour. Without such hardware, narrow objects in the scan count as robots. The
+place is kept in the odometry frame. The robot drives slower the nearer the place is, and then rests
+until the place is farther away than `tolerance`.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ F = TypeVar("F", bound=FormationParams)
 class FormationPattern(MovementPattern[F]):
     """Drives to its place among the robots in sight and stands there; a robot alone stands.
 
-    `needs` of the object depends on the parameter `sensing`.
+    The sensors in `needs` depend on the parameter `sensing`.
     """
 
     params_type: ClassVar[type[Params]] = FormationParams
@@ -176,7 +176,7 @@ class FormationPattern(MovementPattern[F]):
         if inputs.scan is None or inputs.odometry is None:
             return ZERO
         pose = inputs.odometry.pose
-        self._look(inputs, inputs.scan, pose)
+        self._update_goal(inputs, inputs.scan, pose)
         if self._goal is None or not pose.is_finite:
             return ZERO
         x, y = to_base_frame(self._goal, pose)
@@ -188,18 +188,26 @@ class FormationPattern(MovementPattern[F]):
         self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)
         return ZERO if self._is_settled else self._follow(x, y, length)
 
-    def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
+    def _update_goal(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
+        """Update the points around the base, the robots in sight and the goal.
+
+        The goal is this robot's place in the formation, in m in the odometry frame; None without a
+        robot in sight. `pose`: of the base in the odometry frame.
+        """
         params = self.params
         offset = self.context.platform.scan.offset
-        is_new = scan.seq != self._seq
-        if is_new:
+        # 1. The points to keep clear of, from each new scan.
+        is_new_scan = scan.seq != self._seq
+        if is_new_scan:
             self._seq = scan.seq
             reach = params.clearance + params.brake + math.hypot(*offset)
             points = closest_points(scan, within=reach).tolist()
             self._points = NearPoints(polar_from_base(points, offset))
+        # 2. The other robots (k, 2) in m in the base frame: measured by range and bearing, or found
+        #    among the objects of a new scan. Without a new scan the goal stays.
         if not self._by_lidar:
             others = self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
-        elif is_new:
+        elif is_new_scan:
             reach = min(params.range, scan.range_max)
             others = robot_centers(scan, reach=reach, width=params.object_width, offset=offset)
         else:
@@ -208,12 +216,13 @@ class FormationPattern(MovementPattern[F]):
         if not len(others):
             self._goal = None
             return
+        # 3. The goal, low-pass filtered (first order) with _PLACE_TIME_CONSTANT.
         goal = to_odometry_frame(self.place(others).tolist(), pose)
-        passed = max(inputs.now - self._aimed_at, 0.0)
-        share = 1.0 - math.exp(-passed / _PLACE_TIME_CONSTANT)
+        elapsed_s = max(inputs.now - self._aimed_at, 0.0)
+        weight = 1.0 - math.exp(-elapsed_s / _PLACE_TIME_CONSTANT)
         if self._goal is not None:
-            (x, y), (to_x, to_y) = self._goal, goal
-            goal = x + share * (to_x - x), y + share * (to_y - y)
+            (x, y), (new_x, new_y) = self._goal, goal
+            goal = x + weight * (new_x - x), y + weight * (new_y - y)
         self._goal = goal
         self._aimed_at = inputs.now
 

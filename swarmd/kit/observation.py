@@ -33,10 +33,10 @@ class _Part(Struct, frozen=True, tag_field="part", forbid_unknown_fields=True):
 
 
 class ScanPart(_Part, frozen=True, tag="scan"):
-    """The nearness of obstacles in each of `sectors` equal sectors of the scan.
+    """The nearness of obstacles in each of `sectors` equal sectors of the scan, as numbers.
 
-    1 at the sensor, -1 at `range` m, beyond it and without a return. Sector 0 is centred ahead, the
-    others follow counter-clockwise.
+    Nearness falls from 1 at the sensor to -1 at `range` m; -1 also beyond `range`, and without a
+    return. Sector 0 is centred ahead; the further sectors follow counter-clockwise.
     """
 
     sectors: Sectors = 12
@@ -44,7 +44,7 @@ class ScanPart(_Part, frozen=True, tag="scan"):
 
 
 class RobotsPart(_Part, frozen=True, tag="robots"):
-    """The nearness, as in ScanPart, of objects in the scan that are as narrow as a robot.
+    """The nearness (as in ScanPart) of those objects of the scan that are as narrow as a robot.
 
     See `robots_near`: a pillar counts as a robot, and a robot that stands at a wall does not.
     """
@@ -56,8 +56,9 @@ class RobotsPart(_Part, frozen=True, tag="robots"):
 class NeighborsPart(_Part, frozen=True, tag="neighbors"):
     """The neighbours by range and bearing: their number, then the nearest `count` of them.
 
-    The number is scaled from [0, `count`] to [-1, 1]. For each neighbour follow its nearness (see
-    ScanPart) and the cosine and sine of its bearing; -1, 0, 0 for a missing neighbour.
+    The number of neighbours is scaled from [0, `count`] to [-1, 1]. Three numbers follow for each
+    neighbour: nearness (see ScanPart), cosine and sine of the bearing; -1, 0, 0 for a missing
+    neighbour.
     """
 
     count: Annotated[int, Meta(ge=1, le=64)] = 3
@@ -84,8 +85,8 @@ Part = ScanPart | RobotsPart | NeighborsPart | ReadingPart | TwistPart
 class PolicySpec(Struct, frozen=True, forbid_unknown_fields=True):
     """The declaration of a policy: the `parts` of its observation, in order, and its actions.
 
-    An action has a number in [-1, 1] for the linear speed and one for the angular speed. With
-    `lateral` there is a third number for the lateral speed. A policy decides every `period` s.
+    An action has two numbers in [-1, 1]: linear speed and angular speed. With `lateral` the lateral
+    speed is a third number. A policy decides every `period` s.
     """
 
     parts: Annotated[tuple[Part, ...], Meta(min_length=1, max_length=64)]

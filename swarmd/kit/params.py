@@ -188,7 +188,7 @@ class ParamSpec:
 
 
 def schema(params_type: type[Params]) -> list[ParamSpec]:
-    """The parameters of a pattern in the order of declaration; those of all patterns come last.
+    """The parameters of a pattern in the order of declaration, then the parameters of all patterns.
 
     PluginError for a type that neither YAML nor the command line can express.
     """
@@ -198,17 +198,18 @@ def schema(params_type: type[Params]) -> list[ParamSpec]:
 def build(
     params_type: type[P], layers: Layers
 ) -> tuple[P, Mapping[str, tuple[Scalar | None, str]]]:
-    """The parameters from layers of values, and the value and source of each.
+    """Merge layers of parameter values; returns the parameters, and (value, source) of each.
 
-    `layers` are (source, values), weakest first; the source of a declared default is "pattern".
-    Text is converted ("0.15", "true"), since the command line sends text. ParameterError with one
-    line for the first wrong value.
+    `layers` are (source, values), weakest first. A declared default has the source "pattern". Text
+    is converted ("0.15", "true"), since the command line sends text. ParameterError, in one line,
+    for the first wrong value: an unknown name, a wrong type, or a value out of bounds.
     """
     specs, hints, required, _ = _declared(params_type)
+    # 1. The strongest value of each parameter.
     values: dict[str, Any] = {}
     sources = dict.fromkeys(specs, "pattern")
-    for source, given in layers:
-        for name, value in given.items():
+    for source, layer_values in layers:
+        for name, value in layer_values.items():
             if name not in specs:
                 raise ParameterError(f"{unknown('parameter', name, specs)} (from {source})", name)
             values[name] = _convert(value, hints[name], specs[name], source)
@@ -217,6 +218,7 @@ def build(
         if name not in values:
             wanted = specs[name].wanted
             raise ParameterError(f"parameter {name} has no default; give it {wanted}", name)
+    # 2. The constructor fills in the defaults, and checks rules between parameters.
     try:
         params = params_type(**values)
     except ValueError as error:

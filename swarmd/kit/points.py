@@ -41,9 +41,9 @@ _MIN_RANGE = cython.declare(cython.double, 1e-3)
 
 
 def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pair]:
-    """Range (m) and bearing of each point from the base.
+    """(range in m, bearing in rad) of each point, seen from the base.
 
-    `points`: range and bearing of each from a sensor at `offset` (m).
+    `points`: (range, bearing) of each point, seen from a sensor at `offset` (m) in the base frame.
     """
     distance: cython.double
     bearing: cython.double
@@ -68,9 +68,9 @@ def _check(bearing: cython.double) -> cython.int:
 @cython.auto_pickle(False)
 @cython.cclass
 class NearPoints:
-    """Points around the base, prepared for several steps.
+    """Points around the base, such as returns of a scan, for `keep_clear` and `steer`.
 
-    `nearest` is the smallest range in m, +inf without points.
+    `nearest`: the smallest range in m, +inf without points.
     """
 
     nearest = cython.declare(cython.double, visibility="readonly")
@@ -113,24 +113,34 @@ class NearPoints:
         brake: cython.double,
         may_back: cython.bint = False,
     ) -> Twist:
-        """The command along the vector x, y as by the function `steer`."""
+        """The command of a differential drive along the vector (x, y), slower before points.
+
+        (x, y): direction in the base frame; its length is the share of full speed, up to 1.
+        `linear_max` in m/s and `angular_max` in rad/s: full speed. `spacing`: the range in m of a
+        point ahead at which the base stands. `brake`: the distance in m before that range over
+        which the base slows down. `may_back`: drive in reverse to a target behind. Zero for a
+        vector of no length or infinite length.
+        """
         distance: cython.double
         toward_x: cython.double
         length: cython.double = math.hypot(x, y)
         if not _MIN_LENGTH < length < INFINITY:
             return ZERO
-        side = -1.0 if may_back and x < 0.0 else 1.0
-        error = atan2(side * y, side * x)
-        share: cython.double = min(length, _MAX_REVERSE_SHARE if side < 0.0 else 1.0)
-        share *= math.pow(max(cos(error), 0.0), 2.0)
+        # The heading error to the target, of the rear end in reverse. The base slows down with the
+        # error, and only turns from 90 degrees on.
+        sign = -1.0 if may_back and x < 0.0 else 1.0
+        heading_error = atan2(sign * y, sign * x)
+        speed_share: cython.double = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
+        speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
+        # `toward_x`: the cosine of a point's bearing, so the share of the speed toward the point.
         for distance, toward_x, _ in self._farthest_first:
-            ahead = side * toward_x
+            ahead = sign * toward_x
             if ahead > 0.0:
                 if brake == 0.0:
                     raise ZeroDivisionError("brake is 0 m")
-                share = min(share, max(distance - spacing, 0.0) / (brake * ahead))
-        turn = min(max(_HEADING_GAIN * error, -angular_max), angular_max)
-        return Twist(side * share * linear_max, turn)
+                speed_share = min(speed_share, max(distance - spacing, 0.0) / (brake * ahead))
+        turn = min(max(_HEADING_GAIN * heading_error, -angular_max), angular_max)
+        return Twist(sign * speed_share * linear_max, turn)
 
 
 def robot_centers(
@@ -143,36 +153,43 @@ def robot_centers(
     width: cython.double,
     offset,
 ):
-    """The centers x, y of the objects of `RayClusters` up to `reach` m away, at most `width` wide.
+    """The centers (x, y) of the objects of a scan that may be robots, in m in the base frame.
 
-    See `robot_centers` in `formation_geometry.py`.
+    The lists describe the objects (clusters of rays) from the lidar at `offset` (m): range in m and
+    bearing in rad of the middle of the visible side, width in m, number of rays, and True if no
+    nearer object hides a part. An object may be a robot if it is at most `width` m wide and `reach`
+    m away. Skips an object that is hidden on both sides.
     """
     i: cython.Py_ssize_t
     side: cython.int
     half: cython.double
     away: cython.double
     bearing: cython.double
-    chosen = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
-    whole = [0.5 * widths[i] for i in chosen if is_free[i]]
-    usual: cython.double = median(whole) if whole else 0.0
-    found, weights = [], []
-    for i in chosen:
+    candidates = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
+    whole_halves = [0.5 * widths[i] for i in candidates if is_free[i]]
+    usual_half: cython.double = median(whole_halves) if whole_halves else 0.0
+    centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
+    for i in candidates:
         away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
+        # A partly hidden object counts as wide as the usual whole object: its center lies farther
+        # to the hidden side than the middle of the visible part.
         if not is_free[i]:
             side = _hidden_side(ranges, bearings, widths, i)
             if side == _BOTH:
                 continue
             if side:
-                shown = half / max(away, _MIN_RANGE)
-                half = max(half, usual)
-                hidden = asin(half / max(away + half, _MIN_RANGE)) - shown
-                bearing += side * max(hidden, 0.0)
-        found.append((away + half, bearing))
+                visible_angle = half / max(away, _MIN_RANGE)
+                half = max(half, usual_half)
+                hidden_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
+                bearing += side * max(hidden_angle, 0.0)
+        # The center lies half a width behind the visible side.
+        centers.append((away + half, bearing))
         weights.append(counts[i])
     xs, ys = [], []
-    for away, bearing in polar_from_base(found, offset):
+    for away, bearing in polar_from_base(centers, offset):
         xs.append(away * cos(bearing))
         ys.append(away * sin(bearing))
+    # A robot may appear in several pieces.
     _merge(xs, ys, weights, _MERGE_SHARE * width)
     return list(zip(xs, ys))  # noqa: B905
 
@@ -218,7 +235,8 @@ def _spread(distance: cython.double, width: cython.double) -> cython.double:
 def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.int:
     """Merge points nearer than `least` m to each other, the nearest pair first.
 
-    One robot appears in pieces where rays are lost, or old while the lidar turns.
+    A robot appears in pieces where rays are lost, or where it moves while the lidar turns. A merged
+    point lies at the weighted mean. Changes the three lists (m, m, number of rays) in place.
     """
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
@@ -227,15 +245,17 @@ def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.in
     x: cython.double
     y: cython.double
     while True:
-        best, second = least, 0
+        # The nearest pair; `second` is 0 if no pair is near enough, since second > first.
+        shortest, second = least, 0
         for i in range(len(xs)):
             x, y = xs[i], ys[i]
             for j in range(i + 1, len(xs)):
-                apart = hypot(xs[j] - x, ys[j] - y)
-                if apart < best:
-                    best, first, second = apart, i, j
+                distance = hypot(xs[j] - x, ys[j] - y)
+                if distance < shortest:
+                    shortest, first, second = distance, i, j
         if not second:
             return 0
+        # The pair becomes one point.
         share = weights[second] / (weights[first] + weights[second])
         xs[first] += (xs[second] - xs[first]) * share
         ys[first] += (ys[second] - ys[first]) * share

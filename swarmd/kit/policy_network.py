@@ -26,11 +26,11 @@ _MAX_UNPACKED = 16 * MAX_BYTES  # a small file of zeros else fills the memory of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolicyNetwork:
-    """A network of dense layers; the last one ends in tanh, so that actions are in [-1, 1].
+    """A network of dense layers; the last layer ends in tanh, so that actions are in [-1, 1].
 
-    `weights[i]` is (outputs, inputs) and `biases[i]` (outputs,). The first layer takes the
-    observation of `spec`, the last gives its action. ConfigError if the shapes do not fit, or if
-    the network could not be read back from a file.
+    `weights[i]` has the shape (outputs, inputs), `biases[i]` (outputs,). The first layer takes the
+    observation of `spec`, the last layer gives the action. ConfigError if the shapes do not fit, or
+    if the network is too large for a file.
     """
 
     spec: PolicySpec
@@ -116,28 +116,36 @@ def network_of(
 
 
 def network_from_bytes(data: bytes) -> PolicyNetwork:
-    """The network in the content of a file; ConfigError if it is none, or does not fit itself."""
+    """The network in the content of a file of `PolicyNetwork.to_bytes`.
+
+    The file is a zip archive of numpy arrays: `spec`, `activation`, and `weight_i` and `bias_i` of
+    each layer i. ConfigError if the file is too large, damaged or of another kind, and if the
+    shapes of the arrays do not fit together.
+    """
     import zlib  # few hosts run a policy
     from zipfile import BadZipFile, ZipFile
 
     if len(data) > MAX_BYTES:
         raise ConfigError(f"policy: {len(data)} bytes; expected {MAX_BYTES} or less")
     try:
+        # 1. Bound the memory that unpacking takes.
         with ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
         if unpacked > _MAX_UNPACKED:
             raise ConfigError(
                 f"policy: {unpacked} bytes unpacked; expected {_MAX_UNPACKED} or less"
             )
+        # 2. Read the arrays; without pickle, which could run code.
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         spec, activation = arrays.pop("spec").tobytes(), str(arrays.pop("activation"))
-        count, rest = divmod(len(arrays), 2)
-        if rest:
+        layer_count, remainder = divmod(len(arrays), 2)
+        if remainder:
             raise ValueError("a weight without its bias")
         weights, biases = (
             tuple(
-                arrays[f"{kind}_{i}"].astype(np.float64, casting="same_kind") for i in range(count)
+                arrays[f"{kind}_{layer}"].astype(np.float64, casting="same_kind")
+                for layer in range(layer_count)
             )
             for kind in ("weight", "bias")
         )

@@ -16,15 +16,17 @@ from swarmd.core.values import Array
 from swarmd.kit.observation import decode_spec
 from swarmd.kit.policy_network import MAX_BYTES, Activation, PolicyNetwork
 
+MAX_ONNX_BYTES = 8 * MAX_BYTES
 SPEC_PROPERTY = "swarmd_spec"
 """The model's property that holds `encode_spec(spec)` as text."""
 
 
 def network_from_onnx(data: bytes) -> PolicyNetwork:
-    """The network in the content of an ONNX file.
+    """The policy network in the content of an ONNX file: a chain of dense layers.
 
-    PluginError without the package onnx. ConfigError for a damaged file, a missing declaration, or
-    a graph that is no chain of dense layers; it names the first node that does not fit.
+    PluginError without the package onnx. ConfigError for a damaged file, a missing declaration of
+    the observation, or a graph that is no chain of dense layers; the text names the first node that
+    does not fit.
     """
     try:
         import onnx
@@ -32,50 +34,61 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
     except ModuleNotFoundError as error:
         text = "policy: this needs onnx, which is not installed; run: pip install 'swarmd[onnx]'"
         raise PluginError(text) from error
-    if len(data) > 8 * MAX_BYTES:
-        raise ConfigError(f"policy: {len(data)} bytes; expected {8 * MAX_BYTES} or less")
+    # 1. Read the weights. External weights are refused: onnx would read any file of the working
+    #    folder, and the policy is then sent to robots.
+    if len(data) > MAX_ONNX_BYTES:
+        raise ConfigError(f"policy: {len(data)} bytes; expected {MAX_ONNX_BYTES} or less")
     try:
         model = onnx.load_model_from_string(data)
-        weights = model.graph.initializer
-        # onnx would read any file of the working folder, and the policy is then sent to robots.
-        is_whole = all(w.data_location != onnx.TensorProto.EXTERNAL for w in weights)
-        values = {w.name: _floats(numpy_helper.to_array(w)) for w in weights if is_whole}
+        tensors = model.graph.initializer
+        is_whole = all(t.data_location != onnx.TensorProto.EXTERNAL for t in tensors)
+        values = {t.name: _floats(numpy_helper.to_array(t)) for t in tensors if is_whole}
     except Exception as error:  # protobuf and onnx have errors of their own for damaged files
         raise ConfigError("policy: not an ONNX file, or damaged") from error
     if not is_whole:
         raise ConfigError("policy: weights are in another file; export the model as one file")
+    # 2. The declaration of the observation, a property of the model.
     properties = {entry.key: entry.value for entry in model.metadata_props}
     if SPEC_PROPERTY not in properties:
         raise ConfigError(
             f"policy: the model has no property {SPEC_PROPERTY!r}; set it to encode_spec(spec)"
         )
     spec = decode_spec(properties[SPEC_PROPERTY].encode())
+    # 3. The layers along the graph. The last layer ends in Tanh; all layers before it end in the
+    #    same function.
     inputs = [value.name for value in model.graph.input if value.name not in values]
     outputs = [value.name for value in model.graph.output]
     if len(inputs) != 1 or len(outputs) != 1:
         raise ConfigError(f"policy: inputs {inputs}, outputs {outputs}; expected one of each")
-    matrices, biases, functions, end = _layers_of(model.graph.node, values, inputs[0])
-    if end != outputs[0] or not functions or functions[-1] != "Tanh":
+    matrices, biases, functions, last_output = _layers_of(model.graph.node, values, inputs[0])
+    if last_output != outputs[0] or not functions or functions[-1] != "Tanh":
         raise ConfigError("policy: the graph does not end in Tanh, which bounds the actions")
-    inner = {function.lower() for function in functions[:-1]} or {"tanh"}
-    if len(inner) > 1 or len(functions) != len(matrices):
+    inner_functions = {function.lower() for function in functions[:-1]} or {"tanh"}
+    if len(inner_functions) > 1 or len(functions) != len(matrices):
         raise ConfigError(f"policy: layers end in {functions}; expected one of Tanh or Relu each")
-    activation: Activation = "relu" if inner == {"relu"} else "tanh"
+    activation: Activation = "relu" if inner_functions == {"relu"} else "tanh"
     return PolicyNetwork(spec, tuple(matrices), tuple(biases), activation)
 
 
 def _layers_of(
-    nodes: Any, values: dict[str, Array], name: str
+    nodes: Any, values: dict[str, Array], input_name: str
 ) -> tuple[list[Array], list[Array], list[str], str]:
-    """Weights (outputs, inputs), biases and functions along the chain from `name`, and its end."""
+    """The layers of a graph whose nodes form a chain from the input `input_name`.
+
+    `nodes`: of ONNX, in the order of evaluation. `values`: the constants by name. Returns the
+    weights (outputs, inputs), biases (outputs,) and functions ("Tanh", "Relu") of the layers, and
+    the name of the last output. ConfigError for the first node that does not fit.
+    """
     weights: list[Array] = []
     biases: list[Array] = []
     functions: list[str] = []
+    name = input_name  # of the value that the next node must take
     for node in nodes:
         attributes = {attribute.name: attribute for attribute in node.attribute}
         constants = [values[source] for source in node.input if source in values]
         if name not in node.input or len(node.output) != 1:
             raise ConfigError(f"policy: node {node.op_type} {node.name!r} leaves the chain")
+        has_open_layer = len(weights) == len(functions) + 1  # a layer without its function yet
         match node.op_type, [constant.ndim for constant in constants]:
             case "Gemm", [2, 1] if node.input[0] == name and _is_plain(attributes):
                 is_transposed = "transB" in attributes and attributes["transB"].i == 1
@@ -84,16 +97,16 @@ def _layers_of(
             case "MatMul", [2] if node.input[0] == name:
                 weights.append(constants[0].T)
                 biases.append(np.zeros(len(weights[-1])))
-            case "Add", [1] if len(weights) == len(functions) + 1:
+            case "Add", [1] if has_open_layer:
                 biases[-1] = biases[-1] + constants[0]
-            case ("Tanh" | "Relu") as kind, [] if len(weights) == len(functions) + 1:
-                functions.append(kind)
+            case ("Tanh" | "Relu") as function, [] if has_open_layer:
+                functions.append(function)
             case "Identity", []:
                 pass
-            case kind, _:
+            case op_type, _:
                 raise ConfigError(
-                    f"policy: node {kind} {node.name!r}; expected dense layers (Gemm, or MatMul and"
-                    " Add) with Tanh or Relu"
+                    f"policy: node {op_type} {node.name!r}; expected dense layers (Gemm, or MatMul"
+                    " and Add) with Tanh or Relu"
                 )
         name = node.output[0]
     return weights, biases, functions, name

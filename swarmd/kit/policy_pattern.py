@@ -64,9 +64,10 @@ class ActionPattern(MovementPattern[PolicyParams]):
 
 
 class PolicyPattern(ActionPattern):
-    """A pattern that runs `network`: the text of `to_text`; a file of a plugin declares it.
+    """A pattern that runs the policy in `network`: the text of `to_text`, which a plugin declares.
 
-    It decides every `spec.period` and requests the same twist between.
+    The policy decides every `spec.period` s. Between two decisions the requested twist stays the
+    same.
     """
 
     network: ClassVar[str] = ""

@@ -19,23 +19,26 @@ def robots_near(
     bearing: float = 0.0,
     half_width: float = math.pi,
 ) -> list[Ray]:
-    """The objects up to `within` m that may be robots, nearest first; see `Ray`.
+    """The objects of a scan that may be robots, up to `within` m away, nearest first.
 
     An object may be a robot if its width is at most twice the diagonal of the platform's footprint,
     and no nearer object hides a side. So a pillar counts as a robot, and a robot that stands at a
-    wall does not. `bearing` and `half_width` in rad: only the objects whose middle is in this
-    sector.
+    wall does not. Only objects whose middle is at most `half_width` rad from the direction
+    `bearing` (rad) count. A `Ray` has range in m and bearing in rad. Empty without a scan.
     """
-    width = object_width(platform)
+    max_width = object_width(platform)
     # If the scan were cut off at `within`, the near part of a wall would seem as narrow as a robot.
-    seen = clusters(scan, within=within + width)
-    objects = (seen.ranges, seen.bearings, seen.widths, seen.is_free)
-    rays = [
-        Ray(distance, direction)
-        for distance, direction, across, is_free in zip(*(o.tolist() for o in objects), strict=True)
-        if distance <= within
-        and across <= width
-        and is_free
-        and abs(difference(direction, bearing)) <= half_width
-    ]
-    return sorted(rays, key=itemgetter(0))
+    objects = clusters(scan, within=within + max_width)
+    robots = []
+    for distance, direction, width, is_free in zip(
+        objects.ranges.tolist(),
+        objects.bearings.tolist(),
+        objects.widths.tolist(),
+        objects.is_free.tolist(),
+        strict=True,
+    ):
+        is_robot = width <= max_width and is_free
+        is_in_sector = abs(difference(direction, bearing)) <= half_width
+        if distance <= within and is_robot and is_in_sector:
+            robots.append(Ray(distance, direction))
+    return sorted(robots, key=itemgetter(0))

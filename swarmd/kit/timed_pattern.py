@@ -26,10 +26,10 @@ class TimedPattern(MovementPattern[P]):
         self._now = -math.inf
 
     def begin(self, now: float, **seconds: float) -> None:
-        """Enter timed states one after the other, each for so many s, then `default_state`.
+        """Enter timed states one after the other, each for its number of s, then `default_state`.
 
-        `begin(inputs.now, wait=20.0, turn=1.5)` waits until `now + 20`, and turns until
-        `now + 21.5`. They replace the timed states of an earlier call.
+        `begin(inputs.now, wait=20.0, turn=1.5)` enters `wait` until `now + 20`, then `turn` until
+        `now + 21.5`. The new states replace the timed states of an earlier call.
         """
         timed = []
         for name, length in seconds.items():

@@ -1,7 +1,7 @@
-"""The zone in which a pattern may touch obstacles. Pure.
+"""The zone in which a pattern may touch obstacles: directions, and a speed. Pure.
 
-A pattern declares a zone and the robot's configuration grants one; their intersection is in effect.
-No request from the network changes it.
+A pattern declares a zone and the robot's configuration grants a zone; their intersection is in
+effect. No request from the network changes the zone.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def check_zone(pattern: str, zone: object) -> None:
 def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
     """The zone of the directions that lie in both zones, at the lower speed; None without any.
 
-    For every `asked` the result lies within `granted`.
+    The result lies within `granted` for every `asked`.
     """
     aside = difference(asked.bearing, granted.bearing)
     low = max(aside - asked.half_width, -granted.half_width)

@@ -1,6 +1,6 @@
 """The zones in which a robot's configuration allows patterns to touch obstacles.
 
-Imports no numpy: swarmctl reads swarm.yaml too.
+Imports no numpy, since swarmctl reads swarm.yaml, too.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class VoteWindow:
 
     - A tumbling window opens anew whenever it is closed; earlier votes do not count.
     - A sliding window is closed every `period` s, and counts the votes of the last `length` s, also
-      those that were counted before.
+      votes that an earlier window has counted.
     - Votes received more than `expiry` s before the end of a window do not count.
     - The first window (or period) is shorter: the share `first` of its length.
     """
@@ -72,8 +72,8 @@ class VoteWindow:
     def close(self, now: float) -> Mapping[str, int] | None:
         """The votes by sender if the window or period has ended; else None.
 
-        Windows end on a fixed grid of times. Windows that ended between two calls are closed as
-        one.
+        Windows end on a fixed grid of times. If several windows have ended since the last call, the
+        votes of all are returned together.
         """
         if now < self._end:
             return None
@@ -136,9 +136,10 @@ class Rounds:
         self._round_votes.pop(sender, None)
 
     def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if the round has ended, which begins the next round; else None.
+        """The votes by sender if the round has ended; None while the round continues.
 
-        {} if the round ended by a jump to a later round.
+        The next round begins with the end. Returns {} if the round ended by a jump to a later
+        round.
         """
         elapsed = now - self._began
         if elapsed < min(self.period, self.length):
@@ -178,10 +179,10 @@ def tally(opinions: Iterable[int]) -> Mapping[int, int]:
 
 
 def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generator) -> int:
-    """The most frequent opinion; `current` without opinions.
+    """The most frequent opinion among the votes; `current` without votes.
 
-    Between equally frequent opinions `ties` decides: "random" draws one of these, "keep" gives
-    `current` (also outside of these), "lowest" gives the lowest.
+    Between equally frequent opinions `ties` decides: "random" draws one of them, "keep" returns
+    `current` (even if it is none of them), "lowest" returns the lowest.
     """
     counts = tally(opinions)
     if not counts:

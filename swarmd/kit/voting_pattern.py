@@ -122,9 +122,9 @@ class VotingPattern(Pattern[V]):
 
     @abstractmethod
     def decide(self, votes: Mapping[str, int]) -> int:
-        """The new opinion. `votes` has the latest vote of each neighbour in the window, by robot.
+        """The new opinion after a window. `votes`: the latest vote of each neighbour, by robot.
 
-        There is at least one vote. With `count_own` the robot's own vote is among them.
+        `votes` has at least one vote. With `count_own` the robot's own vote is among them.
         """
 
     def step(self, inputs: Inputs) -> Outputs:
@@ -147,9 +147,10 @@ class VotingPattern(Pattern[V]):
         return Outputs(messages=self._share(window, inputs.now), report=report)
 
     def update(self, params: V) -> None:
-        """Apply changed parameters; an opinion that no longer exists is drawn again.
+        """Apply changed parameters; an opinion that no longer exists is drawn again at random.
 
-        A changed length applies from the next window; a change of `windows` opens a new one.
+        A changed length applies from the next window on; a change of `windows` opens a new window
+        at once.
         """
         if params.windows != self.params.windows:
             self._window = None

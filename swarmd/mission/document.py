@@ -38,31 +38,37 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """The mission of a file, with its faults; ConfigError if the file is not YAML."""
+    """The mission of a YAML file, with all faults that need no patterns.
+
+    ConfigError if the file is not YAML. `Document.root`, the outermost element, is None if an
+    element has a fault.
+    """
     data = read_yaml(path)
-    own = {key: data[key] for key in MissionFile.__struct_fields__ if key in data}
-    rest = {key: value for key, value in data.items() if key not in own}
-    names = list(data["parts"]) if isinstance(data.get("parts"), dict) else []
-    maps: list[tuple[Keys, Map]] = []
+    # The keys of the mission itself; all other keys describe the root element.
+    mission_keys = {key: data[key] for key in MissionFile.__struct_fields__ if key in data}
+    root_keys = {key: value for key, value in data.items() if key not in mission_keys}
+    part_names = list(data["parts"]) if isinstance(data.get("parts"), dict) else []
+    maps: list[tuple[Keys, Map]] = []  # from reports to parameters, with their places in the file
 
     def check(value: Any, keys: Keys) -> Iterator[Fault]:
-        value_faults = list(check_value(value, keys, names))
+        """Called for each value of the file at the place `keys`; also gathers the maps."""
+        value_faults = list(check_value(value, keys, part_names))
         if isinstance(value, Map) and not value_faults:
             maps.append((keys, value))
         yield from value_faults
 
-    file, faults = read(own, MissionFile, check)
-    expanded = _expanded(rest)
+    file, faults = read(mission_keys, MissionFile, check)
+    expanded = _expanded(root_keys)  # with short forms written out
     root, root_faults = read(expanded, Element, check)
-    root_faults += check_names(expanded, (), names)
+    root_faults += check_names(expanded, (), part_names)
     document = Document(
         path=path,
         description=file.mission,
         parts={name: part for name, part in file.parts.items() if is_part_name(name)},
-        names=names,
+        names=part_names,
         maps=maps,
-        report=dict(valid_names("report", file.report, names, faults)),
-        parameters=dict(valid_names("parameters", file.parameters, names, faults)),
+        report=dict(valid_names("report", file.report, part_names, faults)),
+        parameters=dict(valid_names("parameters", file.parameters, part_names, faults)),
         recovery=file.recovery,
         root=None if root_faults else root,
         faults=faults + root_faults,

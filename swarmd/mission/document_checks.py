@@ -73,7 +73,12 @@ def _can_fail(element: Element) -> bool:
 
 
 def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
-    """The faults of a value beyond its type: rules between the fields of an element."""
+    """Yields the faults of one value of a mission, beyond its type: rules between its fields.
+
+    `value`: an element (sequence, parallel, switch, fallback, part), a condition or a map. `keys`:
+    its place in the file. `names`: the names of the mission's parts.
+    """
+    # 1. Rules of each kind of value.
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -105,6 +110,8 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
             yield from _check_map(value, keys, names)
         case _:
             pass
+    # 2. Fields that are only valid inside a certain parent: `when` in a switch, `transitions` in a
+    #    sequence.
     if isinstance(value, Sequence | Parallel | Fallback):
         for index, child in enumerate(value.children):
             if child.when is not None:
@@ -249,7 +256,11 @@ def valid_names(
 
 
 def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
-    """Faults that concern several keys of the file, or missing keys."""
+    """Yields faults that concern several keys of the mission's file, or missing keys.
+
+    `data`: the file as read from YAML.
+    """
+    # 1. Missing keys, and keys that the root element cannot have.
     if "mission" not in data:
         yield fault_at(("mission",), "is missing; expected a line that says what the mission does")
     if not data.get("parts"):
@@ -258,24 +269,31 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
         yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
     if document.root is not None and document.root.transitions is not None:
         yield fault_at(("transitions",), _TRANSITIONS)
-    used = set(document.names) if document.root is None else parts_in(document.root)
+    # 2. Parts with a wrong name, without use, or with a parameter of the whole mission. If the root
+    #    has faults, all parts count as used.
+    used_parts = set(document.names) if document.root is None else parts_in(document.root)
     for name in document.names:
+        params = document.parts[name].params if name in document.parts else {}
         if not is_part_name(name):
             text = f"is not a valid name of a part; expected letters, digits and _, not {NO_DRIVER}"
             yield fault_at(("parts", name), text)
-        elif name not in used:
+        elif name not in used_parts:
             yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
-        elif "avoidance" in (document.parts[name].params if name in document.parts else ()):
+        elif "avoidance" in params:
             yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
-    setters: dict[Reference, str] = {}
-    for keys, entry in document.maps:
-        if split(entry.target) in setters:
-            yield fault_at((*keys, "to"), f"is {entry.target}, which another map sets; keep entry")
-        setters[split(entry.target)] = "a map"
-    for own, reference in document.parameters.items():
-        if reference[1] in _SHARED:
-            yield fault_at(("parameters", own), _SHARED[reference[1]])
-        if reference in setters:
-            text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep entry"
-            yield fault_at(("parameters", own), text)
-        setters.setdefault(reference, own)
+    # 3. A parameter of a part that two maps or parameters of the mission set.
+    setter_of: dict[Reference, str] = {}
+    for keys, mapping in document.maps:
+        target = split(mapping.target)
+        if target in setter_of:
+            text = f"is {mapping.target}, which another map sets; keep entry"
+            yield fault_at((*keys, "to"), text)
+        setter_of[target] = "a map"
+    for parameter, target in document.parameters.items():
+        _, part_parameter = target
+        if part_parameter in _SHARED:
+            yield fault_at(("parameters", parameter), _SHARED[part_parameter])
+        if target in setter_of:
+            text = f"is {'.'.join(target)}, which {setter_of[target]} sets too; keep entry"
+            yield fault_at(("parameters", parameter), text)
+        setter_of.setdefault(target, parameter)

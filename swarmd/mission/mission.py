@@ -45,9 +45,9 @@ class Mission(CombinedPattern[Params]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """The defaults of the mission's own parameters.
+        """The defaults of the mission's own parameters, on this platform.
 
-        They are the values of the parts' parameters in the mission's file, else on the platform.
+        A default is the value of the part's parameter in the mission's file, else on the platform.
         """
         values_by_name: dict[str, Value] = {}
         for own, (name, param) in cls.document.parameters.items():
@@ -214,22 +214,29 @@ def _report_units(document: Document, classes: PatternClasses) -> dict[str, str]
 
 
 def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
-    """The mission's own parameters, each with type, bounds and meaning of the part's parameter."""
-    fields: list[Any] = []
-    for own, (name, param) in document.parameters.items():
-        if name not in classes:
+    """The class of the mission's own parameters, and of `recovery`.
+
+    Each parameter of the mission stands for a parameter of a part, and has its type, bounds and
+    default. Adds a fault to `document` for a parameter that the part's pattern does not have.
+    `classes`: the pattern class of each part; a part without a class is skipped.
+    """
+    fields: list[Any] = []  # (name, type), or (name, type, default)
+    for own_name, (part, part_parameter) in document.parameters.items():
+        if part not in classes:
             continue
-        kind = classes[name].params_type
-        known = {field.name: field for field in msgspec.structs.fields(kind)}
-        if param not in known:
-            pattern = document.parts[name].pattern
-            text = f"names {unknown('parameter', param, known)} (of {pattern})"
-            document.faults.append(fault_at(("parameters", own), text))
+        part_params_type = classes[part].params_type
+        part_fields = {field.name: field for field in msgspec.structs.fields(part_params_type)}
+        if part_parameter not in part_fields:
+            pattern = document.parts[part].pattern
+            text = f"names {unknown('parameter', part_parameter, part_fields)} (of {pattern})"
+            document.faults.append(fault_at(("parameters", own_name), text))
             continue
-        hint, default = type_hints(kind, include_extras=True)[param], known[param].default
-        fields.append((own, hint) if default is NODEFAULT else (own, hint, default))
+        hint = type_hints(part_params_type, include_extras=True)[part_parameter]
+        default = part_fields[part_parameter].default
+        has_default = default is not NODEFAULT
+        fields.append((own_name, hint, default) if has_default else (own_name, hint))
     fields.append(("recovery", Recovery, _recovery(document, classes)))
-    made = msgspec.defstruct(
+    params_type = msgspec.defstruct(
         "MissionParams",
         fields,
         bases=(Params,),
@@ -238,7 +245,7 @@ def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
         kw_only=True,
         forbid_unknown_fields=True,
     )
-    return cast("type[Params]", made)
+    return cast("type[Params]", params_type)
 
 
 def _recovery(document: Document, classes: PatternClasses) -> bool:
@@ -372,7 +379,7 @@ class _SequenceNode(_Node):
     """Runs a sequence or a fallback.
 
     A sequence starts the next step when a step ends, a fallback starts the next item when an item
-    fails. A transition of a step starts the step that the transition names.
+    fails. If a transition of the present step holds, the step that the transition names starts.
     """
 
     def __init__(self, element: schema.Sequence | schema.Fallback) -> None:

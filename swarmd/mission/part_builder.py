@@ -29,9 +29,9 @@ _NOT_MADE = "cannot be made: "
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PartBuilder:
-    """Builds parts by name and collects the faults.
+    """Makes the parts (patterns) of a mission by name, and collects the faults.
 
-    `exposed`: by part, the values of the parameters that are the mission's own parameters.
+    `exposed`: by part, the values of those parameters that are the mission's own parameters, too.
     """
 
     document: Document
@@ -73,66 +73,80 @@ def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
 def build_setters(
     builder: PartBuilder, parts: Parts, opinions: Mapping[str, int] | None = None
 ) -> list[Setter]:
-    """A setter for each map between these parts.
+    """Make a setter for each map of the mission whose two parts are among `parts`.
 
-    Each value is tried twice: on a part that starts with the value, and on a part that is changed
-    to the value. `opinions`: by part, overrides the number of its opinions.
+    A map sets a parameter of the target part by the report of a source part. Each value is tried on
+    new parts: one that starts with the value, and one that is changed to the value. A refused value
+    adds a fault to the builder. `opinions`: by part, overrides the number of opinions of a vote.
     """
     setters = []
     for keys, mapping in builder.document.maps:
         source, target = split(mapping.source), split(mapping.target)
-        if source[0] not in parts or target[0] not in parts:
+        source_part, source_report = source
+        target_part, target_parameter = target
+        if source_part not in parts or target_part not in parts:
             continue
-        known = [spec.name for spec in schema(parts[target[0]].params_type)]
-        if target[1] not in known:  # reported here once, instead of once for each value
-            text = f"names {unknown('parameter', target[1], known)} (of {target[0]})"
+        # An unknown parameter is reported here once, instead of once for each value.
+        known = [spec.name for spec in schema(parts[target_part].params_type)]
+        if target_parameter not in known:
+            text = f"names {unknown('parameter', target_parameter, known)} (of {target_part})"
             builder.faults.append(fault_at((*keys, "to"), text))
             continue
-        count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
-        is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
-        table: dict[BoundedScalar, BoundedScalar] = {}
-        for reported, value in _values(
-            builder, keys, mapping, count if is_opinion else None
-        ).items():
+        # The opinion of a vote has a known number of values, and the map must have all of them.
+        opinion_count: int | None = None
+        pattern = parts[source_part]
+        if isinstance(pattern, VotingPattern) and source_report == OPINION:
+            default_count = getattr(pattern.params, "opinions", 0)
+            opinion_count = (opinions or {}).get(source_part, default_count)
+        values = _values(builder, keys, mapping, opinion_count)
+        accepted: dict[BoundedScalar, BoundedScalar] = {}
+        for reported, value in values.items():
             prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
-            tried = _noting(builder, keys, partial(_tried, builder, target, value), prefix)
-            if tried is not None:
-                table[reported] = tried
-        setters.append(Setter(source, target, table))
+            try_value = partial(_tried, builder, target, value)
+            converted = _noting(builder, keys, try_value, prefix)
+            if converted is not None:
+                accepted[reported] = converted
+        setters.append(Setter(source, target, accepted))
     return setters
 
 
 def check_reports(builder: PartBuilder, parts: Parts) -> None:
     """Add a fault for each reference to a report that a part does not have.
 
-    A part that reports nothing in its first step may have any report later.
+    The reports of a part are those of its first step. A part that reports nothing in its first step
+    may have any report later.
     """
     document = builder.document
-    known = {name: _reports(builder, name) for name in parts}
+    reports = {part: _reports(builder, part) for part in parts}
 
-    def check(keys: Keys, reference: Reference, more: set[str]) -> None:
-        part, key = reference
-        if known.get(part) and key not in known[part] | more:
-            text = f"names {unknown('report', key, known[part] | more)} (of {part})"
+    def check(keys: Keys, reference: Reference, further_names: set[str]) -> None:
+        """Check `reference` (part, report), which stands at the place `keys` of the file."""
+        part, report = reference
+        valid_names = reports.get(part, set()) | further_names
+        if reports.get(part) and report not in valid_names:
+            text = f"names {unknown('report', report, valid_names)} (of {part})"
             builder.faults.append(fault_at(keys, text))
 
+    # References of maps; of the mission's own report, which may name parameters, too; and of
+    # conditions.
     for keys, mapping in document.maps:
         check((*keys, "from"), split(mapping.source), set())
-    for own, reference in document.report.items():
+    for name, reference in document.report.items():
         part = parts.get(reference[0])
         params = {spec.name for spec in schema(part.params_type)} if part is not None else set()
-        check(("report", own), reference, params)
+        check(("report", name), reference, params)
     for keys, condition in conditions(document.root):
-        for simple in simple_conditions(condition):
-            name = report_of(simple)
-            if name is not None:
-                check(keys, split(name), set())
+        for simple_condition in simple_conditions(condition):
+            report = report_of(simple_condition)
+            if report is not None:
+                check(keys, split(report), set())
 
 
 def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
-    """A new part without the parameters that it refuses; adds a fault for each of these.
+    """A new part; the builder gets a fault for each parameter that the part refuses.
 
-    None, with a fault, if the part cannot be made.
+    Refused parameters are left out, so that all are found. None, with a fault, if the part cannot
+    be made.
     """
     parts, exposed = builder.document.parts, builder.exposed.get(name, {})
     while True:
@@ -168,19 +182,18 @@ def error_text(error: BaseException) -> str:
 
 
 def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None) -> Table:
-    """The values of a map by reported value; {} with a fault if values are missing.
+    """The table of a map: the value of the target parameter by reported value.
 
-    `opinions`: the number of opinions of the source part; None if the source is no vote's opinion.
+    `keys`: the place of the map in the file. `opinions`: the number of opinions of the source part;
+    None if the source is not the opinion of a vote. Returns {}, and adds a fault, if the map has
+    too few values.
     """
     table: dict[BoundedScalar, BoundedScalar]
-    if mapping.values is not None:
-        rows = (
-            enumerate(mapping.values)
-            if isinstance(mapping.values, list)
-            else mapping.values.items()
-        )
-        table = dict(rows)
-    else:
+    if isinstance(mapping.values, list):  # for the reported values 0, 1, 2 ...
+        table = dict(enumerate(mapping.values))
+    elif mapping.values is not None:
+        table = dict(mapping.values)
+    else:  # base + step * n for the reported values n = 0, 1, 2 ...
         count = mapping.count or opinions
         if count is None:
             text = (
@@ -188,14 +201,13 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
             )
             builder.faults.append(fault_at(keys, text))
             return {}
-        table = {
-            number: (mapping.base or 0.0) + (mapping.step or 0.0) * number
-            for number in range(count)
-        }
+        base, step = mapping.base or 0.0, mapping.step or 0.0
+        table = {number: base + step * number for number in range(count)}
     missing = [number for number in range(opinions or 0) if number not in table]
     if missing:
-        text = f"has no value for opinion {missing[0]}; {split(mapping.source)[0]} has {opinions}"
-        builder.faults.append(fault_at((*keys, "values"), f"{text} opinions"))
+        source_part, _ = split(mapping.source)
+        text = f"has no value for opinion {missing[0]}; {source_part} has {opinions} opinions"
+        builder.faults.append(fault_at((*keys, "values"), text))
         return {}
     return table
 

@@ -54,6 +54,8 @@ class PatternExecutor:
         return self._on_set(command) if is_current else None
 
     def _on_load(self, load: host_messages.Load) -> host_messages.SentEvent:
+        """Make the pattern and its end conditions; the pattern before stays after a refusal."""
+        # 1. The pattern. `_guard` returns a `_Fault` if the code of the pattern raises.
         assembled = _guard(
             lambda: assemble(
                 load.pattern,
@@ -66,23 +68,26 @@ class PatternExecutor:
         )
         if isinstance(assembled, _Fault):
             return host_messages.LoadRefused(load.generation, *assembled)
+        # 2. The conditions that end the run. Any error other than a missing sensor is an invalid
+        #    condition.
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
-            is_unread = until.refusal is Refusal.PATTERN_FAILED
-            refusal = Refusal.INVALID_CONDITION if is_unread else until.refusal
+            is_other_error = until.refusal is Refusal.PATTERN_FAILED
+            refusal = Refusal.INVALID_CONDITION if is_other_error else until.refusal
             return host_messages.LoadRefused(load.generation, until.text, refusal)
+        # 3. Take the place of the pattern before. The note tells the operator which requested
+        #    speeds exceed the limits of the base.
         self._load = load
         self._assembled = assembled
         self._until = until
         pattern = assembled.pattern
-        channels = frozenset(pattern.channels)
-        rate = float(pattern.rate)
-        asked = dict(load.layers).get(host_messages.REQUEST_LAYER, {})
-        note = _beyond_limits(type(pattern).params_type, asked, assembled.params, load.platform)
+        requested = dict(load.layers).get(host_messages.REQUEST_LAYER, {})
+        params_type = type(pattern).params_type
+        note = _beyond_limits(params_type, requested, assembled.params, load.platform)
         return host_messages.Loaded(
             load.generation,
-            rate,
-            channels,
+            float(pattern.rate),
+            frozenset(pattern.channels),
             assembled.params,
             pattern.touches,
             note=note,
@@ -131,13 +136,15 @@ class PatternExecutor:
 
 
 def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
-    """The outputs of a step, converted to Python's own types.
+    """The outputs of a pattern's step, with all values converted to Python's own types.
 
-    Raises PluginError if `outputs` is no Outputs, the command is no Twist, or a value on a declared
-    channel lacks the channel's type. Report values that are no scalars are left out.
+    `channels`: the declared message channels, with the type of each. PluginError if `outputs` is no
+    Outputs, the command is no Twist, or a value on a declared channel cannot be converted to its
+    type. Report values that are no scalars are left out.
     """
     if not isinstance(outputs, Outputs):
         raise PluginError(f"step gave {named(outputs)}; expected Outputs")
+    # The command: a numpy number becomes a float.
     twist = outputs.twist
     if twist is not None:
         if not isinstance(twist, Twist):
@@ -145,16 +152,18 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
         linear, angular, lateral = twist.linear, twist.angular, twist.lateral
         if not type(linear) is type(angular) is type(lateral) is float:
             twist = Twist(float(linear), float(angular), float(lateral))
+    # Messages to other robots.
     messages: dict[str, Value] = {}
-    for channel, sent in outputs.messages.items():
-        value, kind = _plain(sent), channels.get(channel)
-        if kind is not None:
+    for channel, raw_value in outputs.messages.items():
+        value, declared_type = _plain(raw_value), channels.get(channel)
+        if declared_type is not None:
             try:
-                value = msgspec.convert(value, kind)
+                value = msgspec.convert(value, declared_type)
             except msgspec.ValidationError:
-                wanted = f"expected {kind.__name__}, as channels declares"
-                raise PluginError(f"channel {channel!r} got {named(value)}; {wanted}") from None
+                expected = f"expected {declared_type.__name__}, as channels declares"
+                raise PluginError(f"channel {channel!r} got {named(value)}; {expected}") from None
         messages[str(channel)] = value
+    # The report for operators.
     report: dict[str, Scalar] = {}
     for name, reported in outputs.report.items():
         if type(reported) not in _IMMUTABLE:

@@ -1,10 +1,10 @@
-"""Forks a pattern host from the process that becomes its daemon, so that both share imports.
+"""Forks a pattern host from the process that becomes its daemon, so that both share their imports.
 
 The PSS of daemon and host is 5 MB (8 %) less than with a host that starts by exec. More modules
 imported before the fork raise it: the daemon writes to their pages, of which the host keeps copies.
 
 The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
-host keeps no descriptor of the daemon, and waits until the daemon uses it as the first host.
+host keeps no file descriptor of the daemon, and waits until the daemon uses it as its first host.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def forked_host(path: Sequence[str]) -> Iterator[None]:
 def take_forked_host(
     folders: Sequence[Sequence[str]], printed: int
 ) -> tuple[ForkedHost, socket.socket] | None:
-    """The forked host and its socket, at the first call; None later, or without a forked host.
+    """(the forked host, its socket) at the first call; None later, or without a forked host.
 
     `folders` and `printed`: as for a host that is started by exec.
     """

@@ -73,10 +73,10 @@ def why_it_ended(code: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class HostSettings:
-    """Settings of every host.
+    """Settings of every pattern host.
 
-    `printed`: the file descriptor for its output. `readable`, `secret`: folders of its sandbox, as
-    `swarmd.pattern_host.sandbox.confine` takes them.
+    `printed`: the file descriptor that takes its output. `readable`, `secret`: folders of its
+    sandbox, as in `swarmd.pattern_host.sandbox.confine`.
     """
 
     printed: int
@@ -85,10 +85,10 @@ class HostSettings:
 
 
 class HostProcess:
-    """One child process and the daemon's end of its socket.
+    """One pattern host (child process), and the daemon's end of its socket.
 
-    `sandbox`: what the kernel denies the process; None until the process reports this, before any
-    plugin code runs.
+    `sandbox`: the accesses that the kernel denies the host. None until the host reports them, which
+    it does before any plugin code runs.
     """
 
     def __init__(
@@ -190,7 +190,7 @@ def _execute(
 
 
 def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
-    """The result of the trial `generation`, from the answer to its load.
+    """The result of trial `generation`, made of the host's answer to the load.
 
     A pattern that takes longer to load than LOAD_TIMEOUT of a run is refused: no run could load it.
     """

@@ -27,9 +27,9 @@ _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
 
 class PatternLoader:
-    """Maps pattern names to classes.
+    """Returns the class of a pattern by its name.
 
-    `origins`: by name (`module:Class` or path, True for a path).
+    `origins`: by name, `module:Class` with False, or the path of a file with True.
     """
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
@@ -43,7 +43,7 @@ class PatternLoader:
     def begin(
         self, origins: Mapping[str, tuple[str, bool]], digests: Mapping[str, bytes] | None = None
     ) -> None:
-        """Begin a load: each file is read anew, and only once until the next load.
+        """Begin a load: each file is read anew, and only once until the next load begins.
 
         `digests`: by name, the SHA-256 that the file or wheel must have.
         """
@@ -140,9 +140,10 @@ def _checked(path: Path, digest: bytes) -> bytes:
 
 
 def _import_first_from(wheel: str) -> None:
-    """Make imports use a wheel, in place of an earlier version of the wheel.
+    """Import modules from a wheel first, and no longer from an earlier version of the wheel.
 
-    The wheel also precedes an installed package of the same name: the wheel was pushed and tried.
+    The wheel also precedes an installed package of the same name, since the wheel was pushed and
+    tried.
     """
     from zipfile import ZipFile  # imported late: few hosts run a wheel
 
@@ -212,9 +213,10 @@ def import_file(path: Path, digest: bytes = b"") -> ModuleType:
 
 
 class _UncachedLoader(SourceFileLoader):
-    """Compiles the file at each load, and neither reads nor writes cached bytecode.
+    """Compiles a file of a plugin at each load, without cached bytecode (.pyc).
 
-    Python would take cached bytecode for valid if the file changes within the same second.
+    If a file changes twice within a second, Python takes the bytecode of the first change for
+    valid.
     """
 
     def __init__(self, name: str, path: str, digest: bytes) -> None:

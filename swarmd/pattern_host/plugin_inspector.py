@@ -95,7 +95,12 @@ class InspectionOutput:
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.plugin_inspector`."""
+    """Entry of `python -m swarmd.pattern_host.plugin_inspector`, a child of swarmctl or swarmd.
+
+    Imports plugin code and writes JSON lines for the verb `describe`, `check` or `mission`. The
+    last line is `end`, or `error` with the text of an error of swarmd.
+    """
+    # 1. The command line.
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
@@ -103,30 +108,31 @@ def main() -> None:
     parser.add_argument("--secret", type=Path, action="append", default=[], help="unreadable")
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("describe").add_argument("names", nargs="*", help="default: all")
-    checking = verbs.add_parser("check")
-    checking.add_argument("file", type=Path)
-    checking.add_argument("--done", nargs="*", default=[], help="points to leave out")
+    check_parser = verbs.add_parser("check")
+    check_parser.add_argument("file", type=Path)
+    check_parser.add_argument("--done", nargs="*", default=[], help="points to leave out")
     verbs.add_parser("mission").add_argument("file", type=Path)
     args = parser.parse_args()
     die_with_parent(args.parent)
-    answer = InspectionOutput()
+    output = InspectionOutput()
     try:
+        # 2. Bound memory and enter the sandbox, before any plugin code is imported.
         platform = load_platform(args.platform)
-        file = getattr(args, "file", None)
         readable = [] if args.plugin_dir is None else [args.plugin_dir]
+        if args.verb != "describe":
+            readable.append(readable_beside(args.file.resolve()))
         limit_growth(MAX_GROWTH)
-        confine(
-            [*readable, *([] if file is None else [readable_beside(file.resolve())])], args.secret
-        )
+        confine(readable, args.secret)
+        # 3. Carry out the verb.
         if args.verb == "check":
-            _check_plugin(args.file.resolve(), frozenset(args.done), answer)
+            _check_plugin(args.file.resolve(), frozenset(args.done), output)
         elif args.verb == "describe":
-            _describe_patterns(args.names, args.plugin_dir, platform, answer)
+            _describe_patterns(args.names, args.plugin_dir, platform, output)
         else:
-            _inspect_mission(args.file, platform, args.plugin_dir, answer)
-        answer.send(end=True)
+            _inspect_mission(args.file, platform, args.plugin_dir, output)
+        output.send(end=True)
     except SwarmError as error:
-        answer.send(error=str(error))
+        output.send(error=str(error))
 
 
 def readable_beside(file: Path) -> Path:
@@ -150,39 +156,49 @@ def _describe_patterns(
 
 
 def _describe(name: str, source: str, loader: PatternLoader, platform: Platform) -> dict[str, Any]:
+    """The description of a pattern for robots of `platform`, as JSON for `swarmctl patterns`.
+
+    `source`: the file or package of the pattern. If the pattern cannot be loaded, the description
+    has only `name`, `source` and `error`. `missing`: sensors that the platform lacks. `refused`:
+    why a robot would refuse the mission; empty if not, and for patterns that are no missions.
+    """
     try:
-        kind = loader(name)
-        params = schema(kind.params_type)
-        derived = kind.defaults(platform)
-        check_zone(name, kind.touches)
-        check_scan_delay(name, kind.scan_delay)
-        is_mission_here = issubclass(kind, Mission) and kind.needs <= platform.provides
+        pattern = loader(name)
+        params = schema(pattern.params_type)
+        derived_defaults = pattern.defaults(platform)
+        check_zone(name, pattern.touches)
+        check_scan_delay(name, pattern.scan_delay)
+        # A mission can be tried if the platform has its sensors and all parameters have defaults.
+        is_mission = issubclass(pattern, Mission)
         has_all_defaults = not any(spec.is_required for spec in params)
-        refused = _refusal(name, loader, platform) if is_mission_here and has_all_defaults else ""
+        refused = ""
+        if is_mission and pattern.needs <= platform.provides and has_all_defaults:
+            refused = _refusal(name, loader, platform)
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         return {"name": name, "error": error_text(error), "source": source}
+    text = (pattern.__doc__ or "").strip()
     return {
         "name": name,
-        "summary": (kind.__doc__ or "").strip().split("\n")[0],
-        "text": (kind.__doc__ or "").strip(),
-        "kind": _kind(kind),
-        "group": kind.group or ("missions" if issubclass(kind, Mission) else "yours"),
+        "summary": text.split("\n")[0],
+        "text": text,
+        "kind": _kind(pattern),
+        "group": pattern.group or ("missions" if is_mission else "yours"),
         "source": source,
-        "needs": sorted(kind.needs),
-        "missing": sorted(kind.needs - platform.provides),
-        "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},
-        "rate": kind.rate,
-        "report_units": dict(kind.report_units),
-        "touches": None if kind.touches is None else describe_zone(kind.touches),
+        "needs": sorted(pattern.needs),
+        "missing": sorted(pattern.needs - platform.provides),
+        "channels": {channel: type_.__name__ for channel, type_ in dict(pattern.channels).items()},
+        "rate": pattern.rate,
+        "report_units": dict(pattern.report_units),
+        "touches": None if pattern.touches is None else describe_zone(pattern.touches),
         "platform": platform.name,
         "refused": refused,
         "params": [
             {
                 **asdict(spec),
                 "wanted": spec.wanted,
-                "default": derived.get(spec.name, spec.default),
-                "is_derived": spec.name in derived,
-                "is_own": spec.name in kind.params_type.__annotations__,
+                "default": derived_defaults.get(spec.name, spec.default),
+                "is_derived": spec.name in derived_defaults,
+                "is_own": spec.name in pattern.params_type.__annotations__,
             }
             for spec in params
         ],
@@ -227,38 +243,46 @@ def _kind(kind: type[Pattern[Any]]) -> str:
 # check
 
 
-def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) -> None:
-    """Check the file by the pattern contract, without the points in `done`; send each result."""
-    _report_side_effects(path, answer)
-    loaded: list[type[Pattern[Any]]] = []
+def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) -> None:
+    """Check the pattern in the file `path` against the contract of patterns.
+
+    For each point (rule of the contract) sends a line `begin` and a line `result`, with `fault` if
+    the point is violated. `done`: points of the contract's tests to leave out. Ends after the
+    first point that hangs, or if the file cannot be loaded.
+    """
+    _report_side_effects(path, output)
+    # 1. Load the class of the pattern.
+    classes: list[type[Pattern[Any]]] = []
 
     def load() -> None:
         name = pattern_name(path)
         check_module_name(name)
-        loaded.append(PatternLoader({name: (str(path), True)})(name))
+        classes.append(PatternLoader({name: (str(path), True)})(name))
 
-    answer.send(begin=LOADING)
+    output.send(begin=LOADING)
     fault = _fault_of(load, path)
-    answer.send(result=LOADING, **fault)
-    if not loaded:
+    output.send(result=LOADING, **fault)
+    if not classes:
         return
+    (pattern,) = classes
+    # 2. Points that the source code shows.
     from swarmd.testing.no_side_effects import forbidden_imports
 
     source = path.read_bytes()
-    for point, places in (
-        (IMPORTS, [(line, f"imports {name}") for line, name in forbidden_imports(source)]),
-        (DROPPED, [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]),
-    ):
+    imports = [(line, f"imports {name}") for line, name in forbidden_imports(source)]
+    unused = [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]
+    for point, places in ((IMPORTS, imports), (DROPPED, unused)):
         texts = [f"{text} ({path.name}:{line})" for line, text in places]
-        answer.send(begin=point)
-        answer.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
-    for point, check in _contract_tests(loaded[0], path.parent):
+        output.send(begin=point)
+        output.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
+    # 3. The tests of the contract, which run the pattern.
+    for point, test in _contract_tests(pattern, path.parent):
         if point in done:
             continue
-        answer.send(begin=point)
-        fault = _fault_of(check, path, loaded[0])
-        text = NOT_CLAIMED if point == MIRRORED and not loaded[0].is_symmetric else ""
-        answer.send(result=point, **{"text": text, **fault})
+        output.send(begin=point)
+        fault = _fault_of(test, path, pattern)
+        text = NOT_CLAIMED if point == MIRRORED and not pattern.is_symmetric else ""
+        output.send(result=point, **{"text": text, **fault})
         if fault.get("is_hang"):
             return
 
@@ -267,7 +291,7 @@ _UNUSED = "and does not use the value; is a return missing?"
 
 
 def dropped(source: bytes) -> Iterator[tuple[int, str]]:
-    """Find expression statements that make a Twist or Outputs and drop it: line and called name.
+    """Yields (line, name) of each statement that makes a Twist or Outputs and drops the value.
 
     Compares names only: the class, or a function of `swarmd.api` that returns such a value.
     """
@@ -422,26 +446,34 @@ def _inspect_mission(
 
 
 def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> list[str]:
-    """A line for each fault of a mission file, for robots of that platform; nothing is run.
+    """A line for each fault of a mission file, for robots of `platform`; nothing is run.
 
-    ConfigError if the file is not YAML.
+    `plugin_dir`: the folder with patterns of the user, None without one. ConfigError if the file is
+    not YAML.
     """
     document = read_document(path)
+    # 1. The name of the file, which becomes the name of the pattern: valid, and of no other
+    #    pattern. `same_name`: the patterns of this name, at most two, `value` and `rival`.
     origins = pattern_names(plugin_dir)
-    namesake = origins.get(path.stem)
+    same_name = origins.get(path.stem)
+    name_fault = ""
     if not is_id(path.stem) or path.suffix != MISSION:
-        text = (
+        name_fault = (
             "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
         )
-        document.faults.append(fault_at(("mission",), text))
     elif document.description and not is_mission(path):
-        text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
-        document.faults.append(fault_at(("mission",), text))
-    elif namesake is not None and (namesake.rival or not is_same_file(str(path), namesake.value)):
-        is_rival = is_same_file(str(path), namesake.rival)
-        owner = namesake.source if is_rival else namesake.rival or namesake.source
-        text = f"has the name of another pattern ({owner}); rename one"
-        document.faults.append(fault_at(("mission",), text))
+        name_fault = (
+            "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
+        )
+    elif same_name is not None and (
+        same_name.rival or not is_same_file(str(path), same_name.value)
+    ):
+        is_rival = is_same_file(str(path), same_name.rival)
+        owner = same_name.source if is_rival else same_name.rival or same_name.source
+        name_fault = f"has the name of another pattern ({owner}); rename one"
+    if name_fault:
+        document.faults.append(fault_at(("mission",), name_fault))
+    # 2. The parts; the mission as a whole only if the parts are without fault.
     find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
     if not document.faults:

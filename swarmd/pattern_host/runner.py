@@ -77,8 +77,9 @@ class InlineRunner:
 
 
 class ProcessRunner:
-    """Keeps one pattern host started ahead; made on the loop's thread, before Zenoh is opened.
+    """Keeps one pattern host (child process) started ahead, and sends commands to the host.
 
+    - Must be made on the thread of the event loop, before Zenoh is opened.
     - `wake` is called when there are events.
     - A host that ends by itself is replaced after a delay. The delay doubles while hosts end before
       they have sent an event.
@@ -98,23 +99,27 @@ class ProcessRunner:
         code: Sequence[Path] = (),
         secret: Sequence[Path] = (),
     ) -> None:
-        self._overlay = overlay
-        self._loop = loop
-        self._plugin_dir = plugin_dir
+        # The patterns: of packages, of `plugin_dir`, and those that `overlay` adds.
         self._installed = installed_patterns()
+        self._plugin_dir = plugin_dir
+        self._overlay = overlay
+        # Events of hosts for the daemon, which `wake` wakes.
+        self._loop = loop
         self._wake = wake
         self._events: deque[host_messages.HostEvent] = deque()
-        self._generation = 0
-        self._respawn_delay = MIN_RESPAWN_DELAY
+        self._generation = 0  # of the last command
+        # The start of a new host after the end of a host.
+        self._respawn_delay = MIN_RESPAWN_DELAY  # s
         self._respawn: asyncio.TimerHandle | None = None
         self._is_closed = False
+        # The processes: killed hosts that have not ended, the trial of new code, and the host.
         self._dying: list[HostProcess] = []
         self._trial: TrialProcess | None = None
-        self.dropped = 0
-        self._printed = PrintPipe()
+        self.dropped = 0  # commands for which the socket had no room
+        self._printed = PrintPipe()  # takes what patterns print
         readable = (*code, *([] if plugin_dir is None else [plugin_dir]))
         self._settings = HostSettings(self._printed.write, readable, secret)
-        self._sandbox: Sandbox | None = None
+        self._sandbox: Sandbox | None = None  # of the last host that has reported its sandbox
         self._host: HostProcess | None = HostProcess(loop, self, self._settings)
 
     @property
@@ -130,7 +135,12 @@ class ProcessRunner:
         return self._sandbox
 
     def send(self, command: host_messages.HostCommand) -> None:
-        """Send a command; never blocks. A command for which the socket has no room is dropped."""
+        """Send a command to the pattern host; never blocks.
+
+        A command that cannot be encoded becomes an event: the load is refused, or the pattern has
+        failed. A command for which the socket has no room is dropped and counted.
+        """
+        # 1. Commands that start or end processes.
         if isinstance(command, host_messages.StartTrial | host_messages.CancelTrial):
             self._end_trial()
             if isinstance(command, host_messages.StartTrial):
@@ -143,30 +153,32 @@ class ProcessRunner:
             log.info("loading %s", command.pattern)
             if command.is_fresh:
                 self._replace()
+        # 2. Encode. A load also gets the places of all patterns, which it may contain.
         self._generation = command.generation
         try:
-            frame = encode_command(
-                self._with_origins(command, is_trial=False)
-                if isinstance(command, host_messages.Load)
-                else command
-            )
+            if isinstance(command, host_messages.Load):
+                frame = encode_command(self._with_origins(command, is_trial=False))
+            else:
+                frame = encode_command(command)
         except (PluginError, CodecError) as error:
-            self._events.append(
-                host_messages.LoadRefused(
-                    command.generation, str(error), host_messages.refusal_of(error)
-                )
-                if isinstance(command, host_messages.Load)
-                else host_messages.PatternFailed(command.generation, str(error))
-            )
+            generation, text = command.generation, str(error)
+            event: host_messages.HostEvent
+            if isinstance(command, host_messages.Load):
+                refusal = host_messages.refusal_of(error)
+                event = host_messages.LoadRefused(generation, text, refusal)
+            else:
+                event = host_messages.PatternFailed(generation, text)
+            self._events.append(event)
             self._loop.call_soon(self._wake)
             return
+        # 3. Send. If the socket is full or the host has ended, a timeout or the pidfd shows that.
         host = self._host or self._start()
         try:
             if isinstance(command, host_messages.Load):
                 host.load(frame)
             else:
                 host.socket.send(frame)
-        except OSError:  # the socket is full, or the host has ended: timeout or pidfd show that
+        except OSError:
             self.dropped += 1
 
     def events(self) -> Iterable[host_messages.HostEvent]:

@@ -184,7 +184,7 @@ _Instruction = tuple[int, int, int, int]
 
 
 def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandbox:
-    """Confine this single-threaded process. Returns what the kernel denies from now on.
+    """Confine this single-threaded process for ever; returns what the kernel now denies.
 
     `readable`: files and folders of plugins. `secret`: folders that stay unreadable, also below a
     folder of the import path or of `readable`.
@@ -319,27 +319,35 @@ def _restrict_system_calls(libc: ctypes.CDLL) -> str:
 
 
 def _program(column: int, architecture: int) -> Iterator[_Instruction]:
-    """The filter in the classic BPF of seccomp(2).
+    """The filter of system calls, in the classic BPF of seccomp(2).
 
-    `column`: the index, in each pair of system call numbers, of the number on `architecture`. An
-    instruction is (code, jump if true, jump if false, operand).
+    `architecture`: the AUDIT_ARCH of the processor. `column`: the index of this architecture in
+    each pair of system call numbers. An instruction is (code, jump if true, jump if false,
+    operand); a jump is the number of instructions to skip.
     """
+    # 1. Another architecture (such as 32-bit calls) is refused. System calls that are newer than
+    #    the tables do not exist for the process.
     yield _LOAD, 0, 0, _ARCHITECTURE
     yield _EQUAL, 1, 0, architecture
     yield _RETURN, 0, 0, _REFUSE
     yield _LOAD, 0, 0, _NUMBER
     yield _AT_LEAST, 0, 1, _NEWEST + 1
     yield _RETURN, 0, 0, _UNKNOWN
+    # 2. System calls that are refused, or seem absent, whatever their arguments.
     for table, result in ((_DENIED, _REFUSE), (_ABSENT, _UNKNOWN)):
         for numbers in table.values():
             yield from _if_called(numbers[column], [], result)
+    # 3. Signals only to the own process.
     for numbers in (_KILL, _TGKILL):
-        own = [*_argument(0), *_allowed(os.getpid())]
-        yield from _if_called(numbers[column], own, _REFUSE)
-    for numbers, place, commands in _REFUSED_COMMANDS:
-        refused = chain.from_iterable(map(_refused, commands))
-        yield from _if_called(numbers[column], [*_argument(place), *refused], _ALLOW)
-    limits = [  # prlimit is permitted for the own process (pid 0), only to read (new limits NULL)
+        own_process = [*_argument(0), *_allowed(os.getpid())]
+        yield from _if_called(numbers[column], own_process, _REFUSE)
+    # 4. prctl, fcntl and ioctl without the listed commands.
+    for numbers, argument_index, commands in _REFUSED_COMMANDS:
+        refusals = chain.from_iterable(map(_refused, commands))
+        block = [*_argument(argument_index), *refusals]
+        yield from _if_called(numbers[column], block, _ALLOW)
+    # 5. prlimit only for the own process (pid 0), and only to read (new limits NULL).
+    limits = [
         *_argument(0),
         *_required(0),
         *_argument(2),
@@ -348,19 +356,19 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
         *_allowed(0),
     ]
     yield from _if_called(_PRLIMIT[column], limits, _REFUSE)
-    yield from _if_called(
-        _CLONE[column],
-        [*_argument(0), (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT), (_RETURN, 0, 0, _REFUSE)],
-        _ALLOW,
-    )
-    # An open with the access mode 3 (neither read nor write) passes Landlock, and permits ioctl.
-    # Before Linux 6.2 an open that reads and truncates passes Landlock, too.
-    for numbers, place in ((_OPEN, 1), (_OPENAT, 2)):
-        flags = [*_argument(place), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
-        modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
-        refused = chain.from_iterable(map(_refused, modes))
-        yield from _if_called(numbers[column], [*flags, *refused], _ALLOW)
-    # The sockets of a SOCK_DGRAM pair could be connected to other sockets.
+    # 6. clone without new namespaces, and without a child of the daemon.
+    flags = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)
+    clone = [*_argument(0), flags, (_RETURN, 0, 0, _REFUSE)]
+    yield from _if_called(_CLONE[column], clone, _ALLOW)
+    # 7. open without two modes that Landlock lets pass: the access mode 3 (neither read nor write)
+    #    permits ioctl; before Linux 6.2 Landlock ignores that a reader truncates.
+    for numbers, argument_index in ((_OPEN, 1), (_OPENAT, 2)):
+        mode = [*_argument(argument_index), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
+        refused_modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
+        refusals = chain.from_iterable(map(_refused, refused_modes))
+        yield from _if_called(numbers[column], [*mode, *refusals], _ALLOW)
+    # 8. Socket pairs of streams and packets. The sockets of a SOCK_DGRAM pair could be connected to
+    #    other sockets.
     pair = [
         *_argument(0),
         *_required(_AF_UNIX),
@@ -376,9 +384,10 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
 def _if_called(
     number: int | None, block: Sequence[_Instruction], end: int
 ) -> Iterator[_Instruction]:
-    """Run `block` if the system call `number` is called, then return the verdict `end`.
+    """Instructions that run `block` if the system call `number` is called, then return `end`.
 
-    `number` None: the architecture lacks the call; no instruction.
+    `end`: the verdict (permit or refuse). None for `number`: the architecture lacks the call, so
+    there is no instruction.
     """
     if number is not None:
         yield _EQUAL, 0, len(block) + 1, number

@@ -7,6 +7,7 @@ binary distribution format). No code of the wheel is executed here.
 from __future__ import annotations
 
 import io
+import stat
 import sys
 import zipfile
 from collections.abc import Iterator
@@ -77,32 +78,40 @@ def _opened(content: bytes, label: str) -> Iterator[zipfile.ZipFile]:
 
 
 def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
+    """The files of a wheel, all of which a robot may unpack; else PluginError.
+
+    Refuses a wheel that is too large, and files outside the folder of the wheel, links, native
+    code, and modules that would hide modules of the robot. `label`: the wheel, for messages.
+    """
     files = [info for info in archive.infolist() if not info.is_dir()]
+    # 1. Rules for all files together.
     size = sum(info.file_size for info in files)
     if len(files) > MAX_FILES or size > MAX_UNPACKED:
         raise PluginError(
             f"{label} has {len(files)} files of {size} bytes;"
             f" at most {MAX_FILES} of {MAX_UNPACKED} are taken"
         )
-    names = {PurePosixPath(info.filename) for info in files}
-    folders = {folder for name in names for folder in name.parents}
-    if twice := sorted(map(str, names & folders)):
-        raise PluginError(f"{label} has the file {twice[0]!r}, which is also a folder")
+    paths = {PurePosixPath(info.filename) for info in files}
+    folders = {folder for path in paths for folder in path.parents}
+    if both := sorted(map(str, paths & folders)):
+        raise PluginError(f"{label} has the file {both[0]!r}, which is also a folder")
+    # 2. Rules for each file.
     for info in files:
         path = PurePosixPath(info.filename)
-        is_named = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
-        is_inside = is_named and "\\" not in info.filename
+        is_relative = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+        is_inside = is_relative and "\\" not in info.filename
         # The upper 16 bits of the attributes are the Unix mode. A link could point anywhere.
-        is_link = (info.external_attr >> 16) & 0o170000 == 0o120000
-        if not is_inside or is_link or not info.filename.isprintable():
+        mode = info.external_attr >> 16
+        if not is_inside or stat.S_ISLNK(mode) or not info.filename.isprintable():
             raise PluginError(f"{label} has the file {info.filename!r}, which lies elsewhere")
         if path.suffix.lower() in _NATIVE or ".so." in path.name:
             raise PluginError(f"{label} has native code: {info.filename}")
-        if path.parts[0].removesuffix(".py") in _TAKEN:
+        top_name = path.parts[0]
+        if top_name.removesuffix(".py") in _TAKEN:
             raise PluginError(f"{label} would hide a module of that name: {info.filename}")
-        if path.parts[0].endswith(".data"):
+        if top_name.endswith(".data"):
             raise PluginError(f"{label} has files outside its packages: {info.filename}")
-        _read(archive, info, label)
+        _read(archive, info, label)  # PluginError if the content is damaged
     return files
 
 

@@ -36,9 +36,9 @@ MIN_ROUND_TRIP = 1e-6
 
 
 class Exchange(NamedTuple):
-    """A query at `sent` and its answer at `returned`, in s on clock `own`.
+    """A query that was sent at `sent` and whose answer returned at `returned`, in s on clock `own`.
 
-    In between, clock `peer` showed `answered`.
+    Between these times clock `peer` showed `answered` (s).
     """
 
     own: str
@@ -68,10 +68,11 @@ class ClockLine:
         return self.at + (time - self.at - self.offset) / (1.0 + self.drift)
 
     def error(self, time: float) -> float:
-        """The bound of the error of `forward` at `time`, in s.
+        """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
 
-        The error is a line in time, too, and is bounded at each exchange. Between two exchanges the
-        bound is interpolated. Outside all exchanges the bound grows with MAX_DRIFT.
+        The error is bounded at each exchange of the two clocks. Between two exchanges the bound is
+        interpolated, since the error is a line in time. Outside all exchanges the bound grows with
+        MAX_DRIFT.
         """
         away = np.abs(time - self.times)
         by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
@@ -105,7 +106,7 @@ def fit_line(times: Array, offsets: Array, round_trips: Array) -> ClockLine:
 def _shortest(times: Array, round_trips: Array) -> NDArray[np.intp]:
     """The indices of the exchanges with the shortest round trip in each window of time.
 
-    The first and the last exchange are kept, too, since the error grows outside of them.
+    The first and the last exchange are added, since the error of a line grows outside of them.
     """
     order = np.argsort(times, kind="stable")
     count = min(-(-len(order) // A_WINDOW), MAX_WINDOWS)
@@ -141,39 +142,43 @@ class Alignment:
 def align(
     exchanges: Iterable[Exchange], spans: Mapping[str, tuple[float, float]], reference: str
 ) -> dict[str, Alignment]:
-    """Alignments to the reference clock, by clock, along the path with the least error (Dijkstra).
+    """Alignments of clocks to the clock `reference`, by clock.
 
-    `spans`: first and last time of the recordings on each clock, in s. A clock without a path of
-    exchanges to the reference is left out of the result.
+    Two clocks that exchanged queries have a line (offset and drift) between them, with a bound of
+    its error. A clock is aligned along the path of lines with the least sum of these bounds
+    (Dijkstra's algorithm). `spans`: by clock, first and last time of its recordings in s. A clock
+    without a path to the reference is left out.
     """
-    lines = _lines(exchanges)
-    near: dict[str, list[str]] = defaultdict(list)
-    for lower, higher in lines:
-        near[lower].append(higher)
-        near[higher].append(lower)
-    paths: dict[str, tuple[str, ...]] = {}
-    heap: list[tuple[float, tuple[str, ...]]] = [(0.0, (reference,))]
-    done: set[str] = set()
-    while heap:
-        error, path = heapq.heappop(heap)
-        if path[-1] in done:
+    lines = _lines(exchanges)  # by pair of clocks in sorted order
+    neighbors: dict[str, list[str]] = defaultdict(list)
+    for first, second in lines:
+        neighbors[first].append(second)
+        neighbors[second].append(first)
+    # Candidates (sum of bounds in s, path from the reference); the least is popped first.
+    candidates: list[tuple[float, tuple[str, ...]]] = [(0.0, (reference,))]
+    paths: dict[str, tuple[str, ...]] = {}  # by clock: the best path, which is final
+    while candidates:
+        path_error, path = heapq.heappop(candidates)
+        clock = path[-1]
+        if clock in paths:
             continue
-        done.add(path[-1])
-        paths[path[-1]] = path
-        for clock in near[path[-1]]:
-            if clock not in done:
-                line = lines[min(clock, path[-1]), max(clock, path[-1])]
-                more = max(line.error(float(end)) for end in (line.times.min(), line.times.max()))
-                heapq.heappush(heap, (error + more, (*path, clock)))
+        paths[clock] = path
+        for neighbor in neighbors[clock]:
+            if neighbor not in paths:
+                line = lines[min(neighbor, clock), max(neighbor, clock)]
+                begin, end = float(line.times.min()), float(line.times.max())
+                line_error = max(line.error(begin), line.error(end))
+                heapq.heappush(candidates, (path_error + line_error, (*path, neighbor)))
     return {
         clock: _along(paths[clock], lines, span) for clock, span in spans.items() if clock in paths
     }
 
 
 def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
-    """By pair of clock ids in sorted order: the line from the first to the second clock.
+    """The line from the first to the second clock, by pair of clock ids in sorted order.
 
-    Queries in both directions count.
+    Fits the line through the queries of both directions. Leaves out exchanges of a clock with
+    itself, and answers before their query.
     """
     measured: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for exchange in exchanges:

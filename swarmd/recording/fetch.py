@@ -84,11 +84,11 @@ def fetch(
     folder: Path,
     on_progress: Callable[[int, int], None] = lambda received, size: None,
 ) -> Copy:
-    """Copy a recording to `<folder>/<robot>/`; present bytes are not copied again.
+    """Copy a recording of a robot to `<folder>/<robot>/`; present bytes are not copied again.
 
-    An incomplete copy has the ending `.partial`, and can be read like a truncated file. A file that
-    the robot still writes is copied up to its present end. An earlier file of the same name from
-    another recording is renamed. NetworkError if the robot does not answer or sends damaged pieces,
+    `ask` queries the robot. `on_progress` gets the copied bytes and the size. An incomplete copy
+    ends in `.partial`, and can be read like a truncated file. A file that the robot still writes is
+    copied up to its present end. NetworkError if the robot does not answer or sends damaged pieces,
     OSError if the disk fails; received bytes are kept.
     """
     if not _is_name(file.name):
@@ -96,29 +96,36 @@ def fetch(
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".mcap.partial")
-    for earlier in (path, partial):
-        if earlier.exists() and not _is_part_of(earlier, ask, robot, file):
-            earlier.rename(_unused(earlier))
+    # 1. Present files. A file of the same name from another recording is renamed.
+    for present in (path, partial):
+        if present.exists() and not _is_part_of(present, ask, robot, file):
+            present.rename(_unused(present))
     if path.exists():
-        if file.crc is not None or path.stat().st_size >= file.size:
-            return Copy(path, 0, path.stat().st_size, True)
+        present_size = path.stat().st_size
+        if file.crc is not None or present_size >= file.size:
+            return Copy(path, 0, present_size, True)
         path.rename(partial)  # the copy of a truncated recording, which has grown since
-    received, fault = 0, ""
+    # 2. Append the missing pieces.
+    received_bytes, fault = 0, ""
     with partial.open("ab") as copy:
         while copy.tell() < file.size and not fault:
             reply = _piece(ask, robot, file.name, copy.tell(), PIECE)
-            fault = reply.text or ("" if reply.data else "it has become shorter")
+            if reply.text:
+                fault = reply.text
+            elif not reply.data:
+                fault = "it has become shorter"
             copy.write(reply.data)
-            received += len(reply.data)
+            received_bytes += len(reply.data)
             on_progress(copy.tell(), file.size)
         size = copy.tell()
+    # 3. A whole copy with the right checksum gets the name of the recording.
     if file.is_open or fault:
-        return Copy(partial, received, size, False, fault)
+        return Copy(partial, received_bytes, size, False, fault)
     if file.crc is not None and crc_of(partial) != file.crc:
         partial.unlink()
         raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
     partial.replace(path)
-    return Copy(path, received, size, True)
+    return Copy(path, received_bytes, size, True)
 
 
 def _is_name(name: str) -> bool:

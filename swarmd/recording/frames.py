@@ -24,9 +24,9 @@ MAX_ENTRY = 130_000
 
 
 class Begin(Struct, frozen=True, array_like=True, tag="begin"):
-    """The first entry: folder and name of the files, and texts on the robot (`about`).
+    """The first entry of a recording: folder and name of its files, texts on the robot (`about`).
 
-    `wall`: the wall clock at `at`, in s since 1970.
+    `wall`: the wall clock in s since 1970 at the time `at` of the robot's clock.
     """
 
     at: float

@@ -19,7 +19,7 @@ from swarmd.protection.compatibility import Accepts
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
-    """The robot, and the settings that decide its behaviour.
+    """The head of a recording: the robot, and the settings that decide its behaviour.
 
     `clock`: the id of the robot's clock, see `core/clock.py`. `machine`: the processor type, such
     as x86_64. `layers`: parameters by pattern and source, weakest first. The fields from `revision`

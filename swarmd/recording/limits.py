@@ -9,9 +9,10 @@ from msgspec import Struct
 
 
 class FileLimits(Struct, frozen=True, array_like=True):
-    """A new file begins after `file_bytes` or `file_seconds`.
+    """The size limits of a recording: a new file begins after `file_bytes` or `file_seconds`.
 
-    `keep_bytes`: the limit for all files of a robot; beyond it the oldest files are removed.
+    `keep_bytes`: the limit for all files of a robot; beyond this limit the oldest files are
+    removed.
     """
 
     file_bytes: int = 2**26

@@ -72,36 +72,45 @@ class Placed:
 
 
 def survey(paths: Sequence[Path]) -> Recordings:
-    """Read all files once; ConfigError if a file is no recording of a robot."""
-    sources: dict[tuple[str, str], Source] = {}
+    """Read recordings of robots once: time spans, files by clock, and exchanges between clocks.
+
+    Returns also the faults of files, such as a truncated end: their whole messages count.
+    ConfigError if a file is no recording of a robot.
+    """
+    sources: dict[tuple[str, str], Source] = {}  # by robot and clock
     exchanges: list[Exchange] = []
     faults = []
     for path in paths:
         recording = read_file(path)
         if recording.fault:
             faults.append(f"{path}: {recording.fault}; what is whole is merged")
-        known = [message for message in recording.messages if is_known(message.kind)]
-        foreign = {
-            message.topic: message.kind
-            for message in recording.messages
-            if not is_known(message.kind)
-        }
+        # 1. Messages of types that no recording has are left out.
+        messages = []
+        foreign: dict[str, str] = {}  # message type by topic
+        for message in recording.messages:
+            if is_known(message.kind):
+                messages.append(message)
+            else:
+                foreign[message.topic] = message.kind
         if foreign:
             topic, kind = next(iter(foreign.items()))
+            others = " and others" if len(foreign) > 1 else ""
             faults.append(
                 f"{path}: {len(foreign)} topics of types that recordings do not have are left out:"
-                f" {topic[:80]!r} ({kind[:80]!r}){' and others' if len(foreign) > 1 else ''}"
+                f" {topic[:80]!r} ({kind[:80]!r}){others}"
             )
-        if not known:
+        if not messages:
             continue
+        # 2. The span of the file, in s on the clock of the robot.
         source = _source(recording, sources)
         try:
-            times = [clock_of(recording.about, message.at) for message in known]
+            times = [clock_of(recording.about, message.at) for message in messages]
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
         exchanges += _exchanges(recording, source.clock)
+    # 3. Exchanges with the operator's clock, which `record fetch` noted beside the files.
     folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
     for folder in sorted(folders):
         exchanges += read_exchanges(folder / CLOCKS_FILE)
@@ -111,9 +120,10 @@ def survey(paths: Sequence[Path]) -> Recordings:
 
 
 def place(recordings: Recordings, reference: str | None = None) -> list[Placed]:
-    """Align each source to the clock of the robot `reference`, by default of the first source.
+    """Align the clock of each source with that of robot `reference`, by default the first source.
 
-    The source of the reference is first in the result. ConfigError if there is no such robot.
+    A source is a robot's files on one clock. The source of the reference is first in the result.
+    ConfigError if no recording is of that robot.
     """
     sources = recordings.sources
     names = [source.robot for source in sources]
@@ -163,7 +173,7 @@ def _write(writer: Writer, messages: Iterable[Timed]) -> int:
 
 
 def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]:
-    """The messages of a source on the timeline of `reference`, with its name in their topics.
+    """Yields the messages of a source at the times of `reference`, with the robot's name in topics.
 
     The inputs for a replay are left out, since a merged file cannot be replayed. Only one file at a
     time is in memory.

@@ -54,31 +54,38 @@ class Converter:
         return round(at * 1e9) + self._offset
 
     def add(self, entry: frames.Entry) -> None:
-        """Write one entry."""
-        stamp = 1e-9 * self.ns(entry.at)
+        """Write one entry of the daemon as a message of the recording.
+
+        The memory of a robot (its serialised state) comes in several entries, and is written once
+        all parts have arrived.
+        """
+        stamp_s = 1e-9 * self.ns(entry.at)  # since 1970
         match entry:
             case frames.InputEntry():
-                self._input(entry, stamp)
+                self._input(entry, stamp_s)
             case frames.MemoryEntry():
+                # Parts of another memory, and repeated parts, are dropped.
                 earlier = (
                     part for part in self._memory if part.at == entry.at and part.part < entry.part
                 )
                 self._memory = [*earlier, entry]
                 if len(self._memory) == entry.parts:
                     data = b"".join(part.data for part in self._memory)
-                    self._write(entry, MEMORY, messages.bytes_message(data, stamp))
+                    self._write(entry, MEMORY, messages.bytes_message(data, stamp_s))
             case frames.DecisionEntry():
-                self._write(entry, "/decision", messages.decision_message(entry, stamp))
+                self._write(entry, "/decision", messages.decision_message(entry, stamp_s))
             case frames.SentEntry():
-                self._text(entry, "/message/sent", _said(self._robot, entry.channel, entry.value))
+                text = _said(self._robot, entry.channel, entry.value)
+                self._text(entry, "/message/sent", text)
             case frames.TextEntry():
-                self._write(entry, entry.topic, messages.text_message(entry.json.decode(), stamp))
+                message = messages.text_message(entry.json.decode(), stamp_s)
+                self._write(entry, entry.topic, message)
             case frames.EventEntry():
-                line = messages.log_message(entry.text, self._robot, stamp)
-                self._write(entry, "/event", line)
+                message = messages.log_message(entry.text, self._robot, stamp_s)
+                self._write(entry, "/event", message)
             case frames.ClockEntry():
-                self._write(entry, "/clock/pair", messages.clock_message(entry, stamp))
-            case frames.DroppedEntry():
+                self._write(entry, "/clock/pair", messages.clock_message(entry, stamp_s))
+            case frames.DroppedEntry():  # by the daemon, when this process was too slow
                 self.writer.dropped += entry.count
                 self._text(entry, "/dropped", {"count": entry.count})
 
@@ -90,16 +97,21 @@ class Converter:
         self._write(entry, topic, messages.text_message(text, 1e-9 * self.ns(entry.at)))
 
     def _input(self, entry: frames.InputEntry, stamp: float) -> None:
-        """Write an input for a replay, and the message that viewers read."""
+        """Write an input of the robot twice: its bytes for a replay, and a message for viewers.
+
+        `stamp`: s since 1970. A scan is written only once, as messages that a replay reads, too.
+        """
+        # 1. The bytes. A value beyond its bound cannot be decoded; a replay reports that.
         try:
             input = events.decode_input(entry.data)
-        except CodecError:  # a value beyond its bound; a replay reports it
+        except CodecError:
             self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
             return
         if isinstance(input, events.ScanInput | events.RangesInput):
             self._scan(entry, input, stamp)
             return
         self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
+        # 2. The message for viewers: a ROS message if ROS has the type, else JSON.
         match input:
             case events.OdometryInput():
                 self._write(entry, "/odometry", messages.odometry_message(input.odometry))
@@ -113,19 +125,18 @@ class Converter:
             case events.DriverInput():
                 self._write(entry, "/driver", messages.driver_message(input, stamp))
             case events.MessageInput():
-                heard = _said(input.sender, input.channel, input.value)
-                self._text(entry, "/message/received", heard)
+                text = _said(input.sender, input.channel, input.value)
+                self._text(entry, "/message/received", text)
             case events.HostInput(event=Stepped() as stepped):
-                twist, seq = stepped.outputs.twist or ZERO, stepped.scan_seq
-                requested = messages.requested_message(twist, seq, stamp)
-                self._write(entry, "/command/requested", requested)
+                twist, scan_seq = stepped.outputs.twist or ZERO, stepped.scan_seq
+                message = messages.requested_message(twist, scan_seq, stamp)
+                self._write(entry, "/command/requested", message)
             case events.HostInput() | events.NoteInput() | events.TickInput():
-                pass
+                pass  # nothing to view
             case _:
                 fields = structs.astuple(input)
-                self._text(
-                    entry, f"/{events.tag_of(input)}", fields[0] if len(fields) == 1 else fields
-                )
+                value = fields[0] if len(fields) == 1 else fields
+                self._text(entry, f"/{events.tag_of(input)}", value)
 
     def _scan(
         self, entry: frames.InputEntry, input: events.ScanInput | events.RangesInput, stamp: float
@@ -149,16 +160,18 @@ def _said(sender: str, channel: str, value: Value) -> dict[str, Value]:
 
 
 def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
-    """Take batches until the daemon closes the socket, then finish the file.
+    """The loop of the recorder process: write what the daemon sends until it closes `link`.
 
-    An OSError of the file is reported to the daemon, and raised, since the daemon may have stopped
-    reading reports.
+    `now`: the robot's clock in s. The daemon gets a report with the written bytes every
+    REPORT_PERIOD. An OSError of the file, such as a full disk, is reported to the daemon, and
+    raised as well, since the daemon may have stopped reading reports.
     """
-    converter: Converter | None = None
-    reported = -REPORT_PERIOD
+    converter: Converter | None = None  # None until the first entry, Begin, names the file
+    last_report_at = -REPORT_PERIOD
     link.settimeout(CHUNK_TIME)
     try:
         while True:
+            # 1. Write a batch. A wait without a batch ends after CHUNK_TIME.
             frame = _received(link)
             if not frame:
                 return
@@ -167,19 +180,21 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
                     converter = Converter(entry)
                 elif converter is not None:
                     converter.add(entry)
+            # 2. Flush and report in time.
             if converter is None:
                 continue
-            converter.writer.flush_if_due(converter.ns(now()))
-            if time.monotonic() - reported >= REPORT_PERIOD:
-                reported = time.monotonic()
-                _report(link, str(converter.writer.path or ""), converter.writer.written)
+            writer = converter.writer
+            writer.flush_if_due(converter.ns(now()))
+            if time.monotonic() - last_report_at >= REPORT_PERIOD:
+                last_report_at = time.monotonic()
+                _report(link, str(writer.path or ""), writer.written)
     except OSError as error:
         path = "" if converter is None else str(converter.writer.path or "")
-        written = 0 if converter is None else converter.writer.written
-        _report(link, path, written, error.strerror or str(error))
+        written_bytes = 0 if converter is None else converter.writer.written
+        _report(link, path, written_bytes, error.strerror or str(error))
         if converter is not None:
             converter.writer.abandon()
-            converter = None
+            converter = None  # the file is not finished below
         raise
     finally:
         if converter is not None:

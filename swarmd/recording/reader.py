@@ -50,7 +50,7 @@ class RecordedMessage:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """The content of a file. `fault`: the missing or damaged part and its place; empty if whole.
+    """The content of a recording file. `fault`: its missing or damaged part; empty if whole.
 
     `about`: texts on the robot. In a merged file `about` concerns all robots, and `robots` has the
     texts on each robot.
@@ -302,10 +302,11 @@ def _map(body: memoryview, place: int) -> Mapping[str, str]:
 
 
 def clock_of(about: Mapping[str, str], at: int) -> float:
-    """The time on the robot's clock in s for the time `at` of its recording in ns.
+    """The time on the robot's clock in s for the time `at` (ns) in its recording.
 
-    Equal to the bit to the value of `boottime`, so that each deadline falls into the same tick as
-    in the run. ConfigError if the texts do not give the clock: texts have no checksum.
+    The result is equal to the bit to the value of `boottime` in the run, so that each deadline
+    falls into the same tick. `about`: the texts of the file. ConfigError if these texts do not give
+    the clock; texts have no checksum.
     """
     try:
         return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9

@@ -108,10 +108,14 @@ class RecordingWriter:
         self._written_at, self._pending = at, 0
 
     def close(self) -> None:
-        """Finish the file, and write its index; the next message begins another file."""
+        """Finish the present file, and write its index beside it as JSON.
+
+        Nothing without an open file. The next message begins another file.
+        """
         if self._file is None or self.path is None:
             return
         file, self._file = self._file, None
+        # 1. Complete the MCAP file, and force it to disk.
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             file.flush()
@@ -120,6 +124,7 @@ class RecordingWriter:
         finally:
             file.close()
         self.total += size
+        # 2. The index of the file: an index on disk always describes a whole file.
         index = {
             "file": self.path.name,
             "bytes": size,
@@ -132,7 +137,7 @@ class RecordingWriter:
         }
         with whole_file(self.path.with_suffix(".index.json")) as partial:
             partial.write_text(json.dumps(index, indent=1) + "\n")
-        self.dropped = 0
+        self.dropped = 0  # the count is of one file
 
     def abandon(self) -> None:
         """Close the file without its end and index."""

@@ -1,8 +1,8 @@
 """Replays a recorded run: the same inputs at the same times, through the same `Robot`.
 
-The robot gets the recorded events of the pattern host, and the pattern here gets the inputs that
-the robot hands out. So a difference in the pattern causes no difference in protection, and vice
-versa. The robot begins with its recorded memory. Without a memory, or with other settings, the
+The replayed robot gets the recorded events of the pattern host, and the replayed pattern gets the
+inputs of the replayed robot. So a difference in the pattern causes no difference in protection, and
+vice versa. The robot begins with its recorded memory. Without a memory, or with other settings, the
 replay begins with a new robot, and the recording must begin outside a run.
 """
 
@@ -93,8 +93,8 @@ class Parity:
 class Replay:
     """A robot that replays a recording, from its recorded memory or from the recording's head.
 
-    `platform`: replaces the recorded platform. `origins`: by pattern its place, as in `Load`.
-    `recalls`: begin with the recorded memory, which is readable.
+    `platform`: replaces the recorded platform. `origins`: the places of patterns, as in `Load`.
+    `recalls`: begin with the recorded memory (the serialised robot), which is readable.
     """
 
     def __init__(
@@ -106,23 +106,25 @@ class Replay:
         *,
         recalls: bool = False,
     ) -> None:
-        self._about, self._recalls = about, recalls
-        self._waits = recalls  # skip inputs until the next recorded memory
-        self._has_pattern = not recalls  # the pattern here was stepped from its load on
-        self._head, self._platform = head, platform or head.platform
+        self._head, self._about = head, about
+        self._platform = platform or head.platform
+        self._recalls = recalls
+        self._waits = recalls  # inputs are skipped until the next recorded memory
+        # The replayed robot, and its pattern, which is stepped from its load on.
         self._robot: Robot
         self._loader = PatternLoader({})
         self._origins = origins
         self._executor = PatternExecutor(self._loader)
-        self._steps: deque[SentEvent] = deque()
+        self._has_pattern = not recalls  # False: the load of the pattern was not replayed
+        self._steps: deque[SentEvent] = deque()  # replayed answers to steps, oldest first
         self._inputs = InputReader()
-        self._begin: float | None = None
-        self._actions: Actions | None = None
-        self._notes: dict[str, None] = {}
-        self._has_parted = (
-            False  # the replayed robot ran while the recorded one did not, or reverse
-        )
+        self._begin: float | None = None  # time of the first message, s
+        self._actions: Actions | None = None  # after the last input that gave any
+        # The comparison: of the commands of protection, and of those of the pattern.
         self.safe, self.requested = Compared(), Compared()
+        self._notes: dict[str, None] = {}  # in their order, each once
+        # True once the replayed robot ran while the recorded robot did not, or vice versa.
+        self._has_parted = False
 
     def _make_robot(self, now: float) -> Robot:
         head = self._head
@@ -340,9 +342,10 @@ def _state_in(decision: RecordedMessage, where: str) -> str:
 
 
 def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
-    """ConfigError if there is no decision, or if the memory has a `fault` and the robot runs.
+    """ConfigError if the recording cannot be replayed from its beginning.
 
-    The state of the robot is that of the first decision.
+    That is the case without a decision, and if the robot runs in the first decision but its
+    recorded memory has a `fault`.
     """
     first = next((message for message in recorded if message.topic == "/decision"), None)
     if first is None:

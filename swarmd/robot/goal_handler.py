@@ -130,29 +130,32 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Make `goal` the own goal, which it exceeds; a run for the lesser goal ends.
+        """Make `goal` the own goal, which it exceeds; a run or load for a lesser goal ends.
 
-        `age`: s since the goal was set, None if unknown. A load for a goal that is greater than
-        `goal` continues. `may_join`: the robot may run the goal without a request, if it was idle
-        or ran.
+        `age`: s since the goal was set, None if unknown. `may_join`: the robot may run the goal
+        without a request, if it was idle or ran.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
-        if loading is not None and loading.goal == goal:  # the load was requested, or joined
+        # 1. The goal of the present load, which was requested or joined, has only become known.
+        if loading is not None and loading.goal == goal:
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        loading_goal = None if loading is None else loading.goal
-        order = HeldGoal.of(goal, None).order
-        keeps_load = loading_goal is not None and HeldGoal.of(loading_goal, None).order > order
+        # 2. A load for a goal that is greater than `goal` continues. All else ends.
+        keeps_load = False
+        if loading is not None and loading.goal is not None:
+            order_of_load = HeldGoal.of(loading.goal, None).order
+            keeps_load = order_of_load > HeldGoal.of(goal, None).order
         is_active = lifecycle.is_running or (loading is not None and not keeps_load)
-        is_free = is_active or lifecycle.state_machine.state is State.IDLE
+        is_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if is_active:
             lifecycle.raise_revision(goal.text)
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        goals.adopt(goal, age, now, may_join=may_join and is_free and not keeps_load)
+        can_join = (is_active or is_idle) and not keeps_load
+        goals.adopt(goal, age, now, may_join=may_join and can_join)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.

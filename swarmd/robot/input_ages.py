@@ -115,7 +115,7 @@ class InputAges:
 
     @cython.ccall
     def inputs(self, now: cython.double, dt: cython.double):
-        """The inputs of one step of the pattern; `dt`: s since the last step.
+        """The inputs for one step of the pattern; `dt`: s since the step before.
 
         Each message, and the mark of a new scan, appears in the inputs of a single step.
         """

@@ -279,7 +279,7 @@ class _Reader:
         self._size = 0
 
     def robot(self) -> Robot:
-        """Make the object or value of each node, and return that of node 0, the robot.
+        """Make the object or value of each node; returns the object of node 0, the robot.
 
         ValueError or TypeError for invalid bytes, which may come from an untrusted machine.
         """

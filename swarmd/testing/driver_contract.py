@@ -65,7 +65,7 @@ class Rig(Protocol):
     def commands(self) -> Sequence[Twist]:
         """The commands that reached the base since the last call, oldest first.
 
-        The newest command must be included; older commands may be missing.
+        The newest command must be in the list; older commands may be missing.
         """
 
     def close(self) -> None:
@@ -200,9 +200,10 @@ class DriverHarness:
         self.rig.commands()
 
     async def command(self, twist: Twist | None = None, *, is_stopped: bool = False) -> Twist:
-        """The next command that reaches the base; the base publishes nothing meanwhile.
+        """Send `twist` by the driver, and return the next command that reaches the base.
 
         `twist` is sent now and every SETTLE_TIME, since a driver drops a command that waited long.
+        The base publishes nothing meanwhile.
         """
         taken: list[Twist] = []
         loop, due = asyncio.get_running_loop(), -math.inf
@@ -395,28 +396,37 @@ class DriverContract:
         assert (await harness.command(Twist(0.1))).is_zero
 
     def test_a_hazard_is_told_and_its_end_and_its_silence(self) -> None:
-        """A driver whose source of hazards is silent reports NOT_HEARD, which holds the robot."""
+        """The driver reports a hazard (such as a bump), its end, and a silent source of hazards.
+
+        For a silent source, also before its first message, the driver reports NOT_HEARD, which
+        holds the robot.
+        """
         rig = self.rig()
         if not isinstance(rig, HazardRig):
             rig.close()
             pytest.skip("this rig is no HazardRig")
 
         async def story(harness: DriverHarness) -> None:
-            dangers: list[tuple[Hazard, ...]] = harness.sink.taken["hazards"]
+            reports: list[tuple[Hazard, ...]] = harness.sink.taken["hazards"]
             order = harness.sink.order
+            # Before the first scan the robot is held.
             await harness.until(lambda: "scan" in order, publishing=True)
             assert order.index("up") < order.index("hazards") < order.index("scan")
-            assert [hazard.kind for hazard in dangers[0]] == [HazardKind.NOT_HEARD]
+            not_heard = reports[0]
+            assert [hazard.kind for hazard in not_heard] == [HazardKind.NOT_HEARD]
 
-            def is_told(hazards: tuple[Hazard, ...], *, is_present: bool) -> bool:
+            def is_reported(expected: tuple[Hazard, ...], *, is_present: bool) -> bool:
                 rig.publish_hazard(is_present=is_present)
-                return dangers[-1] == hazards
+                return reports[-1] == expected
 
+            # The hazard and its end, twice.
             for _ in range(2):
-                present = partial(is_told, (rig.hazard,), is_present=True)
-                await harness.until(present, publishing=True)
-                await harness.until(partial(is_told, (), is_present=False), publishing=True)
-            await harness.until(lambda: dangers[-1] == dangers[0], publishing=True)
+                is_begun = partial(is_reported, (rig.hazard,), is_present=True)
+                await harness.until(is_begun, publishing=True)
+                is_ended = partial(is_reported, (), is_present=False)
+                await harness.until(is_ended, publishing=True)
+            # Silence: nothing publishes hazards any more.
+            await harness.until(lambda: reports[-1] == not_heard, publishing=True)
             assert harness.sink.is_up
 
         play(rig, story, connected=True, **rig.hazard_options)
@@ -472,7 +482,10 @@ class DriverContract:
     async def test_a_ring_of_range_sensors_is_a_scan_of_its_own(
         self, harness: DriverHarness
     ) -> None:
-        """Scans of the ring arrive as `ranges`, advance, and change no scan of the lidar."""
+        """Scans of a ring of range sensors arrive as `ranges`, apart from scans of the lidar.
+
+        Their sequence numbers and stamps rise, and the ranges of lidar scans stay their own.
+        """
         rig, sink = harness.rig, harness.sink
         spec = rig.platform.ranges
         if spec is None or not isinstance(rig, RingRig):
@@ -480,16 +493,16 @@ class DriverContract:
         ranges = np.linspace(spec.range_min, spec.range_max, len(spec.bearings))
         ranges[-1] = np.inf
 
-        def has_come() -> bool:
+        def have_three_arrived() -> bool:
             rig.publish_ranges(ranges)
-            whole = (scan for scan in sink.rings if np.allclose(scan.ranges, ranges, rtol=1e-6))
-            return sum(1 for _ in whole) >= 3
+            equal = [np.allclose(scan.ranges, ranges, rtol=1e-6) for scan in sink.rings]
+            return sum(equal) >= 3
 
-        await harness.until(has_come)
+        await harness.until(have_three_arrived)
         for scan in sink.rings:
             assert scan.ranges.shape == ranges.shape
-            off = (scan.bearings - spec.bearings + np.pi) % (2.0 * np.pi) - np.pi
-            assert np.abs(off).max() < 1e-3
+            bearing_errors = (scan.bearings - spec.bearings + np.pi) % (2.0 * np.pi) - np.pi
+            assert np.abs(bearing_errors).max() < 1e-3
             assert (scan.range_min, scan.range_max) == (spec.range_min, spec.range_max)
         for before, after in itertools.pairwise(sink.rings):
             assert after.seq > before.seq
@@ -499,36 +512,45 @@ class DriverContract:
 
     @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
     def test_slow_and_fast_sensors_are_not_lost(self, rate: float, seconds: float) -> None:
-        """One scan a second does not count as silence, nor fifty scans as a flood."""
+        """A lidar at `rate` Hz for `seconds` s: the driver hands scans on, and stays connected.
+
+        One scan a second does not count as silence, nor fifty scans as a flood.
+        """
 
         async def story(harness: DriverHarness) -> None:
             rig, sink = _scripted(harness), harness.sink
             loop = asyncio.get_running_loop()
             spec = harness.rig.platform.scan
-            n = len(_bearings(harness))
+            ray_count = len(_bearings(harness))
             numbers = itertools.count()
 
-            async def arrives() -> bool:
-                """Whether at least half of the scans arrive: a newer scan may replace an older."""
-                known = len(sink.scans)
+            async def half_arrives() -> bool:
+                """Publish for `seconds` s; True if at least half of the scans arrive.
+
+                A newer scan may replace an older scan that the driver has not read yet.
+                """
+                arrived_before = len(sink.scans)
                 begin = loop.time()
                 sent = 0
-                while (passed := loop.time() - begin) < seconds:
+                while (elapsed := loop.time() - begin) < seconds:
                     rig.publish_odometry()
-                    if passed * rate >= sent:
-                        bearings, number = _regular(harness, n), next(numbers)
-                        ranges, seq = np.linspace(0.5, 2.0 + 0.01 * (number % 7), n), 1000 + number
+                    if elapsed * rate >= sent:
+                        number = next(numbers)
+                        seq = 1000 + number
+                        bearings = _regular(harness, ray_count)
+                        ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)
                         rig.publish_scan(
                             Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
                         )
                         sent += 1
                     await asyncio.sleep(min(0.05, 1.0 / rate))
                 await asyncio.sleep(SETTLE_TIME)
-                return len(sink.scans) - known >= max(sent // 2, 1)
+                return len(sink.scans) - arrived_before >= max(sent // 2, 1)
 
+            # On a busy machine newer scans replace waiting scans: try again.
             for _ in range(_MAX_CHECKS):
-                if has_arrived := await arrives():
-                    break  # on a busy machine newer scans replace waiting scans: try again
+                if has_arrived := await half_arrives():
+                    break
             assert has_arrived
             assert sink.is_up
             assert "lost" not in sink.order[sink.order.index("up") :]
@@ -680,32 +702,32 @@ async def _ends_with_zero(harness: DriverHarness, taken: list[Twist]) -> None:
 
 
 async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges: Array) -> Scan:
-    """The driver's scan with these ranges at regular bearings; TimeoutError if none arrives.
+    """Publish a scan with these ranges (m) at regular bearings; returns the driver's scan.
 
     The scan is published again every second, since a message that waits long may be dropped.
+    TimeoutError if the driver hands no scan with these ranges on.
     """
     spec, bearings = harness.rig.platform.scan, _regular(harness, len(ranges))
-    scan = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
-    known = len(harness.sink.scans)
+    published = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
+    earlier_count = len(harness.sink.scans)
     loop = asyncio.get_running_loop()
-    due = -math.inf
+    publish_at = -math.inf
     arrived: list[Scan] = []
 
     def has_ranges(scan: Scan) -> bool:
-        return scan.ranges.shape == ranges.shape and np.allclose(
-            scan.ranges, ranges, rtol=1e-6, equal_nan=True
-        )
+        is_equal = scan.ranges.shape == ranges.shape
+        return is_equal and np.allclose(scan.ranges, ranges, rtol=1e-6, equal_nan=True)
 
-    def has_come() -> bool:
-        nonlocal due
-        if loop.time() >= due:
-            due = loop.time() + 1.0
-            rig.publish_scan(scan)
+    def has_arrived() -> bool:
+        nonlocal publish_at
+        if loop.time() >= publish_at:
+            publish_at = loop.time() + 1.0
+            rig.publish_scan(published)
             rig.publish_odometry()
-        arrived.extend(filter(has_ranges, harness.sink.scans[known:]))
+        arrived.extend(filter(has_ranges, harness.sink.scans[earlier_count:]))
         return bool(arrived)
 
-    await harness.until(has_come)
+    await harness.until(has_arrived)
     return arrived[0]
 
 

@@ -61,29 +61,34 @@ def forbidden_imports(source: bytes) -> Iterator[tuple[int, str]]:
 
 @contextlib.contextmanager
 def no_side_effects(module: str) -> Iterator[None]:
-    """In the block, forbidden calls of this thread raise AssertionError.
+    """A context in which forbidden calls, such as `open` or `time.sleep`, raise AssertionError.
 
-    Names that `module` has imported are guarded, too. Calls of other threads pass.
+    Only calls of the present thread are forbidden. `module`: the name of a pattern's module, in
+    which names that were imported with `from` are guarded, too.
     """
     thread = threading.get_ident()
-    own = vars(sys.modules[module]) if module in sys.modules else {}
-    names = {id(value): name for name, value in own.items() if callable(value)}
-    saved: list[tuple[Any, str, Any]] = []
+    # Names of callables in the module, by id: `from time import sleep` makes such a name.
+    module_names: dict[int, str] = {}
+    if module in sys.modules:
+        for name, value in vars(sys.modules[module]).items():
+            if callable(value):
+                module_names[id(value)] = name
+    replaced: list[tuple[Any, str, Any]] = []  # (owner, name, original value)
 
     def replace(owner: Any, name: str, value: Any) -> None:
-        saved.append((owner, name, getattr(owner, name)))
+        replaced.append((owner, name, getattr(owner, name)))
         setattr(owner, name, value)
 
     try:
         for owner, name, original, forbidden in _GUARDS:
             guard = _only_in(thread, forbidden, original)
             replace(owner, name, guard)
-            if id(original) in names:
-                replace(sys.modules[module], names[id(original)], guard)
+            if id(original) in module_names:
+                replace(sys.modules[module], module_names[id(original)], guard)
         with contextlib.redirect_stdout(_NoConsole()):
             yield
     finally:
-        for owner, name, value in reversed(saved):
+        for owner, name, value in reversed(replaced):
             setattr(owner, name, value)
 
 

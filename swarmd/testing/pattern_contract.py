@@ -99,10 +99,9 @@ class Subject:
         return self.steps(pattern, self.story(pattern, scans))
 
     def steps(self, pattern: Pattern[Any], story: Iterable[Inputs]) -> list[Outputs]:
-        """The outputs for these inputs, as the pattern host passes them on.
+        """The outputs of the pattern for these inputs, as the pattern host passes the outputs on.
 
-        AssertionError if a step makes a forbidden call; PluginError if its outputs have a wrong
-        type.
+        AssertionError if a step makes a forbidden call; PluginError if outputs have a wrong type.
         """
         with no_side_effects(self.kind.__module__):
             return [checked_outputs(pattern.step(inputs), pattern.channels) for inputs in story]
@@ -147,9 +146,9 @@ _platform = cache(load_platform)  # asked for by each test of each pattern
 
 
 class PatternContract:
-    """The contract of a pattern: subclass it in a test module with `pattern`, for pytest to run.
+    """The contract of a pattern: tests for pytest, each on every platform.
 
-    Each test runs on every platform.
+    Subclass it in a test module, with the pattern's class as `pattern`.
     """
 
     pattern: ClassVar[type[Pattern[Any]]]
@@ -207,10 +206,10 @@ class PatternContract:
             assert not is_number or None not in (spec.ge, spec.le), f"{name} has no bounds"
 
     def test_steps_give_outputs_and_nothing_else(self, subject: Subject) -> None:
-        """Before and with scans: outputs of the declared types, and no side effect.
+        """Steps before and with scans give outputs of the declared types, and have no side effect.
 
-        Messages go to declared channels and fit the wire; reports are scalars. A step uses no
-        file, socket, process, clock or console, never sleeps, and takes chance from `context.rng`.
+        Messages go to declared channels and fit the wire; reports are scalars. A step uses no file,
+        socket, process, clock or console, never sleeps, and takes chance from `context.rng`.
         """
         pattern = subject.make()
         for inputs in subject.story(pattern, [*[None] * 10, *busy_scans(subject.platform, 40)]):
@@ -328,9 +327,9 @@ def _loader(plugin_dir: Path | None) -> PatternLoader:
 
 
 def _messages(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:
-    """Messages of neighbours at every fifth step: usual and odd values of each channel's type.
+    """Messages of neighbours for every fifth step: usual and odd values of each channel's type.
 
-    Values of other types are omitted, since the host drops them.
+    Values of wrong types are omitted, since the pattern host drops them.
     """
     if index % 5:
         return ()

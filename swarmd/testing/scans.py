@@ -45,25 +45,29 @@ def scan_of(
     noise: float = 0.0,
     rng: Generator | None = None,
 ) -> Scan:
-    """The scan of the platform's lidar at `pose` among discs, in a square room of that side.
+    """The scan of the platform's lidar at `pose` among discs, in a square room.
 
-    Discs and room, which is centred, are in the frame of `pose`; by default the robot is at its
-    origin. `noise` is the standard deviation in m. A range beyond range_max is +inf, one below
-    range_min -inf.
+    `room`: the side of the room in m, whose center is the origin; None without walls. Discs and
+    `pose` are in the frame of the room. `noise`: the standard deviation of ranges in m. A range
+    above range_max becomes +inf (nothing in reach), a range below range_min -inf (too close).
     """
     spec = platform.scan
+    # 1. The sensor in the frame of the room, and the direction of each ray.
     cos, sin = np.cos(spec.bearings + pose.yaw), np.sin(spec.bearings + pose.yaw)
     x = pose.x + spec.offset[0] * math.cos(pose.yaw) - spec.offset[1] * math.sin(pose.yaw)
     y = pose.y + spec.offset[0] * math.sin(pose.yaw) + spec.offset[1] * math.cos(pose.yaw)
+    # 2. The nearest hit of each ray on the walls and the discs.
     ranges = np.full(len(spec.bearings), math.inf)
     if room is not None:
         ranges = np.minimum(_to_wall(0.5 * room, x, cos), _to_wall(0.5 * room, y, sin))
     for disc in discs:
+        # Ray and circle: `along`, the way to the point nearest to the center; less half the chord.
         along = (disc.x - x) * cos + (disc.y - y) * sin
-        half = disc.radius**2 - ((disc.x - x) ** 2 + (disc.y - y) ** 2 - along**2)
-        hit = along - np.sqrt(np.maximum(half, 0.0))
-        is_hit = (half >= 0.0) & (along > 0.0)
+        half_chord_squared = disc.radius**2 - ((disc.x - x) ** 2 + (disc.y - y) ** 2 - along**2)
+        hit = along - np.sqrt(np.maximum(half_chord_squared, 0.0))
+        is_hit = (half_chord_squared >= 0.0) & (along > 0.0)
         ranges = np.where(is_hit, np.minimum(ranges, hit), ranges)
+    # 3. Noise, and the limits of the sensor.
     if noise > 0.0:
         ranges = ranges + (rng or np.random.default_rng(seq)).normal(0.0, noise, len(ranges))
     ranges = np.where(ranges > spec.range_max, math.inf, ranges)
@@ -78,15 +82,19 @@ def scan_from(platform: Platform, ranges: Array, bearings: Array, *, seq: int = 
 
 
 def odd_scans(platform: Platform) -> Mapping[str, Scan]:
-    """Odd scans that every pattern must handle, by their oddity."""
+    """Unusual scans that every pattern must handle, by the name of what is unusual.
+
+    Random ranges come from a generator with a fixed seed, so the scans are always the same.
+    """
     bearings = platform.scan.bearings
     n = len(bearings)
     rng = np.random.default_rng(0)
     reach = platform.scan.range_max
-    few = np.linspace(-math.pi, math.pi, 7, endpoint=False)
-    many = np.linspace(0.0, 2.0 * math.pi, 2 * n, endpoint=False)
-    holed = np.where(rng.random(n) < 0.2, math.nan, rng.uniform(min(0.2, 0.5 * reach), reach, n))
-    kinds: dict[str, tuple[Array, Array]] = {
+    min_range = min(0.2, 0.5 * reach)  # m: the lower bound of random ranges
+    seven_bearings = np.linspace(-math.pi, math.pi, 7, endpoint=False)
+    double_bearings = np.linspace(0.0, 2.0 * math.pi, 2 * n, endpoint=False)
+    with_holes = np.where(rng.random(n) < 0.2, math.nan, rng.uniform(min_range, reach, n))
+    rays: dict[str, tuple[Array, Array]] = {  # (ranges in m, bearings in rad)
         "no rays": (np.empty(0), np.empty(0)),
         "one ray": (np.array([1.0]), np.array([0.3])),
         "two rays": (np.array([0.4, math.inf]), np.array([3.0, -3.0])),
@@ -98,12 +106,15 @@ def odd_scans(platform: Platform) -> Mapping[str, Scan]:
         "all at range_max": (np.full(n, reach), bearings),
         "all equal": (np.full(n, 0.5 * reach), bearings),
         "noise": (rng.uniform(-1.0, 2.0 * reach, n), bearings),
-        "holes": (holed, bearings),
-        "seven rays": (np.array([0.3, 1.0, math.nan, math.inf, 0.5, -math.inf, 2.0]), few),
-        "more rays": (rng.uniform(min(0.2, 0.5 * reach), reach, 2 * n), many),
-        "unsorted": (rng.uniform(min(0.2, 0.5 * reach), reach, n), rng.permutation(bearings)),
+        "holes": (with_holes, bearings),
+        "seven rays": (
+            np.array([0.3, 1.0, math.nan, math.inf, 0.5, -math.inf, 2.0]),
+            seven_bearings,
+        ),
+        "more rays": (rng.uniform(min_range, reach, 2 * n), double_bearings),
+        "unsorted": (rng.uniform(min_range, reach, n), rng.permutation(bearings)),
     }
-    return {name: scan_from(platform, *rays) for name, rays in kinds.items()}
+    return {name: scan_from(platform, *pair) for name, pair in rays.items()}
 
 
 def busy_scans(platform: Platform, count: int, *, seed: int = 0) -> list[Scan]:

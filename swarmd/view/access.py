@@ -34,10 +34,11 @@ HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """The tokens of operators and of viewers; with `is_read_only` no page may command.
+    """The tokens of operators and of viewers, which a page must quote.
 
-    Without tokens each page may command, so that a server without tokens listens on loopback only.
-    ConfigError for tokens that protect nothing.
+    With `is_read_only` no page may send commands. Without tokens each page may, so that a server
+    without tokens listens on loopback only. ConfigError for tokens that protect nothing, such as
+    equal tokens of operators and viewers.
     """
 
     operator: str = ""
@@ -80,11 +81,11 @@ class Access:
             )
 
     def allows(self, headers: Headers) -> bool:
-        """False for a script of another site: a browser lets any site connect to this address.
+        """False for a request that may come from a script of another site.
 
-        The origin of such a script differs from the host in the request. A site may also let a host
-        name of its own point to loopback. So without a token any host name other than `localhost`
-        is refused.
+        A browser runs such scripts, and their requests reach loopback. The origin of such a script
+        differs from the host in the request. A site may also let a host name of its own point to
+        loopback. So without a token any host name other than `localhost` is refused.
         """
         try:
             origin, host = headers.get("Origin"), headers.get("Host", "")

@@ -1,7 +1,7 @@
-"""One open page: its acknowledgements, its state, and the next messages to it.
+"""One open page: the frames it has acknowledged, its state, and the next messages to it.
 
 A page gets a frame only while at most MAX_UNACKED earlier frames are not acknowledged, and only
-once the last message was sent. So a slow page gets fewer frames, and no queue grows.
+after the message before was sent. So a slow page gets fewer frames, and no queue grows.
 """
 
 from __future__ import annotations
@@ -108,9 +108,9 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send a past moment, with the number of its frame, and other waiting messages.
+        """Send a past moment to the page with the number of its frame, and waiting messages.
 
-        A command that quotes that number counts as old as the picture.
+        A command of the page quotes the number of a frame, and counts as old as that frame.
         """
         if self._is_sending:
             return

@@ -31,11 +31,11 @@ MAX_STOPS = 16
 class LiveCommander:
     """Carries out commands of pages, each with an operator and a thread of its own.
 
-    `known`: the robots that pages show; a stop of all robots expects each of them. `reason` is
+    `known`: the robots that pages show; a stop of all robots expects a reply of each. `reason`:
     stored with each emergency stop and reset. An emergency stop is repeated until all robots have
     acknowledged it, another emergency stop begins, or `end_estop` is called. Requests that wait for
-    answers delay neither a stop nor the end of the program. A cancelled task of `act` sends no
-    further request, but a stop is sent.
+    answers delay neither a stop nor the end of the program. After `act` is cancelled no further
+    request is sent, except a stop.
     """
 
     def __init__(
@@ -128,19 +128,30 @@ class LiveCommander:
         fields: Mapping[str, Any],
         cancelled: threading.Event,
     ) -> CommandProgress:
+        """Send a request of a page to robots and wait for their replies; runs in a thread.
+
+        `names`: the robots that the page shows or has selected. `fields`: the texts that the user
+        typed. `cancelled` ends the wait for robots. Returns the final answer for the page;
+        ConfigError for a mistake in a text.
+        """
+        # 1. Parse the texts, before anything is sent.
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
         run = Run(pattern=str(fields.get("pattern")), params=params)
         if verb == "run":
             run.check()
-        words = str(fields.get("labels") or "").split()
-        added, removed = read_changes(words) if verb == "label" else ((), ())
+        added: tuple[str, ...] = ()
+        removed: tuple[str, ...] = ()
+        if verb == "label":
+            added, removed = read_changes(str(fields.get("labels") or "").split())
         with self._limit.request(), self._make() as operator, ExitStack() as opened:
-            operator.expect(names)  # robots that the page shows count as missing if silent
+            # 2. Query the robots; those that do not answer count as missing.
+            operator.expect(names)
             session = Session(operator, is_cancelled=cancelled.is_set)
             try:
                 targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))
             except NetworkError as error:
                 return CommandProgress(f"{verb}: {error}", missing=list(names), is_final=True)
+            # 3. Send the request.
             if verb == "reset":
                 outcome = reset(targeted, reason=self._reason)
             elif verb == "param":
@@ -148,8 +159,10 @@ class LiveCommander:
             elif verb == "label":
                 outcome = change_labels(targeted, added, removed)
             else:
-                is_all = targeted.view.expected <= set(names)
-                outcome = carry_out(run, targeted, () if is_all else names, opened).outcome
+                # A run of all robots gets a goal for all, also for robots that join later.
+                is_for_all = targeted.view.expected <= set(names)
+                goal_names = () if is_for_all else names
+                outcome = carry_out(run, targeted, goal_names, opened).outcome
         return _answer(verb, outcome)
 
 

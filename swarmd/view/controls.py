@@ -83,7 +83,7 @@ class Controls:
                 return Command("reset", self.targets)
             self.note = "reset: nothing was sent"
             return Command("estop") if key in ("e", "E") else None
-        return self._on_look(key, robots, known)
+        return self._on_list_key(key, robots, known)
 
     @property
     def prompt(self) -> str:
@@ -99,27 +99,37 @@ class Controls:
             return f"reset {names_of(self.targets)}? y resets, any other key does not"
         return self.note or HELP
 
-    def _on_look(self, key: str, robots: Sequence[str], known: Sequence[str]) -> Command | None:
+    def _on_list_key(self, key: str, robots: Sequence[str], known: Sequence[str]) -> Command | None:
+        """Act on a key while the list of robots has the keys; returns the command to send, if any.
+
+        `robots`: the shown robots. `known`: all robots, also those that the filter hides. Stops
+        need no confirmation. Keys r and x only open the line for a run or a reset.
+        """
+        # 1. Stops, and the end of the program.
         if key in ("e", "E"):
             return Command("estop")
         if key == "q":
             return Command("quit")
-        if key in ("s", "S"):
+        if key in ("s", "S"):  # the selected robots; None: all robots
             return Command("stop", tuple(sorted(self.selected)) or None)
+        # 2. The cursor and the selection.
         if key in ("up", "down", "pageup", "pagedown", "home", "end", "k", "j"):
             self._move(key, robots)
         elif key == "space" and self.cursor:
             self.selected ^= {self.cursor}
             self._move("down", robots)
-        elif key == "a":
+        elif key == "a":  # selects all shown robots; if all are selected: none
             self.selected = set() if self.selected.issuperset(robots) else {*self.selected, *robots}
+        # 3. The filter.
         elif key == "/":
             self.mode, self.text = Mode.FILTER, self.filter
         elif key == "escape":
             self.filter = ""
+        # 4. A run or a reset of the selected robots, or else of the robot at the cursor.
         elif key in ("r", "x"):
-            chosen = self.selected & set(known) or ({self.cursor} - {""})
-            self.targets = tuple(sorted(chosen))
+            selected = self.selected & set(known)
+            at_cursor = {self.cursor} if self.cursor else set()
+            self.targets = tuple(sorted(selected or at_cursor))
             if self.targets:
                 self.mode, self.text = Mode.RUN if key == "r" else Mode.RESET, ""
             else:

@@ -46,10 +46,11 @@ _STATUS_SCHEMA: dict[str, Any] = {
 
 
 class FoxgloveServer:
-    """Serves a source until `close`; a context manager. `address`: its path has the secret.
+    """Serves a source to Foxglove until `close`; a context manager.
 
-    Channels: `/tf`, `/robots` (outlines, headings and names in the colours of states), `/events`,
-    and for each robot `/NAME/status` and `/NAME/scan`.
+    `address`: of the server; its path has the secret. Channels: `/tf` (poses), `/robots` (outlines,
+    headings and names in the colours of states), `/events`, and for each robot `/NAME/status` and
+    `/NAME/scan`.
     """
 
     def __init__(self, source: Source, host: str, port: int) -> None:
@@ -77,26 +78,34 @@ class FoxgloveServer:
         self._socket.close()
 
     def publish(self) -> None:
-        """Send the present state to the clients; call it each PERIOD."""
+        """Send the present state to the Foxglove clients; call it each PERIOD.
+
+        Only channels that a client reads are filled: transforms (poses), the scene (outlines and
+        names), scans as point clouds, and every _STATUS_EVERY periods the statuses as JSON.
+        """
+        # 1. Robots with their poses, and the rows (values of the last status) by robot.
         is_status_due = self._count % _STATUS_EVERY == 0
-        is_drawn = self._scene.is_read or self._places.is_read
-        rows = self._source.rows() if is_status_due or is_drawn else {}
+        needs_rows = is_status_due or self._scene.is_read or self._places.is_read
+        rows = self._source.rows() if needs_rows else {}
         robots = self._source.robots
         for robot in robots:
             if robot.name not in self._statuses:
                 self._add(robot.name)
         self._source.select([name for name, channel in self._scans.items() if channel.is_read])
         _, frame = self._source.frame()
+        # `frame`: rows of robot index, x, y (m), yaw (rad).
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
+        # 2. Transforms. A robot that is absent keeps the stamp of its last message.
         if self._places.is_read:
             now = time.time()
             stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}
             transforms = [
-                _transform(robot, place, stamps.get(robot.name, stamp)) for robot, place in placed
+                _transform(robot, pose, stamps.get(robot.name, stamp)) for robot, pose in placed
             ]
             frames = messages.FrameTransforms(transforms=transforms)
             self._socket.send(self._places, frames.encode())
+        # 3. The scene, scans, statuses and events.
         if self._scene.is_read:
             entities = [_entity(robot, rows.get(robot.name, {}), stamp) for robot, _ in placed]
             self._socket.send(self._scene, messages.SceneUpdate(entities=entities).encode())
@@ -105,9 +114,9 @@ class FoxgloveServer:
             if points is not None:
                 self._socket.send(channel, _cloud(name, points, stamp).encode())
         if is_status_due:
-            for name, statuses in self._statuses.items():
-                if statuses.is_read and name in rows:
-                    self._socket.send(statuses, json_of(rows[name]).encode())
+            for name, channel in self._statuses.items():
+                if channel.is_read and name in rows:
+                    self._socket.send(channel, json_of(rows[name]).encode())
         self._publish_events()
         self._count += 1
 
@@ -163,16 +172,17 @@ def _entity(
 ) -> messages.SceneEntity:
     """Outline, heading and name of a robot in its own frame; Foxglove removes them after 2 s.
 
-    A robot that does not answer is grey and without a state.
+    `row`: the values of its last status. A robot that does not answer is grey and without a state.
     """
     is_absent = _is_absent(row)
     state = "" if is_absent else str(row.get("state", ""))
     is_held = row.get("stands") == "held" and not is_absent
     red, green, blue = colour_of(state, is_held=is_held)
     colour = messages.Color(r=red, g=green, b=blue, a=1.0)
-    length = float(np.abs(robot.footprint[:, 0]).max())
-    points = [messages.Point3(x=float(x), y=float(y), z=0.0) for x, y in robot.footprint]
-    why = row.get("why") or row.get("pattern") or ""
+    outline = [messages.Point3(x=float(x), y=float(y), z=0.0) for x, y in robot.footprint]
+    arrow_length = float(np.abs(robot.footprint[:, 0]).max())  # m, to the front of the robot
+    third_line = row.get("why") or row.get("pattern") or ""
+    label = "\n".join(filter(None, (robot.name, state, third_line)))
     return messages.SceneEntity(
         timestamp=stamp,
         frame_id=robot.name,
@@ -184,16 +194,16 @@ def _entity(
                 type=messages.LinePrimitiveLineType.LineLoop,
                 pose=_pose(0.0),
                 thickness=0.02,
-                points=points,
+                points=outline,
                 color=colour,
             )
         ],
         arrows=[
             messages.ArrowPrimitive(
                 pose=_pose(0.0),
-                shaft_length=length,
+                shaft_length=arrow_length,
                 shaft_diameter=0.02,
-                head_length=0.5 * length,
+                head_length=0.5 * arrow_length,
                 head_diameter=0.05,
                 color=colour,
             )
@@ -205,7 +215,7 @@ def _entity(
                 font_size=12.0,
                 scale_invariant=True,
                 color=colour,
-                text="\n".join(filter(None, (robot.name, state, why))),
+                text=label,
             )
         ],
     )

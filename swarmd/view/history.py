@@ -137,9 +137,9 @@ class Survey:
 
 
 def plots_of(moments: Sequence[Moment], first: int) -> Mapping[str, Any]:
-    """The message `plots` of moments from number `first` on.
+    """The message `plots` for pages: the values of moments from number `first` on.
 
-    It has the times, and for each name a value (or None) at each time.
+    Contains the times, and for each name a value at each time (None without a value).
     """
     known = dict.fromkeys(key for moment in reversed(moments) for key in moment.values)
     # The common values first, then the latest reports and readings: robots may rename them often.
@@ -159,41 +159,45 @@ def measured(
     rows: Mapping[str, Mapping[str, Any]],
     link: float | None,
 ) -> dict[str, float]:
-    """The values that are plotted at a moment.
+    """The values of the whole swarm that are plotted at a moment, by name.
 
-    `places`: rows (k, 4) of index, x, y in m, yaw. `before`: the same, `seconds` earlier. The
-    values:
+    `places`: rows (k, 4) of robot index, x, y in m, yaw in rad. `before`: the same, `seconds`
+    earlier. `rows`: by robot the values of its last status. The values, of which those that are
+    unknown are left out:
 
     - `clusters`: the number of chains of robots, each within `link` m of the next (single linkage);
-      left out without `link`.
+      left out if `link` is None.
     - `speed`: the mean over robots in m/s, from their places.
     - `active`: the share of running robots whose command protection changes.
-    - each report and reading: the mean of numbers; of words the share of the most frequent word.
+    - each report and reading, as `report:NAME`: the mean of numbers; of words the share of the most
+      frequent word.
     """
     values: dict[str, float] = {}
     if link is not None and len(places):
         values["clusters"] = float(_clusters(places[:, 1:3], link))
-    both, now, then = np.intersect1d(places[:, 0], before[:, 0], return_indices=True)
-    if len(both) and seconds > 0.0:
-        distances = np.linalg.norm(places[now, 1:3] - before[then, 1:3], axis=1)
-        values["speed"] = float(distances.mean()) / seconds
+    # The mean speed of the robots that have both places.
+    common, rows_now, rows_before = np.intersect1d(places[:, 0], before[:, 0], return_indices=True)
+    if len(common) and seconds > 0.0:
+        moved = places[rows_now, 1:3] - before[rows_before, 1:3]
+        values["speed"] = float(np.linalg.norm(moved, axis=1).mean()) / seconds
     alive = [row for row in rows.values() if row.get("presence", "alive") == "alive"]
     running = [row for row in alive if row.get("state") == "running"]
     if running:
-        active = sum(row.get("protection", "") not in ("", "clear") for row in running)
-        values["active"] = active / len(running)
-    given: dict[str, list[Any]] = {}
+        active_count = sum(row.get("protection", "") not in ("", "clear") for row in running)
+        values["active"] = active_count / len(running)
+    # Reports and readings of all robots; at most MAX_KEYS names.
+    by_name: dict[str, list[Any]] = {}
     for row in rows.values():
         for kind in ("report", "readings"):
             for key, value in row.get(kind, {}).items():
-                given.setdefault(f"{kind}:{key}", []).append(value)
-    for key, of_robots in [*given.items()][:MAX_KEYS]:
-        words = [value for value in of_robots if isinstance(value, str | bool)]
+                by_name.setdefault(f"{kind}:{key}", []).append(value)
+    for name, robot_values in [*by_name.items()][:MAX_KEYS]:
+        words = [value for value in robot_values if isinstance(value, str | bool)]
         if words:
-            values[key] = max(Counter(words).values()) / len(words)
+            values[name] = max(Counter(words).values()) / len(words)
         else:
-            values[key] = sum(of_robots) / len(of_robots)
-    return {key: value for key, value in values.items() if math.isfinite(value)}
+            values[name] = sum(robot_values) / len(robot_values)
+    return {name: value for name, value in values.items() if math.isfinite(value)}
 
 
 def _packed(source: Source, rows: Mapping[str, Mapping[str, Any]]) -> bytes:

@@ -61,26 +61,30 @@ class LiveSource:
         self, operator: Operator, patterns: Sequence[str], describe: Describe | None = None
     ) -> None:
         self.swarm = operator.settings.swarm
+        self._operator = operator
+        # Patterns that may be run, with their descriptions; a thread calls `describe`.
         self.patterns = patterns
         self.descriptions: Mapping[str, Mapping[str, Any]] = {}
         self._describe = describe
-        self._described: set[str] = set()
-        """The platforms on which patterns are or were described."""
-        self._descriptions = 0
+        self._described: set[str] = set()  # platforms for which `describe` was called
+        self._descriptions = 0  # count of finished descriptions
+        # Events as lines; None: `_marks` must be made anew from `_lines`.
         self._feed = EventFeed(SPAN)
         self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
         self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
+        # The robots in the order of their indices.
         self._robots: list[ShownRobot] = []
-        self._operator = operator
-        self._index: dict[str, int] = {}
-        self._revision = 0
+        self._index: dict[str, int] = {}  # by name
+        self._revision = 0  # rises when a robot or its platform is added
+        # What robots published last, by name; threads of Zenoh write it. Scans and tracks with
+        # their time of arrival in s.
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
         self._scans: dict[str, tuple[float, Scan]] = {}
         self._tracks: dict[str, tuple[float, Tracks]] = {}
-        self._platforms: dict[str, Platform | None] = {}
-        self._watched: frozenset[str] = frozenset()
-        self._links: frozenset[tuple[str, str]] = frozenset()
+        self._platforms: dict[str, Platform | None] = {}  # None: not known on this machine
+        self._watched: frozenset[str] = frozenset()  # robots whose scans and tracks are subscribed
+        self._links: frozenset[tuple[str, str]] = frozenset()  # pairs that hear each other
         self._watch = SwarmWatch(operator, on_status=self._on_status, on_view=self._on_view)
 
     def start(self) -> None:
@@ -140,28 +144,34 @@ class LiveSource:
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """The values of each robot's last status, and what is known of a silent robot."""
+        """By robot a row: the values of its last status, and its absence if it is silent.
+
+        Also adds new robots to the list, and starts the description of patterns for new platforms.
+        """
         statuses = self.statuses()
         with self._lock:
             motions = dict(self._motions)
         view = self.view
         members = view.members
+        # 1. New robots and platforms.
         self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
         platforms = {status.platform for status, _ in statuses.values() if is_id(status.platform)}
-        if self._describe is not None and (new := platforms - self._described):
-            self._described |= new
-            threading.Thread(
-                target=self._take_patterns, args=(self._describe, sorted(new)), daemon=True
-            ).start()
+        new_platforms = platforms - self._described
+        if self._describe is not None and new_platforms:
+            self._described |= new_platforms
+            arguments = (self._describe, sorted(new_platforms))
+            threading.Thread(target=self._take_patterns, args=arguments, daemon=True).start()
+        # 2. A row for each robot.
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
-            member, known = members.get(name), statuses.get(name)
-            if known is None:
+            member, status_and_age = members.get(name), statuses.get(name)
+            if status_and_age is None:
                 rows[name] = _unanswered(member)
                 continue
-            status, age = known
+            status, age = status_and_age
             row = rows[name] = row_of(status)
+            # Commands and nearest obstacles, which are published more often than the status.
             motion = motions.get(name)
             if motion is not None:
                 row |= {
@@ -175,7 +185,7 @@ class LiveSource:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
             row["age"] = age
-            row["at"] = round(time.monotonic() - age - status.since)
+            row["at"] = round(time.monotonic() - age - status.since)  # when the state began
             row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:
                 row |= {"presence": member.presence.value, "why": GONE[member.presence]}
@@ -302,9 +312,10 @@ class LiveSource:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
 
     def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
-        """Describe the patterns on new platforms: groups, parameters, and where they cannot run.
+        """Describe the patterns on new platforms: groups, parameters, and reasons against a run.
 
-        The defaults of parameters are those on the platform that is described first.
+        Runs in a thread. The defaults of parameters are those on the platform that is described
+        first.
         """
         for platform in platforms:
             with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine

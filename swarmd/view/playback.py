@@ -12,10 +12,11 @@ MIN_SPEED, MAX_SPEED = 0.01, 100.0
 
 
 class Playback:
-    """Plays `run`, one of `runs`, of `duration` s; all pages see the same time.
+    """The control of a page that plays a recorded run: time, speed and choice; shared by all pages.
 
-    `choose` loads another run, which may take a second, and calls `load`. It raises SwarmError if
-    the run cannot be loaded; then the former run stays.
+    `run`: the run of `runs` that plays. `duration`: its length in s. `choose` loads another run,
+    which may take a second, and calls `load`. SwarmError if the run cannot be loaded; the former
+    run then stays.
     """
 
     def __init__(

@@ -167,6 +167,12 @@ class ViewServer:
     # Pages
 
     async def _talk(self, connection: ServerConnection) -> None:
+        """Serve one WebSocket connection of a page until it closes.
+
+        The token in the address of the page gives the role: to command, or only to look. A page
+        without a role is closed, and a page beyond MAX_PAGES of its role.
+        """
+        # 1. The role.
         request = connection.request
         query = parse_qs(request.path.partition("?")[2] if request else "")
         role = self._access.role(query.get("token", [""])[0])
@@ -174,10 +180,12 @@ class ViewServer:
             text = "The token in the address is missing or wrong; ask for the whole address."
             await connection.close(WRONG_TOKEN, text)
             return
-        if sum(one.role == role for one in self._clients) >= MAX_PAGES[role]:
+        open_pages = sum(client.role == role for client in self._clients)
+        if open_pages >= MAX_PAGES[role]:
             await connection.close(WRONG_TOKEN, f"{MAX_PAGES[role]} pages are open already.")
             return
-        self._waiting.pop(connection, None)
+        self._waiting.pop(connection, None)  # `_waiting`: the connections without a role
+        # 2. The present state, then the commands of the page. A task of the server sends frames.
         client = Client(connection, role)
         self._clients.add(client)
         try:
@@ -270,9 +278,9 @@ class ViewServer:
             client.tell(message)
 
     def _tell_selection(self) -> None:
-        """Select the robots whose scans are watched, at first those of operators' pages.
+        """Watch the scans of the robots that pages have selected, operators' pages first.
 
-        Their number is limited, since scans load the robots' network.
+        The number of watched robots is limited, since scans load the robots' network.
         """
         order = sorted(self._clients, key=lambda client: client.role != "operator")
         names = dict.fromkeys(name for one in order for name in reversed(one.selected))
@@ -371,9 +379,11 @@ def _refusal(id: str, text: str) -> dict[str, Any]:
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
-    """The connections, each of which adds itself to `waiting` until it has a role.
+    """A class of WebSocket connections that cannot fill the memory of the server.
 
-    Clients that send much, read nothing or never ask cannot fill the server.
+    Each connection adds itself to `waiting`; the server removes it once it has a role. Beyond
+    MAX_WAITING the oldest waiting connection is aborted. A client that leaves more than MAX_UNREAD
+    bytes unread is aborted, too.
     """
 
     class Limited(ServerConnection):

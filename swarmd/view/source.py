@@ -81,9 +81,9 @@ class CommandProgress:
 
 
 class Source(Protocol):
-    """The data of a page: a swarm, a simulated world, recorded runs or recordings.
+    """The interface for the data of a page: a living swarm, a simulated world, or recordings.
 
-    All methods run on the server's loop.
+    All methods run on the server's event loop.
     """
 
     kind: str
@@ -139,10 +139,10 @@ class Source(Protocol):
         """
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
-        """The details of a robot.
+        """The details of the robot `name`, as JSON; None if nothing is known.
 
-        `sections`: titles with pairs of name and text. `events`: pairs of age and text. `values`:
-        pairs without a title. `why`: one sentence. Each may be missing.
+        `sections`: titles, each with pairs of name and text. `events`: pairs of age and text.
+        `values`: pairs without a title. `why`: one sentence. Each key may be missing.
         """
 
     def select(self, names: Sequence[str]) -> None:
@@ -150,9 +150,9 @@ class Source(Protocol):
 
 
 def link_of(platforms: Iterable[Platform]) -> float | None:
-    """The distance `link` of robots in one frame: twice the largest protection threshold.
+    """The distance in m within which robots count as linked: twice the largest threshold.
 
-    The metrics use the same distance.
+    The threshold is that of protection. The metrics of experiments use the same distance.
     """
     thresholds = (one.protection.get("threshold", 0.0) for one in platforms)
     return 2.0 * max(thresholds, default=0.0) or None
@@ -197,7 +197,12 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 
 
 def row_of(status: Status) -> dict[str, Any]:
-    """The row of values of a status."""
+    """The values of a status that pages show of a robot, as JSON.
+
+    `why`: the reason in words why the robot does not move. Commands are linear (m/s), angular
+    (rad/s), lateral (m/s). `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the
+    highest speed towards it that protection permits (m/s). `near` (m) and `battery` only if known.
+    """
     decision = status.decision
     protection = protection_word_of(decision)
     row: dict[str, Any] = {
@@ -216,7 +221,7 @@ def row_of(status: Status) -> dict[str, Any]:
             decision.requested_lateral,
         ],
         "safe": [decision.safe_linear, decision.safe_angular, decision.safe_lateral],
-        "rows": [[row.bearing, row.gap, row.cap] for row in decision.rows],
+        "rows": [[obstacle.bearing, obstacle.gap, obstacle.cap] for obstacle in decision.rows],
     }
     if decision.min_gap is not None:
         row["near"] = decision.min_gap
@@ -226,9 +231,9 @@ def row_of(status: Status) -> dict[str, Any]:
 
 
 def standing_of(state: str, reason: str) -> str:
-    """Of a running robot that stands: `at rest` if its pattern wants it, else `held`.
+    """Why a running robot stands: `at rest` if its pattern wants so, else `held`.
 
-    Empty for other robots.
+    Empty for a robot that moves, or that does not run.
     """
     if state != State.RUNNING or not reason:
         return ""

@@ -41,36 +41,42 @@ def render(scene: Scene, width: int, height: int) -> Group:
 
 
 def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
-    """At most `height` lines of at most `width` characters.
+    """The screen as text: at most `height` lines of at most `width` characters.
 
-    If the robots do not all fit, those around the cursor are shown; without a cursor at first those
-    that do not run. The others are counted.
+    From top to bottom: title, table of robots with the map beside or below it, answers and prompt.
+    The map is left out if it would be smaller than MIN_MAP (width, height). A table that is too
+    long shows the robots around the cursor; without a cursor first the robots that do not run. The
+    hidden robots are counted.
     """
-    heading = _line(scene.title, "bold")
-    last = [_line(text, style) for text, style in scene.below] + [
-        _line(scene.footer, scene.footer_style)
-    ]
-    free = max(height - 1 - len(last), 2)
-    beside = width - TABLE_WIDTH - MARGIN
-    under = free - len(scene.order) - 1
-    if beside >= MIN_MAP[0] and free >= MIN_MAP[1] + FRAME:
-        name_width = _name_width(scene, beside - MIN_MAP[0])
-        columns = width - (TABLE_WIDTH - NAME_WIDTH + name_width) - MARGIN
-        plan = map_of(scene, *map_size(scene.area, columns, free - FRAME))
-        body = _side_by_side(table_of(scene, free, name_width), plan)
+    title = _line(scene.title, "bold")
+    bottom = [_line(text, style) for text, style in scene.below]
+    bottom.append(_line(scene.footer, scene.footer_style))
+    min_map_width, min_map_height = MIN_MAP
+    # 1. The room for table and map: lines, columns beside the table, lines below all robots.
+    body_height = max(height - 1 - len(bottom), 2)
+    width_beside = width - TABLE_WIDTH - MARGIN
+    height_below = body_height - len(scene.order) - 1
+    # 2. The table, with the map beside it, below it, or without a map.
+    if width_beside >= min_map_width and body_height >= min_map_height + FRAME:
+        name_width = _name_width(scene, width_beside - min_map_width)
+        map_width = width - (TABLE_WIDTH - NAME_WIDTH + name_width) - MARGIN
+        map_lines = map_of(scene, *map_size(scene.area, map_width, body_height - FRAME))
+        body = _side_by_side(table_of(scene, body_height, name_width), map_lines)
     else:
-        body = table_of(scene, free, _name_width(scene, width - TABLE_WIDTH))
-        if under >= MIN_MAP[1] + FRAME:
-            body += map_of(scene, *map_size(scene.area, width - MARGIN, under - FRAME))
-    room = max(height - len(last), 0)
-    lines = [heading, *body][:room] + last[-max(height, 1) :]
+        body = table_of(scene, body_height, _name_width(scene, width - TABLE_WIDTH))
+        if height_below >= min_map_height + FRAME:
+            size = map_size(scene.area, width - MARGIN, height_below - FRAME)
+            body += map_of(scene, *size)
+    # 3. On a low screen the bottom lines come first, the prompt before all.
+    top_height = max(height - len(bottom), 0)
+    lines = [title, *body][:top_height] + bottom[-max(height, 1) :]
     for line in lines:
         line.truncate(width, overflow="ellipsis")
     return lines
 
 
 def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Text]:
-    """A row for each robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
+    """The table of robots: name, state, reason, pattern, scan rate, loop delay, nearest obstacle.
 
     At most `lines` lines with the header; the last line counts the robots that are left out.
     """
@@ -88,8 +94,8 @@ def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Tex
 def chosen(scene: Scene, rows: int) -> Sequence[str]:
     """The robots to show in `rows` lines; if not all fit, one line is left for the count.
 
-    With a cursor, the robots around it. Without a cursor, robots that do not run are kept, since
-    they need attention; of the others the last are left out.
+    With a cursor: the robots around it. Without a cursor: first the robots that do not run, since
+    they need attention, then running robots in their order.
     """
     robots = scene.order
     if len(robots) <= rows:
@@ -104,7 +110,7 @@ def chosen(scene: Scene, rows: int) -> Sequence[str]:
 
 
 def map_size(area: Area, width: int, height: int) -> tuple[int, int]:
-    """Columns and rows of the map with the area's aspect ratio, at most `width` by `height`.
+    """(columns, rows) of a map with the aspect ratio of `area`, at most `width` by `height`.
 
     A character is half as wide as high.
     """

@@ -28,9 +28,9 @@ ODOMETRY = "each robot's own odometry"
 
 
 class TerminalView:
-    """Draws `source` on `screen` until a key or a signal ends it.
+    """Draws the swarm of `source` on the terminal `screen` until a key or a signal ends the view.
 
-    Positions are those of each robot's own odometry, which begins where the robot was started.
+    Positions are by each robot's own odometry, which begins where the robot was started.
     """
 
     def __init__(self, source: LiveSource, commander: LiveCommander, screen: Screen) -> None:
@@ -155,33 +155,43 @@ class TerminalView:
         self._screen.paint(lines_of(self._scene(), width, height))
 
     def _scene(self) -> Scene:
+        """All that the screen shows now: robots, map, answers to commands, and prompt.
+
+        Also keeps the cursor on a robot when the order of the shown robots changes.
+        """
         view, statuses = self._source.view, self._source.statuses()
-        names = sorted(view.members.keys() | statuses.keys() | view.roster)
-        notes = {
-            name: note
-            for name in names
-            if (note := _note(view.members.get(name), statuses.get(name)))
-        }
-        now = {name: status for name, (status, _) in statuses.items() if name not in notes}
-        rows = {name: notes.get(name) or _searched(now[name]) for name in names}
-        before, self._known = self._robots, names
+        # 1. All known robots. A silent robot has a note in place of its last status.
+        known = sorted(view.members.keys() | statuses.keys() | view.roster)
+        notes: dict[str, str] = {}
+        for name in known:
+            note = _note(view.members.get(name), statuses.get(name))
+            if note:
+                notes[name] = note
+        present = {name: status for name, (status, _) in statuses.items() if name not in notes}
+        # 2. The robots whose text matches the filter.
+        search_texts = {name: notes.get(name) or _searched(present[name]) for name in known}
         controls = self._controls
-        self._robots = controls.shown(rows)
-        controls.follow(self._robots, before)
+        shown_before, self._known = self._robots, known
+        self._robots = controls.shown(search_texts)
+        controls.follow(self._robots, shown_before)
+        # 3. Their poses on the map.
         poses, area = self._where()
-        shown = {name: poses[name] for name in self._robots if name in poses and name in now}
+        shown_poses = {
+            name: poses[name] for name in self._robots if name in poses and name in present
+        }
+        needs_attention = controls.mode is not Mode.LOOK or bool(controls.note)
         return Scene(
-            title=self._title(view, now, notes),
+            title=self._title(view, present, notes),
             area=area,
-            poses=shown,
-            statuses=now,
+            poses=shown_poses,
+            statuses=present,
             robots=self._robots,
             notes=notes,
             cursor=controls.cursor,
             selected=frozenset(controls.selected),
             below=[*self._details(view, statuses, notes), *self._told()],
             footer=controls.prompt,
-            footer_style="bold" if controls.mode is not Mode.LOOK or controls.note else "dim",
+            footer_style="bold" if needs_attention else "dim",
             map_note=ODOMETRY,
         )
 

@@ -168,37 +168,46 @@ class Timeline:
 
 
 def read_timeline(paths: Sequence[Path]) -> Timeline:
-    """The robots of all files, in the order of their names.
+    """Read recordings into the tracks of their robots, in the order of the robots' names.
 
-    ConfigError if a file is no recording, if no file has a message, or if one of several files is a
-    merged file.
+    `paths`: recordings of robots, or a single merged recording. Times are in s from the first
+    odometry. ConfigError if a file is no recording, if no file has a message, or if one of several
+    files is a merged file.
     """
-    first = read_file(paths[0])
-    is_merged = first.about.get("kind") == "merged"
+    first_file = read_file(paths[0])
+    is_merged = first_file.about.get("kind") == "merged"
     if is_merged and len(paths) > 1:
         raise ConfigError(f"{paths[0]}: merged already; expected it alone")
+    # 1. All messages: (time in ns, topic `/robot/...`, message type, content).
     notes: list[str] = []
-    abouts: Mapping[str, Mapping[str, str]] = first.robots
-    every: Iterable[tuple[int, str, str, bytes]]
+    abouts: Mapping[str, Mapping[str, str]] = first_file.robots  # texts on each robot
+    messages_of_all: Iterable[tuple[int, str, str, bytes]]
     if is_merged:
-        if first.fault:
-            notes.append(f"{paths[0]}: {first.fault}; what is whole is shown")
-        every = ((one.at, one.topic, one.kind, one.payload) for one in first.messages)
+        if first_file.fault:
+            notes.append(f"{paths[0]}: {first_file.fault}; what is whole is shown")
+        messages_of_all = (
+            (message.at, message.topic, message.kind, message.payload)
+            for message in first_file.messages
+        )
     else:
-        abouts, every = _placed(paths, notes)
-    timed = sorted(every, key=lambda one: one[0])
+        abouts, messages_of_all = _placed(paths, notes)
+    timed = sorted(messages_of_all, key=lambda message: message[0])
     if not timed:
         raise ConfigError(f"{paths[0]}: no messages in this recording")
-    start = next((at for at, topic, *_ in timed if topic.endswith("/odometry")), timed[0][0])
+    # 2. A track for each robot.
+    odometry_times = (at for at, topic, *_ in timed if topic.endswith("/odometry"))
+    start = next(odometry_times, timed[0][0])
     tracks: dict[str, Track] = {}
     for at, topic, kind, payload in timed:
-        name, _, rest = topic[1:].partition("/")
-        if name not in tracks:
-            about = abouts.get(name, {})
-            tracks[name] = Track(about, _platform(about, f"the recording of {name}"))
-        tracks[name].add(1e-9 * (at - start), rest, kind, payload)
+        robot, _, robot_topic = topic[1:].partition("/")
+        if robot not in tracks:
+            about = abouts.get(robot, {})
+            tracks[robot] = Track(about, _platform(about, f"the recording of {robot}"))
+        tracks[robot].add(1e-9 * (at - start), robot_topic, kind, payload)
     tracks = dict(sorted(tracks.items()))
-    return Timeline(tracks, first.about if is_merged else {}, notes, _is_shared(tracks.values()))
+    return Timeline(
+        tracks, first_file.about if is_merged else {}, notes, _is_shared(tracks.values())
+    )
 
 
 def _placed(
