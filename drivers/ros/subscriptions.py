@@ -84,8 +84,9 @@ class Subscriptions:
     def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:
         """Decode a message; returns the function that delivers its values to a sink.
 
-        The caller calls that function only while the base is connected. `is_kept`: the message is
-        an earlier one of a topic of `kept_topics`, from the publisher's cache. Raises CodecError.
+        The caller must call the returned function only while the base is connected. `is_kept`: the
+        message is an earlier message of a topic of `kept_topics`, from the publisher's cache.
+        Raises CodecError.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)

@@ -68,8 +68,8 @@ class AdminSpaces:
     """Queries the admin space of each Zenoh bridge again and again, and fills `nodes`.
 
     Each bridge is queried by its own selectors, so that a silent bridge does not hide the answers
-    of other bridges. `asked_at`: s on the loop's clock at which the last query began that all known
-    bridges answered.
+    of other bridges. `asked_at`: s on the loop's clock, the begin of the last whole query that all
+    known bridges answered.
     """
 
     def __init__(

@@ -1,8 +1,9 @@
 """The driver of ROS 2 robots over Zenoh, for both middlewares.
 
-A hub is the Zenoh bridge or router at the robot. A `KeyScheme` gives what differs between the
-middlewares: keys, framing and liveliness tokens. `RosDriver._watch` detects a lost base: silent
-topics, a hub that is gone or was started again, a base that takes commands of another type.
+The middlewares are zenoh-bridge-ros2dds and rmw_zenoh. A hub is the Zenoh bridge or router at the
+robot. A `KeyScheme` has the differences of the middlewares: keys, framing and liveliness tokens.
+`RosDriver._watch` detects a lost base: silent topics, a hub that is gone or was started again, a
+base that takes commands of another type.
 """
 
 from __future__ import annotations
@@ -295,7 +296,7 @@ class RosDriver:
         """Query the announcements; the base stays lost until the answer is complete.
 
         The callbacks are direct (`indirect=False`): Zenoh's receiving thread runs them in the order
-        of the link, so that the end of the answer comes after all tokens of `_listen`. An indirect
+        of the link. So the end of the answer comes after all tokens of `_subscribe`. An indirect
         callback has its own thread: a scan could overtake the token that names the base's command
         type.
         """

@@ -2,10 +2,10 @@
 
 Source: Nouyan, Gross, Bonani, Mondada and Dorigo, "Teamwork in self-organized robot colonies", IEEE
 Trans. Evolutionary Computation 13, 2009, with the chains of Nouyan, Campo and Dorigo, "Path
-formation in a robot swarm", Swarm Intelligence 2, 2008: an explorer moves along a chain to its
-tail, and there joins the chain at the rate `join`. The robot at the tail leaves the chain at the
-rate `leave`, unless that robot sees the goal, and goes back to the nest. Members keep their
-distance and align.
+formation in a robot swarm", Swarm Intelligence 2, 2008. An explorer moves along a chain to the
+chain's tail, and joins there at the rate `join`. The robot at the tail leaves the chain at the rate
+`leave`, unless the robot sees the goal, and goes back to the nest. Members keep their distance and
+align.
 
 Ours: members send their number of hops to the nest and the id of the member before them. In the
 source three colours show the direction instead. Nest and goal are robots that stand. Members also

@@ -1,7 +1,7 @@
 """Discussed dispersion: experiment 2 of the paper, where there is room for every opinion.
 
-Seven Waffle Pis in 1.4 times the paper's arena, so that opinion 2, 1.4 m, can be kept too; and an
-eighth that joins late with another opinion.
+Seven Waffle Pis run in 1.4 times the paper's arena, so that also the distance of opinion 2, 1.4 m,
+has room. In further runs an eighth robot joins late with another opinion.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Rays of range sensors against flat and round shapes, and the errors of the ranges.
 
-A kernel (see `swarmd/core/kernels.py`): `lidar.py` and `noise.py` use it. Each shape covers one
-interval of bearings seen from the sensor. Its distance is computed only for the rays within that
-interval, so a scan costs the shapes nearby and not rays times shapes. The arithmetic uses one over
-the distance, which along a surface is the sum of a cosine and a sine.
+A kernel (see `swarmd/core/kernels.py`) for `lidar.py` and `noise.py`. Seen from the sensor, each
+shape covers one interval of bearings. The distance of a shape is computed only for the rays within
+this interval. So the time of a scan grows with the shapes nearby, not with rays times shapes. The
+arithmetic uses one over the distance, which along a flat surface is a weighted sum of the cosine
+and the sine of the bearing.
 """
 
 from __future__ import annotations
