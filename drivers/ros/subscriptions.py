@@ -92,20 +92,22 @@ class Subscriptions:
         message = self._decode(stats.message_type, payload)
         header = getattr(message, "header", None)
         stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
+        # 1. The entries of `readings`, `hazards` and `detections` that read this topic.
         entries_text = self._take_entries(stats, message, stamp, now, is_kept)
-        if is_kept:
-            stamp = stats.stamps[-1] if stats.stamps else stamp
-        extras = partial(self.deliver_inputs, now=now)
-        if stats.goes_stale:
+        deliver_entries = partial(self.deliver_inputs, now=now)
+        if is_kept and stats.stamps:
+            stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
+        if stats.goes_stale:  # a topic of entries alone
             stats.record(now, stamp or now, entries_text or stats.summary)
-            return extras
-        if is_kept:  # a late message is no scan, odometry or pose
-            return extras
+            return deliver_entries
+        if is_kept:  # an earlier message is no scan, odometry or pose
+            return deliver_entries
+        # 2. The value of a standard topic, such as a scan.
         deliver, summary = self._value(stats, message, now)
         stats.record(now, stamp, ", ".join(filter(None, (summary, entries_text))))
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
-        return partial(_deliver_all, (deliver, extras)) if entries_text else deliver
+        return partial(_deliver_all, (deliver, deliver_entries)) if entries_text else deliver
 
     def _take_entries(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool

@@ -381,7 +381,8 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 
     A bridge without the answer `config` is left out.
     """
-    # 1. Sort the payloads by bridge. Keys are `@/<zid>/ros2/<kind>/<rest>`.
+    # 1. The payloads of each bridge: its configuration, and its nodes and DDS entities by the last
+    # part of their keys, which are `@/<zid>/ros2/<kind>/<rest>`.
     configs = dict[str, _Config]()
     nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
@@ -400,7 +401,11 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
     # another bridge.
     for zid, config in configs.items():
         prefix = config.namespace.rstrip("/")
-        ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
+        ends = [
+            end
+            for name, payload in nodes[zid].items()
+            for end in _of_node(zid, prefix, name, payload)
+        ]
         of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
         dds_ends, processes, not_ros = _ends_in_dds(zid, prefix, in_dds[zid])
         processes |= {end.process: end.node for end in ends if end not in of_nodes}

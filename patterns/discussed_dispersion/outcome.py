@@ -40,7 +40,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list
     changes = {"arena.size": list(LARGER), "duration": seconds}
     courses = [judged(t) for t in simulate("paper_exp2", seeds, set=changes, jobs=jobs).traces]
     over = [course.least - course.wanted for course in courses]
-    # 2. An eighth robot joins while the others disperse, after 3 s already, so that a run is short.
+    # 2. An eighth robot joins while seven disperse. They vote for 3 s only, so that a run is short.
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},

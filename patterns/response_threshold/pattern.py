@@ -1,4 +1,4 @@
-"""Response thresholds: the robots divide their work by how much of it there is.
+"""Response thresholds: the more work there is, the more robots work.
 
 Source: Bonabeau, Theraulaz and Deneubourg, "Quantitative study of the fixed threshold model for the
 regulation of division of labour in insect societies", Proc. Royal Society B 263, 1996. An idle

@@ -1,4 +1,4 @@
-"""Trimmed consensus: the robots agree on a number, whatever a few of them say.
+"""Trimmed consensus: the robots agree on a number although a few of them send false numbers.
 
 Source: LeBlanc, Zhang, Koutsoukos and Sundaram, "Resilient asymptotic consensus in robust
 networks", IEEE J. Selected Areas in Communications 31(4), 2013 (W-MSR). Of the neighbours' values
