@@ -67,8 +67,8 @@ class ScanContent:
     def fault(self) -> str:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
-        The first that applies: all ranges of the last scan are 0; no ray has a return; the last
-        scans repeat each other although the sensor has noise.
+        The first fault that applies: all ranges of the last scan are 0, no ray has a return, or the
+        last scans repeat each other although the sensor has noise.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):

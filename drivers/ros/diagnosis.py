@@ -92,8 +92,8 @@ class Graph:
     def silence(self, stats: TopicStats) -> str:
         """Why no message arrives on a topic, and the next step; `stats`: of the topic.
 
-        The first reason that applies: the node is silent; the topic has another type; the hub does
-        not route the topic; the topic is in another ROS domain; no node publishes the topic.
+        The first reason that applies: a silent node, another message type, a topic that the hub
+        does not route, another ROS domain, no node that publishes the topic.
         """
         middleware, topic = self.middleware, stats.topic
         wanted_type = middleware.type_name(stats.message_type)
@@ -227,9 +227,9 @@ class Graph:
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
         """Why more than one node seems to publish a needed topic; empty if only one does.
 
-        The signs, in this order: several nodes or bridges are announced; the stamps go back; the
-        messages come too often for `spec.rate`. The stamps and the rate are no sign if exactly one
-        node is announced.
+        The signs, in this order: several announced nodes or bridges, stamps that go back, messages
+        that come too often for `spec.rate`. The stamps and the rate are no sign if exactly one node
+        is announced.
         """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:

@@ -207,7 +207,7 @@ def battery_readings(
     volts: tuple[float, float] | None = None,
     percentage: str | None = None,
 ) -> dict[str, float]:
-    """The readings `battery` (0 to 1) and `battery_voltage` in V that the message measures.
+    """The values `battery` (0 to 1) and `battery_voltage` in V that the message measures.
 
     `volts`: the voltages of an empty and a full pack, between which `battery` is interpolated.
     Without `volts`, `percentage` is the unit of the message's field: `share` (of 1, as sensor_msgs

@@ -68,7 +68,7 @@ class Subscriptions:
             [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
-        # The entries of the options `readings`, `hazards` and `detections`, also by topic.
+        # The entries of the options of topic_entries.py, also by topic.
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -92,7 +92,7 @@ class Subscriptions:
         message = self._decode(stats.message_type, payload)
         header = getattr(message, "header", None)
         stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
-        # 1. The entries of `readings`, `hazards` and `detections` that read this topic.
+        # 1. The entries (topic_entries.py) that read this topic.
         entries_text = self._take_entries(stats, message, stamp, now, is_kept)
         deliver_entries = partial(self.deliver_inputs, now=now)
         if is_kept and stats.stamps:
@@ -241,7 +241,7 @@ def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
     """The statistics of each topic that the options name: one for each full name of a topic.
 
-    An entry of `readings`, `hazards` or `detections` may share a topic with another option.
+    An entry of an option of topic_entries.py may share a topic with another option.
     """
     topic = options.topic
     topics = [

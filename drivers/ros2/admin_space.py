@@ -389,7 +389,8 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
-        zid, kind, rest = parts[1], parts[3], "".join(parts[4:])
+        zid, kind = parts[1], parts[3]
+        rest = "".join(parts[4:])
         if kind == "config" and not rest and (config := _decoded(_configs, payload)):
             configs[zid] = config
         elif kind == "node" and rest:

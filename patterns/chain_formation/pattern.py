@@ -235,9 +235,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
         `member`: the robot's own membership: hops to the nest, id of the member before it, and
-        whether the chain leads to the goal. The robot leaves (`_membership` is None, and the robot
-        drives home) in three cases: the member before it is lost; another member has the same
-        place; the robot is the tail of a chain without the goal, at the rate `leave`.
+        whether the chain leads to the goal. To leave, the robot sets `_membership` to None and
+        drives home. It leaves if the member before it is lost, or if another member has its place.
+        The tail of a chain that does not lead to the goal leaves at the rate `leave`.
         """
         params = self.params
         robot = self.context.robot

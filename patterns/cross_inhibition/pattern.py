@@ -1,4 +1,4 @@
-"""Cross-inhibition: a robot that hears another opinion drops its own, so that one prevails.
+"""Cross-inhibition: a robot that hears another opinion drops its own; one opinion prevails.
 
 Source: the stop signal of honeybees (Seeley et al., Science 335, 2012) as a rule of robots: Reina,
 Valentini, Fernandez-Oto, Dorigo and Trianni, PLoS ONE 10(10), 2015. A committed robot that hears

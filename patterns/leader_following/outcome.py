@@ -75,7 +75,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
 def run(given: tuple[int, float, float]) -> Chain:
     """Simulate a chain of point robots, and measure the gap errors.
 
-    `given`: seed, and headway and lag in s. The chain begins at rest. The leader starts after 2 s, and is absent from `LOST_AT` s on.
+    `given`: seed, and headway and lag in s. The chain begins at rest. The leader starts after 2 s,
+    and is absent from `LOST_AT` s on.
     """
     seed, headway, lag = given
     rng = np.random.default_rng(seed)

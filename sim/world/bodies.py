@@ -2,7 +2,7 @@
 
 A planar body slides along the world's x and y, and turns about the vertical through its AXLE
 CENTRE, which is also its centre of mass. Measured: a planar body costs 4 to 7 times less than a
-body with wheels, and tracks commands better. Bodies collide as their footprints, extruded to one
+body with wheels, and follows commands better. Bodies collide as their footprints, extruded to one
 common height, since all stand on one floor. A robot of a platform with `body: {solid: 0}` is a
 ghost: other robots pass through the ghost, but the ghost collides with walls and boxes.
 """

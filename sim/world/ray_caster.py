@@ -472,10 +472,10 @@ class Caster:
     ) -> cython.int:
         """Note the distance of a flat surface at each ray of the sector that hits it.
 
-        `x`, `y`: from the sensor to the start of the surface; `along_x`, `along_y`: from there to
-        its end; in m in the world frame. `side`: the sensor's distance from the surface's line,
-        times its length; below 0, since the sensor faces the front. One over the distance is the
-        sum of the ray's cosine and sine with two weights.
+        In m in the world frame, `x` and `y` lead from the sensor to the start of the surface, and
+        `along_x` and `along_y` from there to its end. `side`: the sensor's distance from the line
+        of the surface times its length, below 0 since the sensor faces the front. One over the
+        distance is a weighted sum of the ray's cosine and sine.
         """
         # The surface covers the bearings from `high - turn` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
