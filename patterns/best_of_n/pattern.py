@@ -1,4 +1,4 @@
-"""Best of n: the robots agree on the best of several options, by promoting it longer.
+"""Best of n: the robots agree on the best option; better options are promoted longer.
 
 Source: Valentini, Hamann and Dorigo, "Self-organized collective decision making: the weighted voter
 model", AAMAS 2014; Valentini, Ferrante, Hamann and Dorigo, "Collective decision with 100 Kilobots:
