@@ -1,7 +1,7 @@
 """The marks by which ROS messages say that a field is not measured, for all message types. Pure.
 
-For example, a covariance that begins with -1. Options `imu` and `battery`, odometry and the entries
-of topic_entries.py use this table.
+An Imu whose orientation covariance begins with -1 is an example. The readers of IMU, battery,
+odometry and of the entries of topic_entries.py use this table.
 """
 
 from __future__ import annotations

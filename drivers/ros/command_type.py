@@ -1,7 +1,7 @@
 """Chooses the message class of commands, Twist or TwistStamped. Pure.
 
-Option `cmd_vel_type` or the subscription of the base decides. `from_ros.py` makes the message. In
-ROS 1 the adapter process asks the base's node for its type.
+The option `cmd_vel_type` decides, or the type to which the base subscribes. In ROS 1 the adapter
+process asks the base's node for this type. `from_ros.py` makes the message.
 """
 
 from __future__ import annotations

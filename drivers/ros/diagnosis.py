@@ -92,8 +92,8 @@ class Graph:
     def silence(self, stats: TopicStats) -> str:
         """Why no message arrives on a topic, and the next step; `stats`: of the topic.
 
-        The first reason that applies: the node is silent; the topic has another type; the hub does
-        not route the topic; the topic is in another ROS domain; no node publishes the topic.
+        The first reason that applies: a silent node, another message type, a topic that the hub
+        does not route, another ROS domain, no node that publishes the topic.
         """
         middleware, topic = self.middleware, stats.topic
         wanted_type = middleware.type_name(stats.message_type)
@@ -208,7 +208,7 @@ class Graph:
         """Why the robot must not move; None without a conflict.
 
         A conflict is a second base on the topic of commands, or a second publisher of scans or
-        odometry. Scans that come too often show that two nodes of one name both live.
+        odometry. Scans that come too often prove that two nodes with one name are both alive.
         """
         needed = [stats for stats in topics if stats.is_needed]
         is_alive = any(too_fast(stats, spec) for stats in needed)
@@ -227,9 +227,9 @@ class Graph:
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
         """Why more than one node seems to publish a needed topic; empty if only one does.
 
-        The signs, in this order: several nodes or bridges are announced; the stamps go back; the
-        messages come too often for `spec.rate`. The stamps and the rate are no sign if exactly one
-        node is announced.
+        The signs, in this order: several announced nodes or bridges, stamps that go back, messages
+        that come too often for `spec.rate`. The stamps and the rate are no sign if exactly one node
+        is announced.
         """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
@@ -363,11 +363,12 @@ class Graph:
     def _is_listener(self, end: Endpoint) -> bool:
         return bool(end.node) and is_listener(end.node, self.options.cmd_vel_listeners)
 
-    def _several_nodes(self, ends: Collection[Endpoint], what: str, *, is_alive: bool) -> str:
+    def _several_nodes(self, ends: Collection[Endpoint], action: str, *, is_alive: bool) -> str:
         """Why these ends belong to more than one node; empty if they belong to one node.
 
-        `is_alive`: if two nodes have one name, both are known to be alive. Otherwise the older may
-        have crashed, and counts until the lease of the middleware.
+        `action`: the verb and topic for the text, such as `publish /scan`. `is_alive`: two nodes
+        with one name are both known to be alive. Otherwise the older node may have crashed, and
+        counts until the lease of the middleware.
         """
         nodes = [*nodes_of(ends).values()]
         names = sorted({end.owner for end in nodes})
@@ -375,15 +376,15 @@ class Graph:
         if len(nodes) < 2:
             return ""
         if len(names) > 1:
-            return f"{len(nodes)} nodes {what}: {listed(names)}; end all but one, or {remedy}"
+            return f"{len(nodes)} nodes {action}: {listed(names)}; end all but one, or {remedy}"
         age = self.now - max(end.since for end in nodes)
         if is_alive or age > self.middleware.lease:
             return (
-                f"{len(nodes)} living nodes named {names[0]} {what}, of several robots: end all but"
-                f" one, or {remedy}"
+                f"{len(nodes)} living nodes named {names[0]} {action}, of several robots: end all"
+                f" but one, or {remedy}"
             )
         return (
-            f"{len(nodes)} nodes named {names[0]} {what}: it crashed and is back"
+            f"{len(nodes)} nodes named {names[0]} {action}: it crashed and is back"
             f" ({self.middleware.crashed}), or two robots have it: {remedy}"
         )
 
@@ -461,8 +462,8 @@ def too_slow(stats: TopicStats, content: ScanContent) -> str:
 def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
     """Why scans come too often for one sensor; empty if they do not.
 
-    The longer time of both counts, by arrivals and by stamps: delayed messages of one sensor may
-    arrive together, but their stamps keep the rate.
+    The time span of the scans is measured by arrivals and by stamps, and the longer span counts.
+    Delayed messages of one sensor may arrive together, but their stamps keep the rate.
     """
     (by_stamp, by_clock), gaps = stats.elapsed(), len(stats.times) - 1
     most = MAX_RATE * spec.rate * max(by_stamp, by_clock)
@@ -476,11 +477,11 @@ def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
 def driven_by_others(
     topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True, nodes: Iterable[str] = ()
 ) -> str:
-    """The text for a base that other nodes drive.
+    """The text for a base that other nodes drive by commands on `topic`.
 
-    `publishers`: nodes that count as driving by their registration alone (ROS 1); `is_heard`: their
-    commands have been heard. Without `publishers` only commands count (ROS 2), and `nodes` are the
-    publishers that are known.
+    ROS 1: `publishers` are nodes that count as driving because they are registered as publishers;
+    `is_heard`: their commands have arrived. ROS 2: only commands that arrive count, `publishers` is
+    empty, and `nodes` are the known publishers.
     """
     names = listed(publishers)
     if names:

@@ -68,10 +68,10 @@ class ForeignCommands:
         self._zeros_from = self._zero_at = -math.inf
 
     def take_command(self, topic: str, payload: bytes, types: Collection[str], now: float) -> bool:
-        """Count a command of another node; True unless it is zero.
+        """Count a command of another node; False for zero, which does not move the base.
 
-        `types`: the message types that the topic's publishers announce; of another type than Twist
-        and TwistStamped the bytes cannot be read, and count as not zero.
+        `types`: the message types that the topic's publishers announce. With another type than
+        Twist and TwistStamped the bytes cannot be read, and the command counts as not zero.
         """
         self.counts[topic] += 1
         is_known = not types or any(kind.rpartition("/")[2] in _COMMANDS for kind in types)

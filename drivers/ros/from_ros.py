@@ -74,8 +74,8 @@ def scan_of(
 def header_fault(message: ros.LaserScan) -> str:
     """How `angle_max` contradicts the number of rays of a scan; empty if it does not.
 
-    Drivers set `angle_max` to the angle of the last ray or to one increment more, and round the
-    increment; some leave `angle_max` at 0.
+    Some drivers set `angle_max` to the angle of the last ray, others to one increment more, and the
+    increment is rounded. A value of 0 means that the driver does not set `angle_max`.
     """
     count, step = len(message.ranges), message.angle_increment
     first, last = message.angle_min, message.angle_max
@@ -207,12 +207,12 @@ def battery_readings(
     volts: tuple[float, float] | None = None,
     percentage: str | None = None,
 ) -> dict[str, float]:
-    """`battery` as a share of 1 and `battery_voltage` in V; a value not measured is left out.
+    """The values `battery` (0 to 1) and `battery_voltage` in V that the message measures.
 
-    With `volts`, the voltages of an empty and a full pack, `battery` is interpolated from the
-    voltage. Otherwise `percentage` is the unit of the message's field: `share` (of 1, as
-    sensor_msgs defines), or `percent`, as some drivers send. With neither, or if the value is
-    impossible in that unit, there is no `battery`.
+    `volts`: the voltages of an empty and a full pack, between which `battery` is interpolated.
+    Without `volts`, `percentage` is the unit of the message's field: `share` (of 1, as sensor_msgs
+    defines), or `percent`, as some drivers send. `battery` is left out without both, and if the
+    value is impossible in that unit.
     """
     voltage, share = message.voltage, math.nan
     if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
@@ -255,8 +255,8 @@ def twist_message(twist: Twist) -> ros.Twist:
 def command_message(twist: Twist, message_type: type, frame: str) -> ros.Twist | ros.TwistStamped:
     """A command as a Twist, or as a TwistStamped in that frame.
 
-    The stamp is zero, which ros2_control takes for "now": it refuses commands that are old on its
-    own clock, and the clocks of two machines need not agree.
+    The stamp is zero, which ros2_control takes for "now". ros2_control refuses commands that are
+    old on its own clock, and the clocks of two machines need not agree.
     """
     message = twist_message(twist)
     if message_type is ros.Twist:
@@ -320,7 +320,8 @@ def _ages(step: float, count: int, period: float) -> Array | None:
     """(count,) s by which each ray is older than the newest ray; None if `step` is impossible.
 
     `step`: s between two rays in the order of the message; below 0 if the rays are in reversed
-    order of time. It is impossible if 0, or if a sweep would take longer than _MAX_PERIODS.
+    order of time. A step of 0 is impossible, and a step with which a sweep would take longer than
+    _MAX_PERIODS periods of the scan rate.
     """
     if step == 0.0 or not abs(step) * count <= _MAX_PERIODS * period:  # false for NaN too
         return None

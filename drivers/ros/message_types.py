@@ -129,8 +129,8 @@ def _types_in(root: Path) -> Iterator[str]:
 def _parsed(full: str, text: str, path: Path, *, is_ros1: bool) -> tuple[Any, Any]:
     """Constants and fields of a definition.
 
-    Constants are kept as they are written: ROS 1 computes its md5 sum so, and rosbags refuses some
-    names of them. A `char` is a `uint8` in ROS 2, and its type hash says so.
+    Constants are kept as text, since ROS 1 computes a type's md5 sum of the text, and rosbags
+    refuses some of their names. A `char` becomes a `uint8`, as in the type hash of ROS 2.
     """
     lines = text.splitlines()
     constants = [_CONSTANT.fullmatch(line) for line in lines]

@@ -1,9 +1,9 @@
 """Finds announced topics that may be this robot's under another name. Pure.
 
 `diagnosis.py` proposes these topics to the user. A topic of another robot must not be proposed: the
-user would drive that robot. If option `namespace` is set, every other namespace is another robot's.
-Otherwise a namespace is another robot's if it has a scan, odometry or base that this robot also has
-elsewhere.
+user would drive that robot. If the option `namespace` is set, every other namespace belongs to
+another robot. Without the option a namespace belongs to another robot if it has a scan, odometry or
+base, while this robot's own topic of the same kind is announced elsewhere.
 """
 
 from __future__ import annotations
@@ -77,9 +77,9 @@ class Namespaces:
     def candidates(self, alike: Collection[str]) -> Candidates:
         """The proposals for a missing topic; `alike`: the topics with its type.
 
-        1. With option `namespace`: the topics in it, and all namespaces while nothing of it is
-           there.
-        2. Without: the topics, or all candidate namespaces if there are several.
+        1. With the option `namespace`: the topics in this namespace. While no topic of this
+           namespace is announced: all namespaces.
+        2. Without the option: the topics, or all candidate namespaces if there are several.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

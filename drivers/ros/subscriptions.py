@@ -68,7 +68,7 @@ class Subscriptions:
             [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
-        # The entries of the options `readings`, `hazards` and `detections`, also by topic.
+        # The entries of the options of topic_entries.py, also by topic.
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -84,27 +84,30 @@ class Subscriptions:
     def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:
         """Decode a message; returns the function that delivers its values to a sink.
 
-        The caller calls that function only while the base is connected. `is_kept`: the message is
-        an earlier one of a topic of `kept_topics`, from the publisher's cache. Raises CodecError.
+        The caller must call the returned function only while the base is connected. `is_kept`: the
+        message is an earlier message of a topic of `kept_topics`, from the publisher's cache.
+        Raises CodecError.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
         header = getattr(message, "header", None)
         stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
+        # 1. The entries (topic_entries.py) that read this topic.
         entries_text = self._take_entries(stats, message, stamp, now, is_kept)
-        if is_kept:
-            stamp = stats.stamps[-1] if stats.stamps else stamp
-        extras = partial(self.deliver_inputs, now=now)
-        if stats.goes_stale:
+        deliver_entries = partial(self.deliver_inputs, now=now)
+        if is_kept and stats.stamps:
+            stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
+        if stats.goes_stale:  # a topic of entries alone
             stats.record(now, stamp or now, entries_text or stats.summary)
-            return extras
-        if is_kept:  # a late message is no scan, odometry or pose
-            return extras
+            return deliver_entries
+        if is_kept:  # an earlier message is no scan, odometry or pose
+            return deliver_entries
+        # 2. The value of a standard topic, such as a scan.
         deliver, summary = self._value(stats, message, now)
         stats.record(now, stamp, ", ".join(filter(None, (summary, entries_text))))
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
-        return partial(_deliver_all, (deliver, extras)) if entries_text else deliver
+        return partial(_deliver_all, (deliver, deliver_entries)) if entries_text else deliver
 
     def _take_entries(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
@@ -238,7 +241,7 @@ def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
     """The statistics of each topic that the options name: one for each full name of a topic.
 
-    An entry of `readings`, `hazards` or `detections` may share a topic with another option.
+    An entry of an option of topic_entries.py may share a topic with another option.
     """
     topic = options.topic
     topics = [

@@ -148,9 +148,9 @@ class ReadingEncoder:
 class TagEncoder:
     """Encodes objects as the AprilTags that a camera would see.
 
-    Only objects whose kind is a value of option `kinds` have a tag. The key of that value is the
-    number of the tag, or its family. With a family, the tag's number is the number at the end of
-    the object's name, such as 2 of `tb4-02`.
+    Only an object whose kind is a value of the option `kinds` has a tag. The key of this value is
+    the tag's number or family. With a family, the tag's number is the number at the end of the
+    object's name, such as 2 of `tb4-02`.
     """
 
     is_reliable, depth = True, 1

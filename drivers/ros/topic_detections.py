@@ -64,10 +64,10 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """The fields of a detection in a message type.
+    """The names of a detection's fields in a message type.
 
-    Each field has alternatives, of which the first that the definition has is used: definitions
-    differ between versions of vision_msgs.
+    Each field has alternative names, since definitions differ between versions of vision_msgs. The
+    first name that the definition has is used.
     """
 
     kind: Sequence[str]
@@ -127,8 +127,8 @@ class TopicDetections(TopicEntry):
     def _from_camera(self, item: Any) -> tuple[float, float | None]:
         """Bearing in rad and distance in m from the camera, in the camera's frame.
 
-        Of an image the distance follows from the size in pixels by the pinhole model; None without
-        option `size`.
+        In an image the distance follows from the size in pixels by the pinhole model. The distance
+        is None without the option `size`. The bearing is NaN without a place in the image.
         """
         place = value_at(item, self.place)
         if not self.is_image:
@@ -159,8 +159,8 @@ class TopicDetections(TopicEntry):
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
         """The horizontal position of an object in the image, and its side, both in pixels.
 
-        None if the object is outside the image or has no distance. The inverse of `read`, for
-        simulated cameras.
+        None if the object is outside the image or has no distance. This is the inverse of `read`,
+        for simulated cameras.
         """
         if seen.distance is None:
             return None

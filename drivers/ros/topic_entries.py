@@ -16,10 +16,10 @@ FullName = Callable[[str], str]
 
 
 class EntryKind(NamedTuple):
-    """An option with entries.
+    """An option with entries, such as `readings`: the functions that read and collect them.
 
-    `read(name, options, full_name, types)`: makes the entries of a key; raises ConfigError that
-    names the key. `inputs(entries)`: collects the values of all entries.
+    `read(name, options, full_name, types)` makes the entries of a key, and raises ConfigError that
+    names the key. `inputs(entries)` makes the object that collects the values of all entries.
     """
 
     read: Callable[[str, Any, FullName, MessageTypes], tuple[TopicEntry, ...]]

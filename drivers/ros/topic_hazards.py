@@ -80,9 +80,9 @@ class TopicHazard(TopicEntry):
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
         """The hazards in a message; a text with the reason if a number is not measured.
 
-        A number above the upper limit of the hazard counts even if the message marks it as not
-        measured, such as a range beyond the sensor's range: over a cliff a floor sensor has no
-        return.
+        A number above the upper limit of the hazard counts even if the message marks the number as
+        not measured. An example is a floor sensor over a cliff: it has no return, and its range is
+        beyond the sensor's range.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
         hazards: dict[Hazard, None] = {}

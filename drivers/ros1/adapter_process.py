@@ -65,8 +65,9 @@ _TWIST = struct.Struct("<6d")
 class KeptTopic:
     """The last message of a topic that is published on change, sent until the driver has taken it.
 
-    It also reports the end of the publisher. rospy keeps a connection whose publisher has ended,
-    and dials again; a connection that is made again has another header.
+    The class also reports the end of the publisher. After the publisher's end rospy keeps the
+    connection and dials again. A connection that is made again has another header, by which it is
+    told apart.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -202,7 +203,7 @@ class Adapter:
         """Publish commands in the type of the listeners' subscriptions (`wanted`), if all agree.
 
         Without effect while a listener is connected. rospy cannot advertise a topic again with
-        another type: then the adapter ends, and the driver starts a new one.
+        another type. So the adapter ends if the type changes, and the driver starts a new adapter.
         """
         allowed = self._config["command_types"]
         kinds = {kind for kind in wanted if kind in allowed}

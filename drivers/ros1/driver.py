@@ -215,7 +215,8 @@ class Ros1Driver:
         `kept_topics`: indices of topics whose last message counts until the next one. `holds`: an
         earlier adapter has driven the robot, so that this adapter begins with zeros.
         """
-        options, foreign, subscriptions = self._options, self._foreign, self._subscriptions
+        options, foreign = self._options, self._foreign
+        subscriptions = self._subscriptions
         types_by_topic = [
             *((stats.topic, stats.message_type) for stats in subscriptions.topics.values()),
             *((topic, foreign.protocol.message_type) for topic in foreign.actions),

@@ -1,7 +1,7 @@
 """Calls to the XML-RPC API of the ROS master and of nodes, each with a limit of time.
 
-For `adapter_process.py`: it needs Python 3.8 and the standard library, and imports nothing of this
-project.
+`adapter_process.py` imports this module. So the module needs only Python 3.8 and the standard
+library, and imports nothing of this project.
 """
 
 from __future__ import annotations

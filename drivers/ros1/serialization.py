@@ -1,8 +1,8 @@
 """Decodes and encodes ROS 1 messages by rosbags, with the message classes of ROS 2.
 
-A decoded message has the fields of its class in `messages`, and a `seq` in its header; only `Range`
-lacks a field, `variance`. Decoding a 360-ray LaserScan takes 5 us, encoding a Twist 3 us (p50; with
-`struct` by hand 1.4 and 0.2 us; the budget of a scan is 10 us).
+A decoded message has the fields of its class in `messages`, and a `seq` in its header. A decoded
+`Range` lacks the field `variance`. Measured medians: decoding a 360-ray LaserScan takes 5 us, with
+`struct` by hand 1.4 us; encoding a Twist takes 3 us, by hand 0.2 us. The budget of a scan is 10 us.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ class AdminSpaces:
     """Queries the admin space of each Zenoh bridge again and again, and fills `nodes`.
 
     Each bridge is queried by its own selectors, so that a silent bridge does not hide the answers
-    of other bridges. `asked_at`: s on the loop's clock at which the last query began that all known
-    bridges answered.
+    of other bridges. `asked_at`: s on the loop's clock, the begin of the last whole query that all
+    known bridges answered.
     """
 
     def __init__(
@@ -381,14 +381,16 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 
     A bridge without the answer `config` is left out.
     """
-    # 1. Sort the payloads by bridge. Keys are `@/<zid>/ros2/<kind>/<rest>`.
+    # 1. The payloads of each bridge: its configuration, and its nodes and DDS entities by the last
+    # part of their keys, which are `@/<zid>/ros2/<kind>/<rest>`.
     configs = dict[str, _Config]()
     nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
-        zid, kind, rest = parts[1], parts[3], "".join(parts[4:])
+        zid, kind = parts[1], parts[3]
+        rest = "".join(parts[4:])
         if kind == "config" and not rest and (config := _decoded(_configs, payload)):
             configs[zid] = config
         elif kind == "node" and rest:
@@ -400,7 +402,11 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
     # another bridge.
     for zid, config in configs.items():
         prefix = config.namespace.rstrip("/")
-        ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
+        ends = [
+            end
+            for name, payload in nodes[zid].items()
+            for end in _of_node(zid, prefix, name, payload)
+        ]
         of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
         dds_ends, processes, not_ros = _ends_in_dds(zid, prefix, in_dds[zid])
         processes |= {end.process: end.node for end in ends if end not in of_nodes}

@@ -1,9 +1,10 @@
 """Sends non-zero commands only after a sign of life of the hub. Pure.
 
-A command that is sent to a frozen hub waits in the buffers of TCP. No side can take it back, the
-hub passes it on when it continues, and Zenoh drops no message by age: the base would move late. So
-each sign of life (a message, or the answer to a question) permits one non-zero command within
-FRESH_TIME. Without a fresh sign of life the command is held, and the hub is asked.
+The hub is the Zenoh router or bridge of the robot. A command that is sent to a frozen hub waits in
+the buffers of TCP. Neither end can withdraw the command, and Zenoh drops no message by age. The hub
+passes the command on when it continues: the base would move late. So each sign of life (a message,
+or the answer to a query) permits one non-zero command within FRESH_TIME. Without a fresh sign of
+life the command is held, and the hub is queried.
 """
 
 from __future__ import annotations

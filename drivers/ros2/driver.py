@@ -1,8 +1,9 @@
 """The driver of ROS 2 robots over Zenoh, for both middlewares.
 
-A hub is the Zenoh bridge or router at the robot. A `KeyScheme` gives what differs between the
-middlewares: keys, framing and liveliness tokens. `RosDriver._watch` detects a lost base: silent
-topics, a hub that is gone or was started again, a base that takes commands of another type.
+The middlewares are zenoh-bridge-ros2dds and rmw_zenoh. A hub is the Zenoh bridge or router at the
+robot. A `KeyScheme` has the differences of the middlewares: keys, framing and liveliness tokens.
+`RosDriver._watch` detects a lost base: silent topics, a hub that is gone or was started again, a
+base that takes commands of another type.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
 from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
+from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
@@ -275,27 +277,21 @@ class RosDriver:
         )
         self._query_graph(session, loop)
         # Sensors; then commands and action states of other nodes, without this driver's own.
+        key_of, remote = self._scheme.subscription_key, zenoh.Locality.REMOTE
         for stats in self._subscriptions.topics.values():
-            session.declare_subscriber(
-                self._scheme.subscription_key(stats.topic),
-                _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
+            on_sample = _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type)
+            session.declare_subscriber(key_of(stats.topic), on_sample, allowed_origin=remote)
         for topic in self._foreign.topics:
-            session.declare_subscriber(
-                self._scheme.subscription_key(topic),
-                _command_receiver(inbox, topic),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
+            on_sample = _command_receiver(inbox, topic)
+            session.declare_subscriber(key_of(topic), on_sample, allowed_origin=remote)
         for topic in self._foreign.actions:
-            key = self._scheme.subscription_key(topic)
-            subscribe_with_history(session, key, _command_receiver(inbox, topic))
+            subscribe_with_history(session, key_of(topic), _command_receiver(inbox, topic))
 
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Query the announcements; the base stays lost until the answer is complete.
 
         The callbacks are direct (`indirect=False`): Zenoh's receiving thread runs them in the order
-        of the link, so that the end of the answer comes after all tokens of `_listen`. An indirect
+        of the link. So the end of the answer comes after all tokens of `_subscribe`. An indirect
         callback has its own thread: a scan could overtake the token that names the base's command
         type.
         """
@@ -496,16 +492,8 @@ class RosDriver:
             return
         undeclare(*self._tokens)
         graph = self._foreign_graph()
-        subscribed = [
-            TopicEnd(
-                stats.topic,
-                stats.message_type,
-                is_publisher=False,
-                is_reliable=graph.is_reliable(stats.topic),
-                depth=1,
-            )
-            for stats in self._subscriptions.topics.values()
-        ]
+        topics = self._subscriptions.topics.values()
+        subscribed = [_subscribed_end(stats, graph) for stats in topics]
         state_ends = self._state.ends
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
@@ -515,8 +503,8 @@ class RosDriver:
         tokens = self._scheme.tokens(zid, [*subscribed, *state_ends, command])
         *earlier_tokens, self._command_token = tokens
         state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]
-        topics = (end.topic for end in state_ends)
-        self._state.announced(dict(zip(topics, state_tokens, strict=True)))
+        state_topics = (end.topic for end in state_ends)
+        self._state.announced(dict(zip(state_topics, state_tokens, strict=True)))
         self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
 
     def _close_gate(self, sink: Sink, text: str) -> None:
@@ -675,6 +663,14 @@ class RosDriver:
             if key in self._publishers:
                 attachment = self._scheme.attachment(self._command_token)
                 self._publishers[key].put(payload, attachment=attachment)
+
+
+def _subscribed_end(stats: TopicStats, graph: diagnosis.Graph) -> TopicEnd:
+    """The subscription of a topic as this node announces it."""
+    is_reliable = graph.is_reliable(stats.topic)
+    return TopicEnd(
+        stats.topic, stats.message_type, is_publisher=False, is_reliable=is_reliable, depth=1
+    )
 
 
 def _command_receiver(inbox: LatestSamples, topic: str) -> Callable[[zenoh.Sample], None]:

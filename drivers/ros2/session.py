@@ -1,8 +1,8 @@
 """The Zenoh session to a robot's hub, in client mode, and its publishers and queries.
 
-A Zenoh router (1.10) passes no data between two peers, and every node of rmw_zenoh is a peer: the
-driver must be a client. Opening a session fails while the hub does not listen. Once open, a client
-reconnects by itself.
+The hub is a Zenoh router or bridge. A Zenoh router (1.10) passes no data between two peers, and
+every node of rmw_zenoh is a peer: the driver must be a client. Opening a session fails while the
+hub does not listen. An open client session reconnects by itself.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def linked_hubs(session: zenoh.Session) -> frozenset[str]:
 def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
     """Call `on_answer` on a thread of Zenoh once the hub has answered; not called on a timeout.
 
-    The question is a query for a liveliness token that does not exist: the hub itself answers
-    without a token, within 0.4 ms on loopback.
+    The query is for a liveliness token that does not exist. The hub itself answers that there is
+    no such token, within 0.4 ms on loopback.
     """
     errors: list[zenoh.Reply] = []  # the only possible reply is the error of a timeout
 
@@ -86,10 +86,10 @@ def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
 def subscribe_with_history(
     session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample], None]
 ) -> None:
-    """Subscribe, with the last message that publishers keep for late subscribers, in order.
+    """Subscribe, and also receive the last message that publishers keep for late subscribers.
 
-    A bridge hands the messages that a DDS writer keeps only to its first subscriber. Later
-    subscribers get them from the bridge's cache, which this advanced subscriber queries.
+    Messages come in order. A bridge hands the messages that a DDS writer keeps only to its first
+    subscriber. This advanced subscriber of zenoh-ext queries the bridge's cache for them.
     """
     zenoh.ext.declare_advanced_subscriber(
         session,

@@ -22,10 +22,10 @@ _RETRY_PERIOD = 0.5
 def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[str, bytes]:
     """The bytes of a zero command for each key to which a base may subscribe.
 
-    `wanted`: the name of the message class that the base takes; empty while that is unknown. Where
-    both classes have one key, the zero is of that class. While it is unknown, the zero is a
-    TwistStamped with an empty frame: a base that reads these bytes as a Twist gets 5e-324 m/s. With
-    the frame `base_link` it would read 1e180 m/s to the side.
+    `wanted`: the name of the message class that the base takes; empty while unknown. If Twist and
+    TwistStamped have one key, the zero has the class `wanted`. While `wanted` is unknown, the zero
+    is a TwistStamped with an empty frame: a base that reads these bytes as a Twist gets
+    5e-324 m/s. With the frame `base_link` the base would read 1e180 m/s to the side.
     """
     topic = options.topic(options.cmd_vel)
     return {

@@ -1,7 +1,7 @@
 """Attraction: the robots gather in one cluster.
 
 Source of law "paper": Kaiser et al., ICRA 2022, pattern "attraction", and its code ROS2swarm: an
-attractive potential field over all returns of the lidar, always at full speed. Its robots never
+attractive potential field over all returns of the lidar, always at full speed. The robots never
 settle, and walls attract more than robots.
 
 Law "settling" is ours. An object attracts if it may be a robot: not wider than `object_width`, and

@@ -47,8 +47,9 @@ class Choice:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> list[Outcome]:
     """Compare how often and how fast the better of two options wins with the paper's results.
 
-    A swarm of points makes one run for each seed, rule and pair of qualities. The choice between
-    the qualities 1 and 0.5 is easy. `has_hard`: the choice between 1 and 0.9 is measured too.
+    A swarm of point robots (no bodies) makes one run for each seed, rule and pair of qualities. The
+    choice between the qualities 1 and 0.5 is easy. `has_hard`: the choice between 1 and 0.9 is
+    measured too.
     """
 
     def runs_of(rule: str, worse_quality: float, group: int = 5) -> list[Choice]:

@@ -1,16 +1,16 @@
-"""Best of n: the robots agree on the best option; each promotes its own longer the better it is.
+"""Best of n: the robots agree on the best option; better options are promoted longer.
 
 Source: Valentini, Hamann and Dorigo, "Self-organized collective decision making: the weighted voter
 model", AAMAS 2014; Valentini, Ferrante, Hamann and Dorigo, "Collective decision with 100 Kilobots:
 speed versus accuracy in binary discrimination problems", Autonomous Agents and Multi-Agent Systems
-30, 2016: a robot explores its option for a random time of mean sigma and measures the quality. Then
-the robot sends its opinion for a random time of mean g times the quality. At the end the robot
-adopts the majority opinion among itself and the neighbours heard last, or the opinion of a random
-neighbour among these (the weighted voter). So more robots hear of better options.
+30, 2016. A robot explores its option for a random time of mean sigma, and measures the quality.
+Then the robot sends its opinion for a random time of mean g times the quality. So more robots hear
+of better options. At the end the robot decides by the neighbours heard last: it adopts the majority
+opinion of them and itself, or the opinion of a random neighbour (the weighted voter model).
 
 Ours: a driver gives the quality of option k, from 0 to 1, as the reading `quality_k`. The robot
-stands, and `exploration` of the source is a time here. A mission may combine the pattern with a
-walk, since a robot that meets the same neighbours again hears the same opinions again.
+stands: exploration is a time here, not a walk. A mission may combine the pattern with a walk, since
+a robot that meets the same neighbours again hears the same opinions again.
 """
 
 from __future__ import annotations

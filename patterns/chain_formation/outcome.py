@@ -44,9 +44,9 @@ class Chain:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
     """Measure how often a chain of robots joins the nest to the goal, and how well it holds.
 
-    A swarm of points makes one run for each seed with the default parameters. `has_more`: also
-    runs with chains that align but do not turn about the nest (`sweep` 0), and with chains that
-    no member leaves either (`leave` 0).
+    A swarm of point robots (no bodies) makes one run for each seed with the default parameters.
+    `has_more`: also runs with chains that align but do not turn about the nest (`sweep` 0), and
+    with chains that no member leaves either (`leave` 0).
     """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     joined_runs = [chain for chain in runs if _is_joined(chain)]

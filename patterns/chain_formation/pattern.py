@@ -2,10 +2,10 @@
 
 Source: Nouyan, Gross, Bonani, Mondada and Dorigo, "Teamwork in self-organized robot colonies", IEEE
 Trans. Evolutionary Computation 13, 2009, with the chains of Nouyan, Campo and Dorigo, "Path
-formation in a robot swarm", Swarm Intelligence 2, 2008: an explorer moves along a chain to its
-tail, and there joins the chain at the rate `join`. The robot at the tail leaves the chain at the
-rate `leave`, unless that robot sees the goal, and goes back to the nest. Members keep their
-distance and align.
+formation in a robot swarm", Swarm Intelligence 2, 2008. An explorer moves along a chain to the
+chain's tail, and joins there at the rate `join`. The robot at the tail leaves the chain at the rate
+`leave`, unless the robot sees the goal, and goes back to the nest. Members keep their distance and
+align.
 
 Ours: members send their number of hops to the nest and the id of the member before them. In the
 source three colours show the direction instead. Nest and goal are robots that stand. Members also
@@ -235,9 +235,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
         `member`: the robot's own membership: hops to the nest, id of the member before it, and
-        whether the chain leads to the goal. The robot leaves (`_membership` is None, and the robot
-        drives home) in three cases: the member before it is lost; another member has the same
-        place; the robot is the tail of a chain without the goal, at the rate `leave`.
+        whether the chain leads to the goal. To leave, the robot sets `_membership` to None and
+        drives home. It leaves if the member before it is lost, or if another member has its place.
+        The tail of a chain that does not lead to the goal leaves at the rate `leave`.
         """
         params = self.params
         robot = self.context.robot

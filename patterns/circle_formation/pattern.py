@@ -1,10 +1,10 @@
 """Circle formation: the robots form a circle with equal spacing from any start.
 
-Source: the task, from local sensing and without positions or leader, is Sugihara and Suzuki's
-(J. Robotic Systems 13(3), 1996); a robot moves between its two neighbours on the circle as in
-Defago and Souissi (Theor. Comput. Sci. 396, 2008). Ours: the regular polygon that fits best to all
-robots in sight and this one, around their mean position, so that the robots agree on circle and
-places at once and come to rest.
+Source: Sugihara and Suzuki (J. Robotic Systems 13(3), 1996) pose the task, with local sensing and
+without positions or a leader. In Defago and Souissi (Theor. Comput. Sci. 396, 2008) a robot moves
+between its two neighbours on the circle. Ours: each robot fits a regular polygon to all robots in
+sight and itself, around their mean position. So the robots agree on circle and places at once, and
+come to rest.
 
 Limits: every robot must sense all others, so the circle must be narrower than the sensing range. By
 lidar a pillar counts as a robot, and so does a robot that is switched off.

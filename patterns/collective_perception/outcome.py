@@ -77,8 +77,8 @@ def outcomes(
 ) -> list[Outcome]:
     """Measure how often the robots agree that the floor is mostly black, and how fast.
 
-    For each seed a swarm of points runs with each rule on floors with these shares of black tiles.
-    `has_bodies`: simulated Burgers also run, with the majority rule.
+    For each seed a swarm of point robots (no bodies) runs with each rule on floors with these
+    shares of black tiles. `has_bodies`: simulated Burgers also run, with the majority rule.
     """
     runs = agreements(seeds, jobs, shares)
     low, high = min(shares), max(shares)
@@ -130,7 +130,7 @@ def right(results: Results) -> Joined:
 
 
 def run(setting: _Setting) -> Agreement:
-    """Simulate points on a tiled floor until they agree, and return the opinion and the time.
+    """Simulate point robots on a tiled floor until they agree, and return the opinion and the time.
 
     Half of the points begin with each opinion, at random places of the room. The seed also draws
     the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time is

@@ -8,7 +8,7 @@ With the rules "voter" (DMVD) and "majority" (DMMD) the mean time of sending is 
 quality. With rule "comparison" (DC) the robot sends its quality too, for a mean time that does not
 depend on the quality.
 
-Ours: the walk is that of random_walk.
+Ours: the robots walk by the pattern random_walk.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Cross-inhibition: robots of two opinions that meet lose theirs, so that one opinion prevails.
+"""Cross-inhibition: a robot that hears another opinion drops its own; one opinion prevails.
 
 Source: the stop signal of honeybees (Seeley et al., Science 335, 2012) as a rule of robots: Reina,
-Valentini, Fernandez-Oto, Dorigo and Trianni, PLoS ONE 10(10), 2015; with stubborn robots Reina,
-Zakir, De Masi and Ferrante, Communications Physics 6:236, 2023. A committed robot that hears
-another opinion becomes uncommitted. An uncommitted robot adopts the opinion that it hears. Where
-stubborn robots hold both opinions, direct switching (the voter model) leaves the swarm undecided,
-and cross-inhibition lets one opinion prevail.
+Valentini, Fernandez-Oto, Dorigo and Trianni, PLoS ONE 10(10), 2015. A committed robot that hears
+another opinion becomes uncommitted. An uncommitted robot adopts the opinion that it hears. Stubborn
+robots never change their opinion. If some hold each of two opinions, the voter model leaves the
+swarm undecided, and cross-inhibition lets one opinion prevail: Reina, Zakir, De Masi and Ferrante,
+Communications Physics 6:236, 2023.
 
 Ours: windows, expiry and messages are those of every voting pattern. Opinion 0 is "uncommitted".
 """

@@ -3,12 +3,12 @@
 Source: Schmickl, Thenius, Moeslinger, Radspieler, Kernbach, Szymanski and Crailsheim, "Get in
 touch: cooperative decision making based on robot-to-robot collisions", Autonomous Agents and
 Multi-Agent Systems 18, 2009; Kernbach, Thenius, Kernbach and Schmickl, "Re-embodiment of honeybee
-aggregation behavior in an artificial micro-robotic system", Adaptive Behavior 17, 2009: a robot
-that meets another measures the cue c, waits for w_max c^2 / (c^2 + theta^2) and turns away. At an
-obstacle it turns at once.
+aggregation behavior in an artificial micro-robotic system", Adaptive Behavior 17, 2009. A robot
+that meets another robot measures the cue c, here the warmth. The robot waits for the time
+w_max c^2 / (c^2 + theta^2) and turns away. At an obstacle the robot turns away at once.
 
-Ours: the cue is the reading `temperature` above `cold`; an object of the scan that is as narrow as
-a robot counts as one. After a wait it drives for `refractory` without another.
+Ours: the cue is the reading `temperature` above `cold`. An object of the scan that is as narrow as
+a robot counts as a robot. After a wait the robot does not wait again for `refractory` s.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Discussed dispersion: experiment 2 of the paper, where there is room for every opinion.
 
-Seven Waffle Pis in 1.4 times the paper's arena, so that opinion 2, 1.4 m, can be kept too; and an
-eighth that joins late with another opinion.
+Seven Waffle Pis run in 1.4 times the paper's arena, so that also the distance of opinion 2, 1.4 m,
+has room. In further runs an eighth robot joins late with another opinion.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list
     changes = {"arena.size": list(LARGER), "duration": seconds}
     courses = [judged(t) for t in simulate("paper_exp2", seeds, set=changes, jobs=jobs).traces]
     over = [course.least - course.wanted for course in courses]
-    # 2. An eighth robot joins while the others disperse, after 3 s already, so that a run is short.
+    # 2. An eighth robot joins while seven disperse. They vote for 3 s only, so that a run is short.
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},

@@ -1,8 +1,8 @@
 """Discussed dispersion: the robots agree on a distance and spread until they keep it.
 
-Source: Kaiser et al., ICRA 2022, pattern "discussed dispersion" and experiment 2: majority rule
-alone for 20 s while the robots rest, then majority rule and dispersion in parallel; opinions 0, 1
-and 2 stand for 0.6, 1.0 and 1.4 m.
+Source: Kaiser et al., ICRA 2022, pattern "discussed dispersion" and experiment 2. The robots rest
+for 20 s and vote by the majority rule. Then majority rule and dispersion run in parallel. Opinions
+0, 1 and 2 stand for the distances 0.6, 1.0 and 1.4 m.
 """
 
 from __future__ import annotations

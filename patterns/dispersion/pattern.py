@@ -3,9 +3,9 @@
 Source of law "paper": Kaiser et al., ICRA 2022, pattern "dispersion", and its code ROS2swarm: a
 repulsive potential field, always at full speed.
 
-Law "settling" is ours. Each surface, robot or wall, pushes with its nearest point, the stronger the
-nearer it is. The robot comes to rest where the pushes cancel, so it also comes to rest where there
-is no room for the distance.
+Law "settling" is ours. The nearest point of each surface, robot or wall, pushes the robot; a nearer
+point pushes more. The robot comes to rest where the pushes cancel. So the robots also come to rest
+in a room that is too small for the distance.
 """
 
 from __future__ import annotations

@@ -2,14 +2,14 @@
 
 Source: Mirollo and Strogatz, "Synchronization of pulse-coupled biological oscillators", SIAM J.
 Applied Mathematics 50(6), 1990: a phase rises from 0 to 1, where the robot flashes. A flash of
-another robot makes the phase jump ahead, by more the greater the phase is. The refractory share
-after a flash, in which flashes of other robots count for nothing, keeps echoes from circling where
-messages take time (Mathar and Mattfeldt, SIAM J. Applied Mathematics 56, 1996). Silent robots:
+another robot makes the phase jump ahead; the jump grows with the phase. After its flash a robot
+ignores flashes for the refractory share of the period. Otherwise delayed messages would cause
+echoes without end (Mathar and Mattfeldt, SIAM J. Applied Mathematics 56, 1996). Silent robots:
 Christensen, O'Grady and Dorigo, "From fireflies to fault-tolerant swarms of robots", IEEE Trans.
 Evolutionary Computation 13(4), 2009.
 
-Ours: a message holds the time since its flash and is repeated. So neither the rate of the steps nor
-a lost message shifts a phase. The time on the air does shift a phase.
+Ours: a message holds the time since the flash, and is repeated. So neither the rate of the steps
+nor a lost message shifts a phase. The delay of a message by radio does shift a phase.
 """
 
 from __future__ import annotations

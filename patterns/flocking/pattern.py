@@ -10,11 +10,11 @@ changes the speed, and the force across the heading turns the robot (Ferrante et
 Behavior 20, 2012). Springs alone align headings slowly and not for long, since the lidars and
 bodies of other robots are behind their axles. So the robot also turns to the direction in which the
 other robots move (aligning: Vicsek et al., Phys. Rev. Lett. 75, 1995). This direction is measured
-from scans a second apart and the robot's odometry; without odometry there are only the springs.
-Walls, distinguished from robots by their width, push like springs.
+from scans a second apart and the robot's odometry; without odometry only the springs act. Walls
+push like springs; a wall is an object that is wider than a robot.
 
 Limits: a pillar counts as a robot, a robot within about 0.2 m of a wall as a part of the wall. A
-robot without others in sight drives straight on.
+robot that sees no other robot drives straight on.
 """
 
 from __future__ import annotations

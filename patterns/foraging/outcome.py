@@ -32,7 +32,7 @@ def outcomes(
     """Measure how the number of delivered items depends on the size of the group.
 
     For each seed there is a run of each size, and a run of one robot without the lamp of the nest.
-    `sizes` ascends from 1. With more than two sizes the last size must be a crowd, whose robots
+    The first of `sizes` is 1. With more than two sizes the last size must be a crowd, whose robots
     deliver less than those of a smaller group.
     """
     runs = {size: run(size, seeds, jobs, duration) for size in sizes}

@@ -1,11 +1,13 @@
 """Foraging: robots search items, and carry them home to a nest under a lamp.
 
 Source: central-place foraging of Lerman and Galstyan, "Mathematical model of foraging in a group of
-robots: effect of interference", Autonomous Robots 13, 2002: search by a random walk, pick up, home
-to the nest, drop, and search again; robots that meet avoid one another, which costs time. The rate
-of a robot falls with their number, and that of the group has a maximum.
+robots: effect of interference", Autonomous Robots 13, 2002. A robot searches by a random walk,
+picks an item up, drives home to the nest, drops the item and searches again. Robots that meet avoid
+each other, which costs time. With more robots the items of each robot fall, and those of the group
+have a maximum.
 
-Ours: two eyes find the way to the lamp of the nest, as in phototaxis, and a grey floor is the nest.
+Ours: two light sensors find the way to the lamp of the nest, as in the pattern phototaxis. The nest
+is where the floor is grey.
 """
 
 from __future__ import annotations

@@ -40,8 +40,8 @@ class Lattice:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
     """Measure the order of the lattice in which the robots settle.
 
-    For each seed a swarm of points runs. `has_more`: also points with a weak repulsion, where two
-    robots may share a place of the lattice, and Burgers with bodies.
+    For each seed a swarm of point robots (no bodies) runs. `has_more`: also points with a weak
+    repulsion, where two robots may share a place of the lattice, and Burgers with bodies.
     """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     at_start, at_end, moved_m = zip(*runs, strict=True)
@@ -79,7 +79,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
 
 
 def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float]:
-    """Simulate points from random places of a square; `given`: seed and parameters.
+    """Simulate point robots from random places of a square; `given`: seed and parameters.
 
     Returns the lattices at the start and the end, and the longest path of a robot in m in the last
     20 s.

@@ -6,7 +6,8 @@ of at most F_max, which repels nearer than the distance R and attracts from ther
 has at most six neighbours at R, and those behind them, at 1.73 R, are not felt.
 
 Ours: the sum of the forces is a velocity, not an acceleration, so that no friction is needed. A
-force falls to zero within `band` of R; the source's changes its sign there.
+force falls to zero within `band` of R, where the force of the source jumps from full repulsion to
+full attraction.
 
 Limits: the robots may end in several grains of a lattice, with faults between them. Where F_max is
 small, two points share a place of the lattice (the clusters of the source).

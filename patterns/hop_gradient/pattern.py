@@ -5,9 +5,9 @@ Algorithms, 1996, 4.1); hop counts by adding one to the least of the neighbours 
 Bellman-Ford; on robots the gradient of the Kilobots: Rubenstein, Cornejo and Nagpal, Science 345,
 2014).
 
-Ours: the leader sends a count that rises, and the others pass on the highest count they know. A
-leader whose count no longer rises is no leader any more. So the swarm elects a new leader when its
-leader dies, and no hop count of a dead leader circulates for ever.
+Ours: the leader sends a count that rises, and all other robots pass on the highest count that they
+have received. A leader whose count no longer rises counts as dead. So the swarm elects a new leader
+when the leader dies, and no hop count of a dead leader circulates for ever.
 """
 
 from __future__ import annotations

@@ -42,8 +42,9 @@ class Chain:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) -> list[Outcome]:
     """Measure whether gap errors grow along the chain, and how fast a lost leader is replaced.
 
-    For each seed a chain of points runs with the default headway, and a chain with a headway of one
-    lag, for which string stability is lost. `has_bodies`: also Burgers on a circle.
+    For each seed a chain of point robots (no bodies) runs with the default headway, and a chain
+    with a headway of one lag, for which string stability is lost. `has_bodies`: also Burgers on a
+    circle.
     """
     stable = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
     unstable = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)
@@ -72,9 +73,10 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
 
 
 def run(given: tuple[int, float, float]) -> Chain:
-    """Simulate a chain of points, and measure the gap errors; `given`: seed, headway and lag in s.
+    """Simulate a chain of point robots, and measure the gap errors.
 
-    The chain begins at rest. The leader starts after 2 s, and is absent from `LOST_AT` s on.
+    `given`: seed, and headway and lag in s. The chain begins at rest. The leader starts after 2 s,
+    and is absent from `LOST_AT` s on.
     """
     seed, headway, lag = given
     rng = np.random.default_rng(seed)

@@ -7,9 +7,10 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: the chain is in the order of ids behind the leader. Each robot follows the last of the robots
-before it that are sensed, so that a lost robot leaves no gap in the chain for longer than `lease`.
-A robot that senses no robot before it leads. The leader's id passes down the chain by messages.
+Ours: behind the leader the robots follow in the order of their ids. Of the earlier robots in this
+order, a robot follows the last that it senses. So a lost robot leaves a gap in the chain only for
+`lease`. A robot that senses no earlier robot leads. The leader's id passes down the chain by
+messages.
 """
 
 from __future__ import annotations

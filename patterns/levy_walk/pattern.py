@@ -1,12 +1,13 @@
 """Levy walk: straight flights whose lengths follow a power law, with turns to random headings.
 
 Source: Viswanathan et al., "Optimizing the success of random searches", Nature 401, 1999: a flight
-is longer than l with probability (l / shortest)^(1 - mu); mu near 1 is ballistic motion, 2 the best
-search for sparse targets that return, 3 and more a diffusing walk. On robots: Dimidov, Oriolo and
-Trianni, "Random walks in swarm robotics: an experiment with Kilobots", ANTS 2016.
+is longer than l with probability (l / shortest)^(1 - mu). With mu near 1 the motion is ballistic.
+2 is the best mu for a search of sparse targets that return. With mu of 3 and more the walk
+diffuses. On robots: Dimidov, Oriolo and Trianni, "Random walks in swarm robotics: an experiment
+with Kilobots", ANTS 2016.
 
-Ours: a flight ends before an obstacle, with a turn away from it; longer flights than `longest` are
-drawn again.
+Ours: before an obstacle the robot ends the flight and turns away. A drawn flight that is longer
+than `longest` is drawn again.
 """
 
 from __future__ import annotations

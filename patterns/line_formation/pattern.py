@@ -2,9 +2,9 @@
 
 Source: Yun, Alptekin and Albayrak, "Line and circle formation of distributed physical mobile
 robots", J. Robotic Systems 14(2), 1997: each robot drives to the line that fits best, by least
-squares, to all robots in sight. The task, from local sensing and without positions or leader, is
-Sugihara and Suzuki's (J. Robotic Systems 13(3), 1996). Ours: the spacing along the line is that of
-the evenly spaced row that fits best, and the robots come to rest.
+squares, to all robots in sight. Sugihara and Suzuki (J. Robotic Systems 13(3), 1996) pose the task,
+with local sensing and without positions or a leader. Ours: along the line each robot drives to its
+place in the evenly spaced row that fits best, and comes to rest.
 
 Limits: groups that do not see each other form separate lines. By lidar robots in a line hide each
 other, a pillar counts as a robot, and so does a robot that is switched off.

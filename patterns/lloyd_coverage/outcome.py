@@ -34,7 +34,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     """Measure the cost of the places at which the robots settle, and how it falls.
 
     The cost is the mean square distance of the room's places to the nearest robot. For each seed
-    there is a run of points, and a run of Burgers of `duration` s.
+    there is a run of point robots (no bodies), and a run of Burgers of `duration` s.
     """
     runs = each(costs, seeds, jobs)
     rises = [float((np.diff(cost_at) / cost_at[:-1]).max()) for cost_at, _ in runs]

@@ -1,7 +1,8 @@
 """Majority rule: adopt the opinion that most neighbours held in the last window.
 
-Source: pattern "majority rule" of Kaiser et al., ICRA 2022; tumbling windows of 5 s and a random
-choice among equals as in ROS2swarm, which does not count the own opinion either.
+Source: pattern "majority rule" of Kaiser et al., ICRA 2022. As in their code ROS2swarm, windows of
+5 s follow each other without overlap, a tie is decided at random, and a robot does not count its
+own opinion.
 """
 
 from __future__ import annotations

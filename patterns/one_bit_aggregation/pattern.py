@@ -1,14 +1,14 @@
 """One-bit aggregation: the robots gather, and each only asks whether a robot is straight ahead.
 
 Source: Gauci, Chen, Li, Dodd and Gross, "Self-organized aggregation without computation", Int. J.
-Robotics Research 33(8), 2014: without a robot in its line of sight a robot drives backwards along a
-circle, with one it turns on the spot. The wheels' shares of their top speed are -0.7 and -1.0, or
-1.0 and -1.0; on an e-puck (radius 0.037 m, wheels 0.051 m apart) that is a circle of radius
-0.1445 m. The controller needs no memory and no arithmetic.
+Robotics Research 33(8), 2014. A robot that sees no robot straight ahead drives backwards along a
+circle: the wheels turn at -0.7 and -1.0 of their top speed. A robot that sees a robot turns on the
+spot, at 1.0 and -1.0. On an e-puck (radius 0.037 m, wheels 0.051 m apart) the circle has a radius
+of 0.1445 m. The controller needs no memory and no arithmetic.
 
-Ours: the lidar's sector ahead is the sensor, and an object as narrow as a robot counts as one. The
-circle is scaled to the footprint. Turning is as slow as the lidar needs to miss no robot between
-two scans.
+Ours: the lidar's sector ahead is the sensor, and an object as narrow as a robot counts as a robot.
+The radius of the circle is scaled to the footprint. The robot turns so slowly that the lidar misses
+no robot between two scans.
 
 Limits: protection keeps a gap that e-pucks, which push each other, do not keep; recovery leads a
 robot around another that blocks it. Without recovery, blocked robots stand, and the swarm stays in

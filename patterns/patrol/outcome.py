@@ -49,8 +49,8 @@ def outcomes(
 ) -> list[Outcome]:
     """Measure idleness, the time since a robot last visited a place, by the number of robots.
 
-    For each seed there is a run of points with each of `numbers`. `has_bodies`: also a run of four
-    points whose messages are all lost, and of three Burgers.
+    For each seed there is a run of point robots (no bodies) with each of `numbers`. `has_bodies`:
+    also a run of four points whose messages are all lost, and of three Burgers.
     """
     by_number = {
         number: each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers

@@ -2,10 +2,11 @@
 
 Source: Machado, Ramalho, Zucker and Drogoul, "Multi-agent patrolling: an empirical analysis of
 alternative architectures", MABS 2002, LNAI 2581, 2003: the conscientious reactive agent goes to the
-adjacent place that it has not visited for longest. Idleness is the time since the last visit.
+adjacent place that the agent has not visited for longest. Idleness is the time since the last visit
+of any robot.
 
-Ours: robots tell each other their visits and their targets. A robot takes the target of another
-robot only where all adjacent places are targets. Adjacent are the places within `reach`.
+Ours: robots send each other their visits and their targets. A robot takes the target of another
+robot only if all adjacent places are targets. Places within `reach` of each other are adjacent.
 
 Needs the robot's pose in a frame that the robots share, as from a camera above or a localisation.
 """

@@ -1,10 +1,10 @@
 """Phototaxis and antiphototaxis: towards a lamp or away from lamps, by two eyes.
 
 Source: Braitenberg, "Vehicles", 1984, vehicles 2 and 3; both are modules of AutoMoDe (Francesca et
-al., Swarm Intelligence 8, 2014). Ours: with eyes at 45 degrees to either side that take the cosine
-of the angle to the lamp, atan2(left - right, left + right) is the bearing of the lamp, and the
-robot steers by it. A robot that sees no lamp turns once around and on to a random heading, drives
-straight for a while and turns again.
+al., Swarm Intelligence 8, 2014). Ours: the eyes, two light sensors, point 45 degrees to either
+side, and measure the cosine of the angle to the lamp. So atan2(left - right, left + right) is the
+bearing of the lamp, by which the robot steers. A robot that sees no lamp turns once around and on
+to a random heading, drives straight for a while and turns again.
 """
 
 from __future__ import annotations

@@ -2,8 +2,9 @@
 
 Source: pattern "random walk" of Kaiser et al., ICRA 2022, with the times of ROS2swarm.
 
-Law "avoiding" is ours: the robot turns away from obstacles ahead before protection acts, and starts
-at once. Law "paper" starts after 5 s and uses no sensor, so that only protection turns the robot.
+Law "avoiding" is ours: the robot starts at once, and turns away from obstacles ahead before
+protection acts. With law "paper" the robot starts after 5 s and uses no sensor: only protection
+keeps the robot from obstacles.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Response thresholds: the robots divide their work by how much of it there is.
+"""Response thresholds: the more work there is, the more robots work.
 
 Source: Bonabeau, Theraulaz and Deneubourg, "Quantitative study of the fixed threshold model for the
-regulation of division of labour in insect societies", Proc. Royal Society B 263, 1996: an idle
-individual that meets the stimulus s begins to work with probability s^2 / (s^2 + theta^2), and a
-working one stops with a fixed probability. A robot with a low threshold theta begins first; robots
-with a high one follow where the work of the others is not enough.
+regulation of division of labour in insect societies", Proc. Royal Society B 263, 1996. An idle
+robot that meets the stimulus s begins to work with probability s^2 / (s^2 + theta^2). A working
+robot stops with a fixed probability. Robots with a low threshold theta begin first. Robots with a
+high threshold follow if the work of these robots does not lower the stimulus enough.
 
 Ours: a driver measures the stimulus as a reading: the objects left, the fill of a store, a light.
 """

@@ -3,13 +3,14 @@
 Source: Ame, Halloy, Rivault, Detrain and Deneubourg, "Collegial decision making based on social
 amplification leads to optimal group formation", PNAS 103, 2006; with robots: Garnier, Jost,
 Jeanson, Gautrais, Asadpour, Caprari and Theraulaz, "The embodiment of cockroach aggregation
-behavior in a group of micro-robots", Artificial Life 14, 2008. A resting animal leaves its shelter
-at the rate theta / (1 + rho (x / S)^n), where x of a capacity S rest there, and joins one at a rate
-that falls as 1 - x / S. So rest makes more rest, and one of two equal shelters wins if it holds
-all.
+behavior in a group of micro-robots", Artificial Life 14, 2008. A shelter holds S animals, of which
+x rest there. A resting animal leaves at the rate theta / (1 + rho (x / S)^n). A walking animal
+stops there at a rate that falls as 1 - x / S. So resting animals attract more animals, and one of
+two equal shelters wins if each has room for all.
 
-Ours: robots that rest tell so, and x are those near that were heard, and the robot itself. A
-walking robot finds shelters by the walk of random_walk, and stops under one at the rate `stop`.
+Ours: robots that rest send messages, and x counts the near robots that sent such a message, and the
+robot itself. Robots find shelters by the pattern random_walk, and stop under a shelter at the rate
+`stop`.
 """
 
 from __future__ import annotations

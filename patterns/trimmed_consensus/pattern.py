@@ -1,14 +1,15 @@
-"""Trimmed consensus: the robots agree on a number, whatever a few of them say.
+"""Trimmed consensus: the robots agree on a number although a few of them send false numbers.
 
 Source: LeBlanc, Zhang, Koutsoukos and Sundaram, "Resilient asymptotic consensus in robust
-networks", IEEE J. Selected Areas in Communications 31(4), 2013 (W-MSR): of the neighbours' values a
-robot drops the `trim` largest of those above its own and the `trim` smallest of those below, and
-takes the mean of the rest and its own. Where the network is (2 trim + 1)-robust, as a complete one
-of more than 4 trim robots is, at most `trim` liars in each robot's neighbourhood neither keep the
-others from agreement nor lead them out of the hull of their first values.
+networks", IEEE J. Selected Areas in Communications 31(4), 2013 (W-MSR). Of the neighbours' values
+above its own value a robot drops the `trim` largest, and of those below the `trim` smallest. The
+new value is the mean of the values that are left and its own value. The source proves: in a
+(2 trim + 1)-robust network the honest robots agree, on a value between their first values, if each
+has at most `trim` neighbours that lie. A complete network of more than 4 trim robots is so robust.
 
-Ours: the values come in messages that may be late or lost; the last one of each neighbour counts.
-With `trim: 0` it is plain averaging (Olfati-Saber and Murray 2004), which one liar drags away.
+Ours: the values come in messages that may be late or lost; the last value of each neighbour counts.
+`trim: 0` is plain averaging (Olfati-Saber and Murray 2004), in which one liar moves the swarm to
+any value.
 """
 
 from __future__ import annotations

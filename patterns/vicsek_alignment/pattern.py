@@ -5,9 +5,9 @@ self-driven particles", Phys. Rev. Lett. 75, 1995: at each update a particle of 
 the mean heading of all within the radius, itself included, plus a random angle from an interval of
 width eta. Order vanishes as the noise grows.
 
-Ours: the headings are those that neighbours are sensed with, and a robot needs time to turn to its
-new heading. Limits: nothing holds the robots together, so in the open they part; walls turn them by
-protection and recovery alone. Flocking keeps a group together.
+Ours: a robot senses the headings of its neighbours, and needs time to turn to its new heading.
+Limits: no rule holds the robots together, so that they separate in open space. Only protection and
+recovery turn them at walls. The pattern flocking keeps a group together.
 """
 
 from __future__ import annotations

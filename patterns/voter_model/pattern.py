@@ -1,8 +1,8 @@
 """Voter model: adopt the opinion of one random neighbour of the last window.
 
-Source: pattern "voter model" of Kaiser et al., ICRA 2022, windows of 2 s as in ROS2swarm, where the
-own opinion does not count; the model itself: Clifford and Sudbury, Biometrika 60(3), 1973; Holley
-and Liggett, Annals of Probability 3(4), 1975.
+Source: pattern "voter model" of Kaiser et al., ICRA 2022. As in their code ROS2swarm, a window
+lasts 2 s, and a robot does not count its own opinion. The model itself: Clifford and Sudbury,
+Biometrika 60(3), 1973; Holley and Liggett, Annals of Probability 3(4), 1975.
 """
 
 from __future__ import annotations

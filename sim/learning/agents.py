@@ -1,8 +1,8 @@
 """The agents of an environment: robots of a scenario that request the actions of a learner.
 
-When the daemon of a robot ends and starts again, the robot becomes a new agent, such as `tb3-01#2`:
-its memory is empty, and in PettingZoo a terminated agent does not return. A life is the time of a
-robot as one agent.
+When the daemon of a robot ends and starts again, the robot becomes a new agent, such as `tb3-01#2`,
+since the robot's memory is empty and in PettingZoo a terminated agent does not return. A life is
+the time of a robot as one agent.
 """
 
 from __future__ import annotations

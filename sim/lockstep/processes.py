@@ -55,7 +55,7 @@ class RunProcess:
 
         All processes call this with equal arguments. Each step waits for the process with the most
         work. So robots whose work falls into the same step should follow each other in `order`:
-        each process then has an equal part of the work of a step.
+        they go to different processes, which then have equal parts of the work of a step.
         """
         self.rows_of = [np.sort(order[index :: self.count]) for index in range(self.count)]
         self._own = frozenset(self.rows.tolist())
@@ -97,8 +97,9 @@ class _Member(RunProcess):
     ) -> None:
         """`ready[a][b]` is released when process a has written data for process b.
 
-        `watch(process, seconds)` is called while this process waits for `process`, with the waiting
-        time in s since the last call, and with 0 when the wait ends. It may raise.
+        `memory`: shared by all processes. `watch(process, seconds)` is called while this process
+        waits for `process`, with the waiting time in s since the last call, and with 0 when the
+        wait ends. `watch` may raise an error, which ends the run.
         """
         super().__init__(index, len(ready))
         self._memory = memory

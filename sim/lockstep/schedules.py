@@ -32,8 +32,9 @@ class Schedules:
     def __init__(self, rates: Array, begins: Array | None = None) -> None:
         """`rates` (n,) in Hz. `begins` (n,) in s: a time of each job; None: all at 0.
 
-        Two schedules with equal begins have common times. So a tick of a robot falls on its scan
-        where the rates allow, and the robot's data are still in the processor's caches.
+        Two schedules with equal begins have common times. So a tick and a scan of a robot fall on
+        one step where the rates allow this, and the robot's data are still in the processor's
+        caches.
         """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         starts = np.zeros(len(self._period)) if begins is None else begins

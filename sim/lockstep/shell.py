@@ -36,8 +36,8 @@ if TYPE_CHECKING:
 class RobotShell:
     """Runs one `Robot` with its pattern; hands its outputs to the swarm.
 
-    `decided`: the number of scans with a decision while running; `evaded`: those of them with
-    protection active. The recorder resets both.
+    `decided`: the number of scans on which protection decided while the pattern ran. `evaded`: the
+    number of these scans on which protection was active. The recorder resets both.
     """
 
     def __init__(self, row: int, robot: Robot, find: Find, outputs: Lockstep, now: float) -> None:

@@ -1,8 +1,8 @@
 """Aggregation: distance to the centroid, clusters and nearest neighbours.
 
 The authors of ROS2swarm (Kaiser et al., ICRA 2022) propose the mean distance to the centroid as the
-measure of aggregation, and speak of groups; the other metrics make groups exact. Absent robots
-(`present`) are not part of the swarm.
+measure of aggregation. They also speak of groups, which the metrics of clusters define exactly.
+Absent robots do not count.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ def distance_at(trace: Trace, time: float) -> float | None:
 
 
 def cluster_link(trace: Trace) -> float | None:
-    """The distance in m within which two robots are linked: twice the largest threshold.
+    """The distance in m within which two robots are linked in a cluster.
 
-    The threshold is that of the robots' protection; None if the trace has none. Ours: the paper
-    gives no number for its clusters.
+    Twice the largest protection threshold of the robots; None if the trace has no threshold. The
+    definition is ours: the paper gives no number for its clusters.
     """
     thresholds = by_platform(trace, "thresholds")
     largest = 0.0 if thresholds is None else float(thresholds.max(initial=0.0))
@@ -102,8 +102,9 @@ def is_one_cluster(trace: Trace, link: float) -> NDArray[np.bool_]:
 def gather_time(trace: Trace, link: float, share: float = 0.5) -> float | None:
     """Seconds until all robots first are in one cluster and close to their centroid.
 
-    Close: their mean distance is at most `share` of that at the start. None if it never happens.
-    The metric is our own, to compare how fast swarms gather.
+    The robots are close if their mean distance to the centroid is at most `share` of the mean
+    distance at the start. None if this never happens. The metric is our own, to compare how fast
+    swarms gather.
     """
     away = distance_to_centroid(trace)
     if len(away) == 0:

@@ -52,7 +52,7 @@ def consensus_opinion(trace: Trace) -> float | None:
 def consensus_time(trace: Trace) -> float | None:
     """Seconds from the start until all present robots hold the final opinion to the end.
 
-    A common opinion that the swarm gives up again does not count. None if the robots do not agree
+    A common opinion that the swarm later gives up does not count. None if the robots do not agree
     at the end.
     """
     final = consensus_opinion(trace)

@@ -26,9 +26,10 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     """(T,) the floor in m2 that has been within `radius` m of a robot up to each instant.
 
     Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) on a grid of squares of
-    `cell` m. A square is covered when its centre is. Of positions in the same tenth of a square
-    only the first is evaluated. Walls do not block. Floor outside the arena does not count if the
-    trace names an arena. The side of squares doubles until they are at most four million.
+    `cell` m. A square is covered when its centre is covered. Of all positions in the same tenth of
+    a square only the first is evaluated. Walls do not block. If the trace names an arena, floor
+    outside the arena does not count. The side of the squares doubles until the grid has at most
+    four million squares.
     """
     # 1. The positions of all robots at all instants (k,), and the square of each.
     instant, robot = np.nonzero(presence(trace))

@@ -1,9 +1,10 @@
 """Errors of line and circle formations.
 
 The best line is the fit of total least squares, by orthogonal distances (Pearson 1901, Phil. Mag.
-2), as in Fredslund and Mataric 2002 (IEEE Trans. Robotics and Automation 18, 837), which also
-judges the spacing. The best circle is the fit of algebraic least squares (Kasa 1976, IEEE Trans.
-Instrum. Meas. 25). Only present robots count. `spacing` is the wanted distance of neighbours in m.
+2). Fredslund and Mataric 2002 (IEEE Trans. Robotics and Automation 18, 837) judge a line by this
+fit and by the spacing. The best circle is the fit of algebraic least squares (Kasa 1976, IEEE
+Trans. Instrum. Meas. 25). Only present robots count. `spacing` is the wanted distance of neighbours
+in m.
 """
 
 from __future__ import annotations

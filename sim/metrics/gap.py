@@ -1,7 +1,7 @@
 """The smallest distance between the exact footprints of two robots.
 
-Absent robots count too: they stand in the arena. Exact distances are computed only for pairs that
-may be the nearest, by lower and upper bounds.
+Absent robots count too: they stand in the arena. Lower and upper bounds find the pairs that may be
+the nearest, and exact distances are computed only for these pairs.
 """
 
 from __future__ import annotations

@@ -59,8 +59,8 @@ def share_reached(trace: Trace, areas: Sequence[Area]) -> Array:
 def share_swapped(trace: Trace, reach: float) -> Array:
     """(T,) the share of all robots that have been at their goals up to each instant.
 
-    At the goal: within `reach` m of the start mirrored at the origin, as in the position swap of
-    van den Berg et al. 2011.
+    The goal of a robot is its start position mirrored at the origin, as in the position swap of van
+    den Berg et al. 2011. A robot is at the goal within `reach` m.
     """
     goals = -trace.pose[:1, :, :2]
     away = trace.pose[..., :2] - goals
@@ -70,8 +70,8 @@ def share_swapped(trace: Trace, reach: float) -> Array:
 def share_caught(trace: Trace, group: str, reach: float) -> Array | None:
     """(T,) the share of a group's robots that have been caught up to each instant.
 
-    Caught: a robot of another group was within `reach` m, from axle to axle. None if the trace has
-    no such group, or no robot outside the group.
+    A robot is caught once a robot of another group is within `reach` m, from axle to axle. None if
+    the trace has no such group, or no robot outside the group.
     """
     members = trace.meta.get("groups", {}).get(group, ())
     is_prey = np.array([robot in members for robot in trace.ids], dtype=bool)
@@ -132,9 +132,9 @@ def network_area(trace: Trace, link: float, radius: float) -> Array:
     """(T,) the floor in m2 within `radius` m of a robot of the largest network.
 
     Robots within `link` m of each other are linked, also through walls. The largest network is the
-    connected component with the most robots; among equal components the greatest area counts. The
-    floor is a grid of squares of CELL m. Floor outside the arena does not count if the trace names
-    an arena.
+    connected component with the most robots; among components with equally many robots the greatest
+    area counts. The floor is a grid of squares of CELL m. If the trace names an arena, floor
+    outside the arena does not count.
     """
     is_here, arena = presence(trace), arena_of(trace)
     n = is_here.shape[1]

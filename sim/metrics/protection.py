@@ -37,8 +37,8 @@ def protection_duty(trace: Trace) -> float | None:
     """The share of scans on which protection replaced or reduced the requested command.
 
     The share is over the scans of all robots, since the paper's protection decides on every scan
-    (Kaiser et al. 2022). A trace with `active` alone gives the share of the running robots'
-    instants. None if the trace has no data, or there was no decision.
+    (Kaiser et al. 2022). If the trace has only `active`, the value is the share of the instants at
+    which robots run. None without data or without a decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)
@@ -119,8 +119,8 @@ def travel_extent(trace: Trace) -> float | None:
 
     The extent of a robot in a window is the longer side of the axis-aligned bounding box of its
     positions. Only windows in which the robot requests motion for at least half of the time count.
-    A deadlocked group that wanders to and fro before a door has a small extent. Ours. None without
-    requested commands or such a window.
+    So a deadlocked group that moves to and fro before a door has a small extent. The metric is
+    ours. None without requested commands or such a window.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None or len(trace.t) == 0:

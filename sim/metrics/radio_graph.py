@@ -1,7 +1,8 @@
 """Metrics of the radio graph, whose edges (links) connect robots that can hear each other.
 
-Links are computed from true positions, the range and line of sight of `meta["radio"]`. Without both
-all robots are linked. Loss and delay of messages do not matter. Only present robots are nodes.
+Links are computed from true positions, by the range and line of sight of `meta["radio"]`. Without
+range and line of sight all robots are linked. Loss and delay of messages do not matter. Only
+present robots are nodes.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ class Groups:
 def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
     """The robots of all groups; ConfigError for invalid ids, groups and platforms.
 
-    A robot's platform gets the readings of `fields` and of the file's items, and `neighbors`.
+    A robot's platform also provides `neighbors`, and what robots read of `fields` and items.
     """
     # 1. The ids of the robots, each in one group.
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}

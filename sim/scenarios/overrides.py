@@ -18,8 +18,8 @@ DURATION = "duration"
 def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
-    `null` or no text after the = removes the value. With `form` "[{}]" the text is the items of a
-    list. The value of `duration` may have a unit, such as `3min`.
+    The value `null`, or no text after the =, removes the key's value. `form` "[{}]": the text is
+    read as the items of a list. The value of `duration` may have a unit, such as `3min`.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):

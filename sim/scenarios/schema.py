@@ -94,10 +94,11 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Exactly one of the actions of `schedule.ACTIONS`, `at` a time.
 
-    stop, estop, reset, join, leave and kill name robots, a group or `all`. run names a pattern, and
-    param has parameter values; both act on `targets` (default: all). place names a box. remove
-    names a box, or robots: their daemons are killed, and the robots leave the arena for good.
-    fields has fields that replace the fields of the same names.
+    - stop, estop, reset, join, leave, kill: robots, a group or `all`.
+    - run: a pattern, for `targets` (default: all). param: parameter values, for `targets`.
+    - place: a box.
+    - remove: a box, or robots, whose daemons are killed and which leave the arena for good.
+    - fields: fields that replace the fields of the same names.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -85,8 +85,8 @@ def layout_of(start: StartSection) -> str:
 def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
     """The sources, strongest first, without start keys that do not fit a stronger source's layout.
 
-    So a file can change the layout of the file that it extends without removing the old layout's
-    keys.
+    Without this, a file that changes the layout of the file that it extends would have to remove
+    the keys of the old layout.
     """
     kept: list[tuple[str, Data]] = []
     layouts: dict[str, str] = {}

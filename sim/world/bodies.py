@@ -1,10 +1,10 @@
 """The MuJoCo model of a world: walls, boxes, poles, and a planar body per robot and movable box.
 
-A planar body slides along the world's x and y and turns about the vertical through its AXLE
-CENTRE, which is also its centre of mass: 4 to 7 times cheaper than wheels, with better tracking
-(measured). Bodies collide as their footprints, extruded to one common height, since all stand on
-one floor. A platform with `body: {solid: 0}` is a ghost: robots pass through it, walls and boxes
-do not.
+A planar body slides along the world's x and y, and turns about the vertical through its AXLE
+CENTRE, which is also its centre of mass. Measured: a planar body costs 4 to 7 times less than a
+body with wheels, and follows commands better. Bodies collide as their footprints, extruded to one
+common height, since all stand on one floor. A robot of a platform with `body: {solid: 0}` is a
+ghost: other robots pass through the ghost, but the ghost collides with walls and boxes.
 """
 
 from __future__ import annotations

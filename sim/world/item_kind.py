@@ -21,12 +21,13 @@ _MOST = 10_000
 class ItemKind(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """Items of one kind: `count` items at random in the disc `source`, or an item at each of `at`.
 
-    Discs are x, y, radius in m. Readings of a robot: `<name>`, the number of items within `range`
-    m, and `<name>_distance` and `<name>_bearing` of the nearest of them, 0 without one.
+    Discs are x, y, radius in m. A robot has three readings of the items within `range` m: their
+    number `<name>`, and the nearest item's `<name>_distance` and `<name>_bearing`, which are 0
+    without an item.
 
-    Without a `mass` in kg an item is flat: robots drive over it, and grippers pick it up. A flat
-    item that is dropped in `nest` is delivered, and reappears in `source`. With a mass an item is a
-    round puck of diameter `size` m, which robots push.
+    Without a `mass` in kg an item is flat: robots drive over the item, and grippers pick it up. A
+    flat item that is dropped in the disc `nest` is delivered, and reappears in `source`. With a
+    mass an item is a round puck of diameter `size` m, which robots push.
     """
 
     name: Name

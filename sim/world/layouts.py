@@ -152,7 +152,7 @@ def scatter(
     ConfigError if there is no room.
     """
     arena_size = (placement.arena.length, placement.arena.width)
-    # Bounds of x, y and yaw: middle and half width.
+    # A pose (x, y, yaw) is uniform within `middle` +- `half_width`.
     half_width = np.array([*(size or arena_size), 2.0 * math.pi]) / 2.0
     middle = np.array([*(center if size else (0.0, 0.0)), 0.0])
 

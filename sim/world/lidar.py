@@ -108,8 +108,8 @@ def _padded(polygons: Sequence[Array]) -> Array:
 class SortedRays:
     """The rays of a scan in order of bearing, repeated over four turns.
 
-    So each interval of bearings is a contiguous range of indices. By index: `number` of the ray in
-    the scan, `bearings` in rad, and their `cos` and `sin`. `is_even`: bearings differ by equal
+    So the rays of any interval of bearings have consecutive indices. By index: `number` of the ray
+    in the scan, `bearings` in rad, and their `cos` and `sin`. `is_even`: bearings differ by equal
     steps of `step` rad.
     """
 

@@ -21,10 +21,11 @@ clear."""
 
 
 class LightField(FieldKind, frozen=True, kw_only=True, tag="light"):
-    """A lamp at `center`, `height` m above the sensors: `power` / squared distance.
+    """A lamp at `center`, `height` m above the sensors: the light is `power` / squared distance.
 
-    With `shadows` robots, boxes, poles and walls hide the lamp. The light at a sensor with a
-    bearing is multiplied by the cosine of the angle between bearing and lamp, and is 0 from behind.
+    With `shadows` robots, boxes, poles and walls hide the lamp. A sensor that points at a bearing
+    measures the light times the cosine of the angle between its bearing and the lamp, and 0 if the
+    lamp is behind the sensor.
     """
 
     center: Point = (0.0, 0.0)

@@ -83,9 +83,9 @@ class MovableBoxes:
 
         MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Here the three
         limits are a point on the limit surface of dry friction, an ellipsoid (Howe and Cutkosky
-        1996): the point in the direction of the force and torque that would stop the box. The half
-        axes of the ellipsoid are the friction force and, for the torque, the friction force times
-        the lever of the box.
+        1996). The point lies in the direction of the force and torque that would stop the box. The
+        half axes of the ellipsoid are the friction force and, for the torque, this force times the
+        box's lever.
         """
         if not self.is_there.any():
             return

@@ -1,8 +1,8 @@
 """Wheel odometry: ideal, or with the systematic errors of real wheels.
 
 Errors after Borenstein and Feng, UMBmark: A Method for Measuring, Comparing, and Correcting
-Dead-Reckoning Errors in Mobile Robots (1995): E_d, the ratio of the right to the left wheel's
-diameter, and E_b, that of the true to the assumed wheelbase.
+Dead-Reckoning Errors in Mobile Robots (1995). E_d is the ratio of the right wheel's diameter to the
+left wheel's. E_b is the ratio of the true wheelbase to the assumed wheelbase.
 """
 
 from __future__ import annotations
@@ -69,9 +69,9 @@ class Odometers:
         """A reading of robots `rows` (m,): poses x, y, yaw, and twists linear, angular, lateral.
 
         Both results are (m, 3). `poses` (n, 3) in the world frame, yaw not wrapped, and `twists`
-        (n, 3) in the base frames are the ground truth of all robots. Each call is one reading. Real
-        bases take the motion between two readings for a straight line along the mean heading; so
-        does this model.
+        (n, 3) in the base frames are the ground truth of all robots. Each call is one reading. Like
+        real bases, the model takes the motion between two readings for a straight line along the
+        mean heading.
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
@@ -103,8 +103,9 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     """Matrices (n, 3, 3) from true to measured motion (linear, angular, lateral), without slip.
 
     A row vector of true motion times the matrix is the measured motion. `diameter` and `wheelbase`
-    (n,): E_d and E_b of UMBmark. Odometry assumes wheels of the mean diameter, `separation` (n,) m
-    apart. A base that cannot move sideways measures no lateral motion.
+    (n,): E_d and E_b of UMBmark, the ratios of right to left wheel diameter and of true to assumed
+    wheelbase. Odometry assumes wheels of the mean diameter, `separation` (n,) m apart. A base that
+    cannot move sideways (not `is_lateral`) measures no lateral motion.
     """
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase

@@ -39,10 +39,10 @@ _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The radio between robots.
 
-    neighborhood: all, or robots within `range` m. line_of_sight: boxes, inner walls and poles
-    between two robots block the radio. loss: the share of messages that a receiver misses. delay:
-    from sending to receiving in s; jitter: uniform, in s both ways. range_and_bearing: the
-    hardware also senses where the neighbors are.
+    neighborhood: robots hear `all` robots, or robots within `range` m. line_of_sight: boxes, inner
+    walls and poles between two robots block the radio. loss: the share of messages that a receiver
+    misses. delay: s from sending to receiving. jitter: the delay varies uniformly by up to this
+    time in s, up and down. range_and_bearing: the hardware also senses where the neighbors are.
     """
 
     neighborhood: Literal["all", "range"] = "all"
@@ -86,11 +86,11 @@ def with_bearings(platform: Platform) -> Platform:
 
 
 class Radio:
-    """The radio of a swarm: deterministic for equal seeds and calls.
+    """The radio of a swarm; equal seeds and equal calls give equal results.
 
-    Arguments of the methods: `poses` (n, 3) of all robots, x, y in m and yaw in rad;
-    `movable_boxes` (t, c, 2) corners in m, NaN for a box outside the arena, used with line_of_sight
-    alone. No robot is its own neighbor.
+    Arguments of the methods: `poses` (n, 3) of all robots, x, y in m and yaw in rad.
+    `movable_boxes` (t, c, 2): corners in m, NaN for a box outside the arena; used only with
+    line_of_sight. No robot is its own neighbor.
     """
 
     def __init__(

@@ -1,9 +1,10 @@
 """Rays of range sensors against flat and round shapes, and the errors of the ranges.
 
-A kernel (see `swarmd/core/kernels.py`): `lidar.py` and `noise.py` use it. Each shape covers one
-interval of bearings seen from the sensor. Its distance is computed only for the rays within that
-interval, so a scan costs the shapes nearby and not rays times shapes. The arithmetic uses one over
-the distance, which along a surface is the sum of a cosine and a sine.
+A kernel (see `swarmd/core/kernels.py`) for `lidar.py` and `noise.py`. Seen from the sensor, each
+shape covers one interval of bearings. The distance of a shape is computed only for the rays within
+this interval. So the time of a scan grows with the shapes nearby, not with rays times shapes. The
+arithmetic uses one over the distance, which along a flat surface is a weighted sum of the cosine
+and the sine of the bearing.
 """
 
 from __future__ import annotations
@@ -471,10 +472,10 @@ class Caster:
     ) -> cython.int:
         """Note the distance of a flat surface at each ray of the sector that hits it.
 
-        `x`, `y`: from the sensor to the start of the surface; `along_x`, `along_y`: from there to
-        its end; in m in the world frame. `side`: the sensor's distance from the surface's line,
-        times its length; below 0, since the sensor faces the front. One over the distance is the
-        sum of the ray's cosine and sine with two weights.
+        In m in the world frame, `x` and `y` lead from the sensor to the start of the surface, and
+        `along_x` and `along_y` from there to its end. `side`: the sensor's distance from the line
+        of the surface times its length, below 0 since the sensor faces the front. One over the
+        distance is a weighted sum of the ray's cosine and sine.
         """
         # The surface covers the bearings from `high - turn` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw

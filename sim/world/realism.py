@@ -66,11 +66,11 @@ class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class OdometryNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Errors of wheel odometry; the first two are drawn once for each robot. [UMBmark]
+    """Errors of wheel odometry as standard deviations (sd); see [UMBmark].
 
-    diameter: the sd of E_d - 1, right wheel's diameter over the left one's. wheelbase: the sd of
-    E_b - 1, true over assumed wheelbase. slip: the sd of the random share added to linear and
-    angular motion at each reading.
+    diameter: the sd of E_d - 1, where E_d is right over left wheel diameter. wheelbase: the sd of
+    E_b - 1, where E_b is true over assumed wheelbase. E_d and E_b are drawn once for each robot.
+    slip: the sd of a random share that is added to linear and angular motion at each reading.
     """
 
     diameter: Spread = 0.0

@@ -35,7 +35,7 @@ class RollingScans:
     def __init__(self, lidar: Lidar, platform: Platform, n: int, dt: float, sectors: int) -> None:
         """Divide the sensor's sweep into sectors of whole steps; no scan is in progress.
 
-        `n`: robots of the world; `dt`: s of a step; `platform.scan.sweep` must be given. `sectors`:
+        `n`: robots of the world. `dt`: s of a step. `platform.scan.sweep` must be given. `sectors`:
         the least number of sectors of a sweep, if the sweep has as many steps.
         """
         spec, sweep = platform.scan, platform.scan.sweep

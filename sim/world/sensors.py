@@ -1,7 +1,7 @@
 """The due measurements of a world's robots as inputs, for lockstep and real time.
 
 Odometry and neighbors are not included: lockstep hands odometry to all robots at once, and the
-radio gives the neighbors.
+radio model finds the neighbors.
 """
 
 from __future__ import annotations

@@ -43,7 +43,8 @@ class World:
 
     - `movable_boxes`: names of the movable boxes; name i is row i of `box_poses()` and of
       `box_shapes` (m, 4, 2), the outlines in the frames of the boxes.
-    - `loose`, `loose_shapes` and `loose_poses()`: the same of the movable boxes, then the items.
+    - `loose`, `loose_shapes` and `loose_poses()`: names, outlines and poses of the movable boxes
+      and, behind them, of the items.
     - `grips` (n,): the command of each gripper, True to close.
     - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
       ring in Hz.
@@ -357,8 +358,8 @@ class World:
     def place(self, box: str, pose: tuple[float, float, float]) -> None:
         """Put a movable box at rest at x, y in m and yaw in rad.
 
-        Raises SwarmError if it would overlap anything, ConfigError if there is no such box; the
-        world is then unchanged.
+        Raises SwarmError if the box would overlap a robot or obstacle, and ConfigError for an
+        unknown box; the world is then unchanged.
         """
         at = np.array(pose, dtype=np.float64)
         outlines = [
