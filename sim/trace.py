@@ -173,17 +173,18 @@ def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     """Names of patterns, and (T, n) the index of the pattern that each robot runs or ran last.
 
     The first name is the pattern that all robots run from the start; empty without such a pattern.
+    Each run event of the trace adds a name.
     """
     names = [str(trace.meta.get("pattern", ""))]
-    places = np.zeros(trace.pose.shape[:2], dtype=np.int16)
+    indices = np.zeros(trace.pose.shape[:2], dtype=np.int16)
     rows = {robot: row for row, robot in enumerate(trace.ids)}
     runs = [event for event in trace.meta.get("events", ()) if event["action"] == "run"]
     for event in sorted(runs, key=lambda event: float(event["at"])):
-        some = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
-        since = int(np.searchsorted(trace.t - trace.t[:1], float(event["at"]) - 1e-9))
-        places[since:, some] = len(names)
+        targets = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
+        first_instant = int(np.searchsorted(trace.t - trace.t[:1], float(event["at"]) - 1e-9))
+        indices[first_instant:, targets] = len(names)
         names.append(str(event.get("pattern") or ""))
-    return tuple(names), places
+    return tuple(names), indices
 
 
 def _most_unpacked(path: Path) -> int:
@@ -197,8 +198,13 @@ def _unpacked_size(path: Path) -> int:
 
 
 def load_trace(path: Path) -> Trace:
-    """The trace in a file; ConfigError if it is unreadable, too large or not a trace."""
+    """Load a trace from an .npz file, which may come from a stranger.
+
+    ConfigError if the file cannot be read, is not a trace, or unpacks to MAX_RATIO times its size
+    and more.
+    """
     try:
+        # 1. All arrays, once their unpacked size is known to be limited.
         if (size := _unpacked_size(path)) > (most := _most_unpacked(path)):
             raise ConfigError(
                 f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
@@ -206,15 +212,19 @@ def load_trace(path: Path) -> Trace:
             )
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
+
+        # 2. The head: names, platforms and meta, as JSON.
         head = json.loads(str(arrays.pop("head")))
         if head.pop("version") != VERSION:
             raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
         for key in ("ids", "platforms", "movable_boxes"):
             head[key] = tuple(head[key])
+
+        # 3. Shapes; arrays named KIND/NAME, such as `report/opinion`, go into a dict of their kind.
         _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
         for kind in NAMED:
-            named = [name for name in arrays if name.startswith(f"{kind}/")]
-            head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
+            keys = [name for name in arrays if name.startswith(f"{kind}/")]
+            head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in keys}
         shapes = [head["footprints"][name] for name in head["platforms"]]
         if len(shapes) != len(head["ids"]):
             raise ValueError(f"{len(shapes)} platforms of {len(head['ids'])} robots")
@@ -371,9 +381,10 @@ def enter_named(
 
 
 def columns_of(trace: Trace) -> dict[str, Any]:
-    """The columns of a table by name, each of T * n values, in the order of the instants.
+    """The columns of a table with a row for each instant and robot, by name.
 
-    Arrays that the trace lacks have no column. `heading` is within [-pi, pi].
+    Each column has T * n values: all robots at the first instant, then at the second, and so on. An
+    array that the trace does not have gives no column. `heading` is in rad within [-pi, pi].
     """
     from swarmd.sim.metrics.window import presence
 

@@ -128,8 +128,8 @@ class Task:
     def scenario(self, pattern: str, plugin_dir: Path | None = None) -> Scenario:
         """The scenario in which the judged groups run `pattern`.
 
-        A candidate of the task file has its parameters from the file. ConfigError if the pattern
-        does not fit; the error names the need of the pattern that the robots do not meet.
+        If the task file names the pattern as a candidate, the parameters are those of the file,
+        else the pattern's defaults. ConfigError if the robots do not meet a need of the pattern.
         """
         declared = next(
             (candidate for candidate in self.file.candidates if candidate.pattern == pattern), None
@@ -151,20 +151,24 @@ def task_names() -> tuple[str, ...]:
 
 
 def load_task(name: str) -> Task:
-    """The task of a name of the suite, or of a task file's path that ends in .yaml.
+    """The task that `name` names: a task of the suite, or the path of a task file (.yaml).
 
     ConfigError names the file, the key and the expected value.
     """
-    path = user_path(name) if name.endswith(".yaml") else _folder() / f"{name}.yaml"
-    if not name.endswith(".yaml") and name not in task_names():
-        known = unknown("benchmark task", name, task_names())
-        raise ConfigError(f"{known} (or give a path ending in .yaml)")
+    # 1. The file and its version.
+    is_path = name.endswith(".yaml")
+    path = user_path(name) if is_path else _folder() / f"{name}.yaml"
+    if not is_path and name not in task_names():
+        fault = unknown("benchmark task", name, task_names())
+        raise ConfigError(f"{fault} (or give a path ending in .yaml)")
     layers = Layered((shown(path), read(path)))
     task = Task(path.stem, shown(path), layers.build(TaskFile))
     file = task.file
     if file.suite != SUITE:
         text = f"suite is {file.suite}; this swarmd has version {SUITE} of the suite"
         raise layers.error(("suite",), text)
+
+    # 2. The scenario: complete, with judged groups that have no pattern yet.
     try:
         msgspec.convert(file.scenario, CompleteScenario)
     except msgspec.ValidationError as error:
@@ -183,8 +187,10 @@ def load_task(name: str) -> Task:
                 f"scenario.platforms.{platform}.extends: expected null, so that no file is needed"
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
+
+    # 3. The metric: of the catalog or a package, since a Python file would run code of the task's
+    # author.
     try:
-        # A metric of a Python file would run code of the task's author.
         if names_file(file.metric.name):
             raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
         metric = metric_of(file.metric.name)
@@ -193,7 +199,8 @@ def load_task(name: str) -> Task:
     if metric.better != file.metric.better or metric.unit != file.metric.unit:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
-    task.scenario(_STAND_IN)
+
+    task.scenario(_STAND_IN)  # raises ConfigError for faults that only a whole scenario shows
     return task
 
 
@@ -231,10 +238,10 @@ class Misfit:
 def entries_of(
     tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
 ) -> tuple[list[TaskEntry], list[Misfit]]:
-    """The pairs of task and pattern to run, and the pairs that do not fit.
+    """The pairs of task and pattern to run, and the pairs whose robots cannot run the pattern.
 
-    `patterns`: to try in each task; without any, each task tries its own candidates. ConfigError
-    for an unknown pattern, and for a candidate of a task file that does not fit its task.
+    `patterns`: the names to try in each task; if empty, each task tries the candidates of its file.
+    ConfigError for an unknown pattern, and for a candidate of a task file that does not fit.
     """
     for pattern in patterns:
         find_pattern(pattern, plugin_dir)
@@ -308,9 +315,11 @@ Table = dict[str, dict[str, Cell]]
 def table_of(
     values: Mapping[tuple[str, str], Mapping[int, float]], better: Mapping[str, Better]
 ) -> Table:
-    """The table of values, which are given by (row, task) and seed; `better` by task.
+    """The table of a benchmark, with median, interval, place and rank of each cell.
 
-    Rows are sorted by their best place, then by their number of tasks, then by name.
+    `values`: the metric by (name of the table row, task) and by seed. `better`: the direction of
+    the metric of each task. Rows are sorted by their best place, then by the number of tasks, then
+    by name.
     """
     cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
     ranked: Table = {}
@@ -351,9 +360,9 @@ def _summary(values: Mapping[int, float]) -> statistics.Summary:
 
 
 def cell_text(cell: Cell | None) -> str:
-    """Median, 95 % interval of the median and rank, such as `0.71 (0.6 to 0.8) #2`.
+    """The text of a cell: median, 95 % interval and rank, such as `0.71 (0.6 to 0.8) #2`.
 
-    `0.71 (0.6 to 0.8) #2 of 3/20`: only three of twenty runs have a value.
+    ` of 3/20` is added if only three of twenty runs have a value. Empty without a cell.
     """
     if cell is None:
         return ""
@@ -369,30 +378,32 @@ def cell_text(cell: Cell | None) -> str:
 def read_results(
     path: Path, tasks: Iterable[str], bounds: Mapping[str, Bounds] = MappingProxyType({})
 ) -> dict[tuple[str, str], dict[int, float]]:
-    """Values of another program by (row, task) and seed, from a CSV file with COLUMNS.
+    """The values of another program from a CSV file, by (name of the table row, task) and by seed.
 
-    `bounds`: of the metrics, by task; a value beyond them is in another unit, or wrong. An empty
-    value is a run without one. Rows of a column `name` have its name, others the file's.
-    ConfigError with file and line for anything else.
+    The file has a line for each run, with the columns COLUMNS and maybe `name`, the name of the
+    table row; without `name` it is the file's name. An empty value, for a run without a result,
+    becomes NaN. `tasks`: the tasks that a line may name. `bounds`: (least, greatest) value of the
+    metric by task; a value outside is wrong or in another unit. ConfigError with path and line for
+    a fault of the file.
     """
-    known = tuple(tasks)
+    task_names = tuple(tasks)
     values: dict[tuple[str, str], dict[int, float]] = {}
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file)
-            lacking = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if lacking:
-                text = f"{path}:1: there is no column {lacking[0]}"
+            missing_columns = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
+            if missing_columns:
+                text = f"{path}:1: there is no column {missing_columns[0]}"
                 raise ConfigError(f"{text}; expected {','.join(COLUMNS)}")
-            for line in reader:
+            for cells in reader:
                 where = f"{path}:{reader.line_num}"
-                if None in line or None in line.values():
-                    wanted = ",".join(reader.fieldnames or ())
-                    raise ConfigError(f"{where}: expected as many cells as the head: {wanted}")
-                task, name = line["task"], line.get("name") or path.stem
-                if task not in known:
-                    raise ConfigError(f"{where}: {unknown('benchmark task', task, known)}")
-                seed, value = _seed(where, line["seed"]), _value(where, line["value"])
+                if None in cells or None in cells.values():  # too many cells, or too few
+                    header = ",".join(reader.fieldnames or ())
+                    raise ConfigError(f"{where}: expected as many cells as the head: {header}")
+                task, name = cells["task"], cells.get("name") or path.stem
+                if task not in task_names:
+                    raise ConfigError(f"{where}: {unknown('benchmark task', task, task_names)}")
+                seed, value = _seed(where, cells["seed"]), _value(where, cells["value"])
                 low, high = bounds.get(task, (None, None))
                 if (low is not None and value < low) or (high is not None and value > high):
                     text = f"{where}: value is {value:g}; expected {low} to {high}"
@@ -401,8 +412,8 @@ def read_results(
                     raise ConfigError(f"{where}: {name} has seed {seed} of {task} twice; keep one")
                 values[name, task][seed] = value
     except (OSError, UnicodeError, csv.Error) as error:
-        why = error.strerror if isinstance(error, OSError) else error
-        raise ConfigError(f"{path}: cannot be read: {why}") from error
+        fault = error.strerror if isinstance(error, OSError) else error
+        raise ConfigError(f"{path}: cannot be read: {fault}") from error
     return values
 
 

@@ -1,11 +1,11 @@
-"""Runs on the workers of a Dask cluster (dask.org).
+"""Simulation runs of an experiment on the workers of a Dask cluster (dask.org).
 
 Each run goes to one thread of one worker. The thread does the run in a process of its own, with the
-time-outs of a run on one machine. Metrics and trace come back with the result, and the worker keeps
-nothing. The runs of a worker that ends or falls silent are repeated on other workers.
+time-outs of a run on one machine. The worker returns metrics and trace, and stores nothing. The
+runs of a worker that ends or falls silent are repeated on other workers.
 
-Scheduler and workers need the same software as the client. Before its first run, a worker sends the
-versions and digests of its software.
+Scheduler and workers need the same software as the client. So each worker sends the versions and
+digests of its software before its first run.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 MAX_ATTEMPTS = 3
 """A run has failed if its workers were lost this many times: the run may be the cause."""
 CONNECT_TIMEOUT = 10.0  # s
-_LOOK_PERIOD = 1.0  # s between two queries of the scheduler about its workers
+_UPDATE_PERIOD = 1.0  # s between two queries of the scheduler about its workers
 _POLL_PERIOD = 0.25  # s
 _MIN_SILENCE = 5.0  # s; workers report to the scheduler every 0.5 s, of a large cluster every 5 s
 
@@ -79,21 +79,24 @@ class _Attempt:
 def connect(
     address: str, manifest: Manifest, timeout: float, note: Note, at_a_time: int | None = None
 ) -> Iterator[Cluster]:
-    """The cluster at the scheduler's address, after a check of its workers' software.
+    """Connect to the Dask scheduler at `address`, check its workers' software, yield the cluster.
 
-    `timeout`: in s, of workers and runs. `note` is called with a line when a worker is lost or not
+    `manifest`: the experiment, with the software that workers must have. `timeout`: the longest
+    silence in s of a worker and of a run. `note` is called with a line when a worker is lost or not
     used. `at_a_time`: the most runs in progress; None: one for each thread of the workers.
-    ConfigError if there is no scheduler, or if a worker's software differs from the manifest's.
+    ConfigError if no scheduler answers, or if a worker's software differs from the manifest's.
     SwarmError if no worker answers.
     """
     import dask
 
-    with dask.config.set({"logging": {"distributed": "critical"}}):  # the errors below say it
+    # Dask would log the errors that the code below raises.
+    with dask.config.set({"logging": {"distributed": "critical"}}):
         from distributed import Client
         from distributed.comm.addressing import resolve_address
 
     try:
-        resolve_address(address)  # an error in the client's constructor leaves a thread
+        # Checked here, since an invalid address makes the client's constructor leave a thread.
+        resolve_address(address)
         client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         text = f"--scheduler {address}: {one_line(str(error))}"
@@ -116,6 +119,7 @@ class Cluster:
         note: Note,
         at_a_time: int | None,
     ) -> None:
+        """See `connect` for the arguments. Workers report progress of runs under `_topic`."""
         self.manifest = manifest
         self._client, self._address = client, address
         self._timeout = timeout
@@ -124,13 +128,13 @@ class Cluster:
         self._folders = plugin_folders(manifest.plan)
         self._metrics = [metric.origin for metric in manifest.metrics]
         self._topic = f"swarmd-{uuid.uuid4().hex}"
-        self._workers: dict[str, _Worker] = {}
-        self._asked: dict[str, str] = {}  # worker by key of the question
-        self._answers: queue.Queue[tuple[str, Any]] = queue.Queue()
-        self._shares: dict[str, float] = {}
-        self._next_look = 0.0
-        self._refusal = ""
-        self._is_open = False
+        self._workers: dict[str, _Worker] = {}  # by address
+        self._worker_by_query: dict[str, str] = {}  # of open queries for software, by their key
+        self._answers: queue.Queue[tuple[str, Any]] = queue.Queue()  # key and result of a call
+        self._shares: dict[str, float] = {}  # simulated share 0..1 of a run, by run
+        self._next_update = 0.0  # s, monotonic: when the scheduler is asked for its workers again
+        self._refusal = ""  # why the last refused worker is not used
+        self._is_open = False  # whether `await_workers` has ended
         self._software: list[Manifest] = []  # of the workers that are fit
         client.subscribe_topic(self._topic, lambda event: self._shares.update(event[1]))
 
@@ -141,7 +145,7 @@ class Cluster:
         """
         deadline = time.monotonic() + self._timeout
         while time.monotonic() < deadline:
-            self._look()
+            self._update_workers()
             if self._workers and all(worker.is_fit for worker in self._workers.values()):
                 break
             self._receive()
@@ -158,98 +162,111 @@ class Cluster:
         self._is_open = True
 
     def run_jobs(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
-        """Yield the result of each job as it arrives, and meanwhile the progress of all runs.
+        """Run jobs on the workers; yield the result of each job as it arrives.
 
+        Between results, yield the simulated share (0..1) of each run in progress, by run.
         SwarmError if the scheduler or all workers are lost. Runs in progress are cancelled when the
         client closes.
         """
-        waiting, attempts = deque(jobs), Counter[str]()
-        runs: dict[str, _Attempt] = {}
+        waiting, attempt_counts = deque(jobs), Counter[str]()
+        attempts: dict[str, _Attempt] = {}  # in progress, by key of the call
         last_usable = time.monotonic()  # when a worker last had a run, or was free for one
-        while waiting or runs:
-            self._look()
+        while waiting or attempts:
+            # 1. Runs of lost workers wait again; without any worker for `timeout` s, give up.
+            self._update_workers()
             now = time.monotonic()
-            for key, attempt in [*runs.items()]:
+            for key, attempt in [*attempts.items()]:
                 if not self._is_alive(attempt.worker):
-                    yield from self._repeat(runs.pop(key), waiting, attempts)
-            free = self._free(runs)
-            if runs or free:
+                    yield from self._repeat(attempts.pop(key), waiting, attempt_counts)
+            free_workers = self._free(attempts)
+            if attempts or free_workers:
                 last_usable = now
             if now > last_usable + self._timeout:
                 raise SwarmError(
                     f"the cluster at {self._address} has no worker left; finished runs are"
                     " kept: start workers and give the same command again"
                 )
-            for worker in free:
+
+            # 2. Free workers get jobs.
+            for worker in free_workers:
                 if waiting:
                     job = waiting.popleft()
                     call = partial(_perform, job, self._timeout, self._topic)
                     key, future = self._submit(call, worker)
-                    runs[key] = _Attempt(job, worker, future)
-            ids = {attempt.job.run for attempt in runs.values()}
-            yield {run: share for run, share in [*self._shares.items()] if run in ids}
+                    attempts[key] = _Attempt(job, worker, future)
+
+            # 3. Progress, and the next answer of a worker.
+            running = {attempt.job.run for attempt in attempts.values()}
+            yield {run: share for run, share in [*self._shares.items()] if run in running}
             key, answer = self._receive()
-            if key in runs:
-                attempt = runs.pop(key)
+            if key in attempts:
+                attempt = attempts.pop(key)
                 if isinstance(answer, BaseException):
                     self._check_scheduler()
                     self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
-                    yield from self._repeat(attempt, waiting, attempts)
+                    yield from self._repeat(attempt, waiting, attempt_counts)
                 else:
-                    yield _kept(attempt.job, *answer)
+                    yield _write_trace(attempt.job, *answer)
 
     def _repeat(
-        self, attempt: _Attempt, waiting: deque[Job], attempts: Counter[str]
+        self, attempt: _Attempt, waiting: deque[Job], attempt_counts: Counter[str]
     ) -> Iterator[JobResult]:
-        """Queue the run of a lost worker first; after MAX_ATTEMPTS losses yield a failure."""
+        """Put the run of a lost worker first into `waiting`, and count the loss by run.
+
+        After MAX_ATTEMPTS losses the run is not repeated, and its failure is yielded.
+        """
         attempt.future.cancel()
         run = attempt.job.run
-        attempts[run] += 1
+        attempt_counts[run] += 1
         self._shares.pop(run, None)
-        if attempts[run] < MAX_ATTEMPTS:
+        if attempt_counts[run] < MAX_ATTEMPTS:
             self._note(f"worker {attempt.worker} is lost; run {run} is repeated")
             waiting.appendleft(attempt.job)
         else:
             reason = f"lost with its worker {MAX_ATTEMPTS} times, the last was {attempt.worker}"
             yield JobResult(run, reason=reason)
 
-    def _look(self) -> None:
-        """Update the workers from the scheduler, once a second; ask new workers for their software.
+    def _update_workers(self) -> None:
+        """Update `_workers` from the scheduler's list, once a second; ask new workers for software.
 
         SwarmError if the scheduler is lost.
         """
         now = time.monotonic()
-        if now < self._next_look:
+        if now < self._next_update:
             return
-        # Time in which this process or the scheduler was suspended is no silence of a worker.
-        passed = min(now - self._next_look, _LOOK_PERIOD) + _LOOK_PERIOD
-        self._next_look = now + _LOOK_PERIOD
+        # The time since the last update, limited: while this process or the scheduler was
+        # suspended, workers were not silent.
+        elapsed = min(now - self._next_update, _UPDATE_PERIOD) + _UPDATE_PERIOD
+        self._next_update = now + _UPDATE_PERIOD
         self._check_scheduler()
-        listed = self._listed()
-        for name in [name for name in self._workers if name not in listed]:
+        descriptions = self._worker_descriptions()
+        for name in [name for name in self._workers if name not in descriptions]:
             del self._workers[name]
-        for name, about in listed.items():
+        for name, description in descriptions.items():
             worker = self._workers.get(name)
             if worker is None:
-                self._workers[name] = _Worker(about["nthreads"], about["last_seen"])
+                self._workers[name] = _Worker(description["nthreads"], description["last_seen"])
                 key, _ = self._submit(partial(_software, self._folders, self._metrics), name)
-                self._asked[key] = name
+                self._worker_by_query[key] = name
             else:
-                is_same = worker.seen == about["last_seen"]
-                worker.seen = about["last_seen"]
-                worker.silence = worker.silence + passed if is_same else 0.0
+                is_silent = worker.seen == description["last_seen"]
+                worker.seen = description["last_seen"]
+                worker.silence = worker.silence + elapsed if is_silent else 0.0
 
-    def _listed(self) -> dict[str, Any]:
-        """The scheduler's description of each worker, by name; SwarmError without an answer."""
+    def _worker_descriptions(self) -> dict[str, Any]:
+        """The scheduler's description of each worker, by name; SwarmError without an answer.
+
+        The query runs in a thread, since it never returns if the scheduler is silent.
+        """
         answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
 
-        def ask() -> None:  # waits for ever if the scheduler is silent
+        def query() -> None:
             try:
                 answers.put(self._client.scheduler_info(n_workers=-1)["workers"])
             except Exception as error:
                 answers.put(error)
 
-        threading.Thread(target=ask, daemon=True).start()
+        threading.Thread(target=query, daemon=True).start()
         limit = max(self._timeout, _MIN_SILENCE)
         # Short waits: time in which this process was suspended does not count as silence.
         for _ in range(math.ceil(limit / _POLL_PERIOD)):
@@ -288,9 +305,10 @@ class Cluster:
         return [name for _, name in sorted(slots)[:limit]]
 
     def _submit(self, call: Callable[[], object], worker: str) -> tuple[str, Future[Any]]:
-        """Let one worker call a function; `_receive` later gives the answer with the returned key.
+        """Let one worker call a function; returns a key and the future of the call.
 
-        The answer is what the function returns, or the exception.
+        A thread puts the key and the answer into `_answers`, from which `_receive` takes them. The
+        answer is the returned value of the function, or its exception.
         """
         key = f"swarmd-{uuid.uuid4().hex}"
         future = self._client.submit(call, key=key, workers=[worker], pure=False)
@@ -306,15 +324,16 @@ class Cluster:
         return key, future
 
     def _receive(self) -> tuple[str, Any]:
-        """The next answer of a run with its key; an empty key if none came within _POLL_PERIOD.
+        """The key and the answer of the next finished run; ("", None) without one.
 
-        An answer about a worker's software sets `is_fit` of the worker, and gives an empty key.
+        Waits for _POLL_PERIOD at most. An answer about a worker's software sets `is_fit` of the
+        worker, and then ("", None) is returned, too.
         """
         try:
             key, answer = self._answers.get(timeout=_POLL_PERIOD)
         except queue.Empty:
             return "", None
-        name = self._asked.pop(key, None)
+        name = self._worker_by_query.pop(key, None)
         worker = self._workers.get(name or "")
         if name is None or worker is None:
             return key, answer
@@ -327,10 +346,10 @@ class Cluster:
         return "", None
 
     def _difference(self, answer: Any) -> str | None:
-        """Why a worker cannot be used, after its answer about its software; None if it can be.
+        """Why a worker's software excludes the worker; None for a usable worker.
 
-        Adds the software of a usable worker to `_software`. `answer`: the result of `_software`, or
-        an exception.
+        `answer`: the result of `_software` on the worker, or an exception. Adds the software of a
+        usable worker to `self._software`.
         """
         if isinstance(answer, BaseException):
             return one_line(f"{type(answer).__name__}: {answer}")
@@ -353,33 +372,35 @@ def _software(
 
 
 def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | None]:
-    """Do a job on a worker: the result, and the bytes of the trace file or None.
+    """Run a job in this worker; returns the result and the bytes of its trace file, or None.
 
-    RuntimeError if the client has cancelled the job or is gone.
+    `timeout`: the longest time in s without progress of the run. Progress is reported to the client
+    under `topic`. RuntimeError if the client has cancelled the job or is gone.
     """
     from distributed import get_worker
 
     worker = get_worker()
     key = worker.get_current_task()
     # Dask removes this folder also after a crash.
-    with TemporaryDirectory(prefix="swarmd-", dir=worker.local_directory) as place:
-        trace = None if job.trace is None else Path(place) / "trace.npz"
+    with TemporaryDirectory(prefix="swarmd-", dir=worker.local_directory) as folder:
+        trace = None if job.trace is None else Path(folder) / "trace.npz"
         with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as results:
-            for item in results:
-                if isinstance(item, JobResult):
-                    if item.write_error:
-                        return replace(item, reason=item.write_error, write_error=""), None
-                    has_trace = item.metrics is not None and trace is not None
-                    return item, trace.read_bytes() if has_trace and trace else None
+            for report in results:  # shares of the run, then its result
+                if isinstance(report, JobResult):
+                    if report.write_error:
+                        return replace(report, reason=report.write_error, write_error=""), None
+                    if report.metrics is None or trace is None:
+                        return report, None
+                    return report, trace.read_bytes()
                 task = worker.state.tasks.get(key)
                 if task is None or task.state != "executing":
-                    break  # the client has cancelled it, or is gone
-                worker.log_event(topic, dict(item))
+                    break  # the client has cancelled the job, or is gone
+                worker.log_event(topic, dict(report))
     raise RuntimeError("cancelled")
 
 
-def _kept(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
-    """Write a trace to the path of its job; the result, with `write_error` if that fails."""
+def _write_trace(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
+    """Write the trace to the path of its job; return `result`, or a result with `write_error`."""
     if job.trace is None or trace is None:
         return result
     try:

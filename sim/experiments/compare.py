@@ -39,9 +39,9 @@ class Side:
 class Difference:
     """The comparison of one metric between side a and side b.
 
-    A compared run has a value; if `is_paired`, the run of the same seed on the opposite side has a
-    value, too. If the metric is a time to an event that never happened in some runs, the means are
-    restricted to `horizon` s, and `p` is that of the log-rank test.
+    Only runs that have a value are compared. If `is_paired`, the run of the same seed on the
+    opposite side must have a value, too. If the metric is a time to an event that never happened in
+    some runs, the means are restricted to `horizon` s, and the log-rank test gives `p`.
     """
 
     metric: str
@@ -102,15 +102,16 @@ def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]
     """The pairs of variants to compare. `a` and `b`: FOLDER, or FOLDER:VARIANT of a sweep.
 
     Two folders with the same variants give a pair for each variant. ConfigError if the folders have
-    different variants, or only one of them has several. `is_trusted`: as of `load_results`.
+    different variants, or if one folder has a single variant and the other has several.
+    `is_trusted`: metrics in Python files run unchecked, as in `load_results`.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:
         if len(left) == len(right):
             return [(left[0], right[0])]
-        folder, many = (a, left) if len(left) > 1 else (b, right)
-        variants = ", ".join(side.variant for side in many)
-        raise ConfigError(f"{folder}: name one of its variants, as {many[0].label}: {variants}")
+        folder, swept = (a, left) if len(left) > 1 else (b, right)
+        variants = ", ".join(side.variant for side in swept)
+        raise ConfigError(f"{folder}: name one of its variants, as {swept[0].label}: {variants}")
     if [side.variant for side in left] != [side.variant for side in right]:
         raise ConfigError(
             f"{a} and {b}: their variants are not the same; name one of each,"
@@ -134,11 +135,11 @@ def sides_of(text: str, *, is_trusted: bool = False) -> list[Side]:
 
 
 def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> list[Difference]:
-    """The difference of each of the metrics `names`, by default of those that both sides have.
+    """Compare the metrics `names` of two sides; None: all metrics that both sides have.
 
     If both sides have the same planned seeds, runs of the same seed are pairs, which removes the
     common effect of the seed. A pair with a failed run is left out. With different seeds the sides
-    are independent samples. ConfigError for an unknown name.
+    are independent samples. ConfigError for an unknown metric.
     """
     both = [name for name in a.results.metrics if name in b.results.metrics]
     differences = [
@@ -193,27 +194,32 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 
 def _difference(a: Side, b: Side, metric: Metric) -> Difference:
-    """The difference of one metric, without Holm's correction."""
-    values_a = a.results.metric(metric, a.variant)
+    """Compare one metric of two sides: means, 95 % interval and p, without Holm's correction."""
+    values_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
     values_b = b.results.metric(metric, b.variant)
+
+    # A time to an event that never happened in some runs: log-rank test and restricted means.
     never_a, never_b = int(np.isnan(values_a).sum()), int(np.isnan(values_b).sum())
     horizon, p = None, None
     if metric.is_time_to_event and (never_a or never_b):
-        end_a, end_b = _duration(a), _duration(b)
-        horizon = min(end_a, end_b)
-        p = logrank_p(values_a, values_b, end_a, end_b)
+        duration_a, duration_b = _duration(a), _duration(b)
+        horizon = min(duration_a, duration_b)
+        p = logrank_p(values_a, values_b, duration_a, duration_b)
         values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
+
+    # With equal planned seeds, runs of the same seed are pairs; a pair needs both values.
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
-        _, places_a, places_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
-        values_a, values_b = values_a[places_a], values_b[places_b]
+        _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
+        values_a, values_b = values_a[indices_a], values_b[indices_b]
         have_values = ~(np.isnan(values_a) | np.isnan(values_b))
         values_a, values_b = values_a[have_values], values_b[have_values]
         bounds = mean_interval(values_b - values_a)
     else:
         values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
         bounds = difference_interval(values_a, values_b)
+
     better: Literal["a", "b"] | None = None
     if bounds is not None and metric.better is not None and 0.0 not in bounds:
         is_b_greater = bounds.low > 0.0

@@ -34,34 +34,34 @@ class Cost:
 
 
 def measured_cost(folder: Path) -> Cost:
-    """The cost of the newest experiments in `folder`; without any, a short simulation measures it.
+    """The wall time per robot-second on one core here: medians of recorded runs in `folder`.
 
-    Left out are experiments made with other software, on another processor, with `--cores` or on a
-    cluster.
+    Only the newest experiments are read. Experiments made with other software, on another
+    processor, with `--cores` or on a cluster are left out: their times are not those of one core of
+    this machine. Without any recorded run, a short simulation measures the cost.
     """
     software = made_with()
-    costs_of: dict[str, list[float]] = {}
-    places = sorted(folder.glob("*/manifest.json"), key=lambda path: -path.stat().st_mtime)
-    for place in places[:_NEWEST]:
+    costs_of: dict[str, list[float]] = {}  # s of wall time per robot-second of runs, by scenario
+    manifests = sorted(folder.glob("*/manifest.json"), key=lambda path: -path.stat().st_mtime)
+    for path in manifests[:_NEWEST]:
         try:
-            manifest = read_manifest(place.parent)
-            # A run's time with several cores, or on another machine, is not that of one core here.
-            is_other = {"--cores", "--scheduler"} & {*manifest.command}
-            if manifest.made_with != software or is_other:
+            manifest = read_manifest(path.parent)
+            has_other_cores = {"--cores", "--scheduler"} & {*manifest.command}
+            if manifest.made_with != software or has_other_cores:
                 continue
             plan = manifest.plan
-            rows = read_table(place.parent, plan)[1].values()
-        except SwarmError:  # damaged or of another version: no basis
+            rows = read_table(path.parent, plan)[1].values()
+        except SwarmError:  # a damaged folder, or a folder of another version
             continue
         costs = [row.wall / row.run.robot_seconds for row in rows]
         costs_of.setdefault(plan.scenario, []).extend(costs)
-    costs_of = {name: costs for name, costs in costs_of.items() if costs}
-    if not costs_of:
+    medians = {name: float(np.median(costs)) for name, costs in costs_of.items() if costs}
+    if not medians:
         return _calibrated()
-    every = [cost for costs in costs_of.values() for cost in costs]
-    usual = float(np.median(every))
-    basis = f"{len(every)} recorded runs in {folder}/: {_shown(usual)}"
-    return Cost(usual, {name: float(np.median(costs)) for name, costs in costs_of.items()}, basis)
+    all_costs = [cost for costs in costs_of.values() for cost in costs]
+    usual = float(np.median(all_costs))
+    basis = f"{len(all_costs)} recorded runs in {folder}/: {_shown(usual)}"
+    return Cost(usual, medians, basis)
 
 
 def _calibrated() -> Cost:

@@ -21,11 +21,12 @@ Form: TypeAlias = Literal["csv", "parquet", "mcap"]
 
 
 def export(results: Results, form: Form, out: Path, *, traces: bool = True) -> Iterator[Path]:
-    """Write the finished runs of an experiment into `out`; yield the path of each file.
+    """Write the finished runs of an experiment into the folder `out`; yield the path of each file.
 
-    CSV and Parquet: `results` with a row for each run, and `traces/RUN` with a row for each instant
-    and robot. MCAP: `RUN.mcap` for each run. Without `traces` only `results` is written. Files are
-    written atomically. SwarmError if a trace is missing, or a file cannot be written.
+    As CSV or Parquet, the file `results` has a row for each run, and the file `traces/RUN` has a
+    row for each instant and robot. Without `traces` only `results` is written. As MCAP, each run is
+    a file `RUN.mcap`. Files are written atomically. SwarmError if a trace is missing, or if a file
+    cannot be written.
     """
     if form != "mcap":
         yield _written(out / f"results.{form}", partial(_save, results.frame(), form))
@@ -95,40 +96,43 @@ def write_mcap(trace: Trace, path: Path) -> None:
 
 
 def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
-    """Time in ns, topic and message, in the order of time; none at instants without a pose."""
+    """The messages of a trace in the order of time: time in ns from 0 on, topic, (type, payload).
+
+    A robot without a pose at an instant has no message then. A status is given when it changes.
+    """
     from swarmd.recording import messages
 
     speeds = _speeds(trace)
-    last: dict[int, str] = {}
+    last_status: dict[int, str] = {}  # by robot
     for k, t in enumerate(trace.t.tolist()):
-        at = round(1e9 * (t - float(trace.t[0])))
-        stamp = 1e-9 * at
+        time_ns = round(1e9 * (t - float(trace.t[0])))
+        stamp = 1e-9 * time_ns
         for i, robot in enumerate(trace.ids):
             if not np.isfinite(trace.pose[k, i]).all():
                 continue
             odometry = Odometry(stamp, _pose(trace.pose[k, i]), _twist(speeds[k, i]))
-            yield at, f"/{robot}/ground_truth", messages.odometry_message(odometry)
+            yield time_ns, f"/{robot}/ground_truth", messages.odometry_message(odometry)
             safe = messages.requested_message(_twist(trace.safe[k, i]), k, stamp)
-            yield at, f"/{robot}/command/safe", safe
+            yield time_ns, f"/{robot}/command/safe", safe
             if trace.requested is not None:
                 requested = messages.requested_message(_twist(trace.requested[k, i]), k, stamp)
-                yield at, f"/{robot}/command/requested", requested
-            for topic, named in (("report", trace.report), ("readings", trace.readings)):
-                numbers = {name: float(values[k, i]) for name, values in named.items()}
-                known = {name: value for name, value in numbers.items() if not np.isnan(value)}
+                yield time_ns, f"/{robot}/command/requested", requested
+            for topic, arrays in (("report", trace.report), ("readings", trace.readings)):
+                values = {name: float(array[k, i]) for name, array in arrays.items()}
+                known = {name: value for name, value in values.items() if not np.isnan(value)}
                 if known:
-                    yield at, f"/{robot}/{topic}", messages.readings_message(known, stamp)
-            text = json.dumps(_status(trace, k, i))
-            if text != last.get(i):
-                last[i] = text
-                yield at, f"/{robot}/status", messages.text_message(text, stamp)
+                    yield time_ns, f"/{robot}/{topic}", messages.readings_message(known, stamp)
+            status = json.dumps(_status(trace, k, i))
+            if status != last_status.get(i):
+                last_status[i] = status
+                yield time_ns, f"/{robot}/status", messages.text_message(status, stamp)
 
 
 def _status(trace: Trace, k: int, i: int) -> dict[str, str]:
-    """The words of a robot at an instant."""
-    own = {"state": trace.state, "reason": trace.reason}
-    texts = {name: str(words[k, i]) for name, words in own.items() if words is not None}
-    return texts | {f"report:{name}": str(words[k, i]) for name, words in trace.words.items()}
+    """State, reason and reported texts of robot `i` at instant `k`, by name."""
+    arrays = {"state": trace.state, "reason": trace.reason}
+    texts = {name: str(array[k, i]) for name, array in arrays.items() if array is not None}
+    return texts | {f"report:{name}": str(array[k, i]) for name, array in trace.words.items()}
 
 
 def _speeds(trace: Trace) -> Array:

@@ -1,8 +1,9 @@
-"""The lessons of the tutorial, and the check of a pupil's work against their targets.
+"""The lessons of the tutorial, and the check of a pupil's work against the lesson's targets.
 
-In a lesson with a pattern, a pupil hands in a pattern, which is simulated. The processes of the
-simulation may read none of the user's files but the pupil's folder, write nothing, and grow by
-1 GB. In the other lessons a pupil hands in a folder of results.
+In a lesson with a pattern, a pupil hands in a pattern, which is simulated. The processes of this
+simulation are confined: of the user's files they can read only the pupil's folder, they cannot
+write files, and they can grow by 1 GB at most. In the other lessons a pupil hands in a folder of
+results.
 """
 
 from __future__ import annotations
@@ -96,11 +97,12 @@ def mark_results(lesson: Lesson, folder: Path) -> LessonMark:
 def mark_pattern(
     lesson: Lesson, plan: Plan, folder: Path, *, processes: int, timeout: float
 ) -> LessonMark:
-    """The mark of the pattern in a pupil's folder, from runs of at most `timeout` s in total.
+    """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
-    `plan`: of `plan_of_lesson`. Ends at the first failed run.
+    `plan`: of `plan_of_lesson`; the pupil's pattern replaces its stand-in. `timeout`: wall time in
+    s of all runs together. The first failed run ends the experiment, and its fault is the mark.
     """
-    by_id = {run.id: run for run in plan.runs}
+    run_by_id = {run.id: run for run in plan.runs}
     jobs = []
     for run in plan.runs:
         effective = _with_pattern(run.variant.effective, lesson.pattern, folder)
@@ -108,16 +110,15 @@ def mark_pattern(
     rows: list[Row] = []
     for result in _bounded(jobs, processes, timeout):
         if result.metrics is None:
-            return LessonMark(why=f"{by_id[result.run].title}: {result.reason.rstrip(': ')}")
+            return LessonMark(why=f"{run_by_id[result.run].title}: {result.reason.rstrip(': ')}")
         if result.metrics["failed_patterns"]:
-            return LessonMark(
-                why=f"{by_id[result.run].title}: the pattern raised an error in a step"
-            )
-        rows.append(Row(by_id[result.run], result.metrics, result.wall))
+            title = run_by_id[result.run].title
+            return LessonMark(why=f"{title}: the pattern raised an error in a step")
+        rows.append(Row(run_by_id[result.run], result.metrics, result.wall))
     if len(rows) < len(jobs):
         done = f"{len(rows)} of {len(jobs)} runs"
         return LessonMark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
-    rows.sort(key=lambda row: list(by_id).index(row.run.id))
+    rows.sort(key=lambda row: list(run_by_id).index(row.run.id))  # in the order of the plan
     results = Results(folder, plan, rows, {}, tuple(METRICS))
     findings: list[RequirementFinding] = []
     for where, texts in lesson.targets.items():

@@ -86,22 +86,26 @@ def manifest_of(
     metrics: Iterable[Metric] = (),
     shown: Iterable[str] = (),
 ) -> Manifest:
-    """The manifest of a plan with the present software; `metrics`: those beyond the catalog.
+    """The manifest of a plan: its runs, and the software that is installed now.
 
-    ConfigError if two metrics have the same name, or a path is not UTF-8.
+    `traces`: whether traces are kept. `command`: the command line that repeats the experiment.
+    `metrics`: custom metrics to measure in addition to the catalog. `shown`: names of the metrics
+    that the user asked for. ConfigError if two custom metrics have the same name, or if a path is
+    not UTF-8.
     """
     units = _report_units(plan)
-    own = [
+    custom = [
         metric_of(m.name, report_units=units) if m.name.startswith(PREFIXES) else m for m in metrics
     ]
-    measured = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in own]
-    measured = [
-        msgspec.structs.replace(metric, origin=metric.origin or metric.name) for metric in measured
+    entries = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in custom]
+    entries = [
+        msgspec.structs.replace(metric, origin=metric.origin or metric.name) for metric in entries
     ]
-    names = [metric.name for metric in measured]
-    if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
-        raise ConfigError(f"two metrics are named {twice}; rename a file or a function")
-    place = Path(plan.scenario)
+    names = [metric.name for metric in entries]
+    if (repeated := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise ConfigError(f"two metrics are named {repeated}; rename a file or a function")
+    scenario_file = Path(plan.scenario)
+    is_file = scenario_file.is_file()  # else the name of a scenario that comes with swarmd
     manifest = Manifest(
         format=FORMAT,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -114,19 +118,19 @@ def manifest_of(
         made_with=made_with(),
         git={
             "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
-            "scenario": git_state(place.resolve().parent) if place.is_file() else None,
+            "scenario": git_state(scenario_file.resolve().parent) if is_file else None,
         },
-        plugins={**digests_of_folders(plugin_folders(plan)), **digests_of_metrics(own)},
+        plugins={**digests_of_folders(plugin_folders(plan)), **digests_of_metrics(custom)},
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
-        metrics=measured,
+        metrics=entries,
         shown=[*shown],
         report_units=units,
     )
     try:
         msgspec.json.encode(manifest)
     except UnicodeEncodeError as error:
-        as_text(error.object)
+        as_text(error.object)  # raises ConfigError that names the text
     return manifest
 
 
@@ -176,7 +180,8 @@ def differences(old: Manifest, new: Manifest) -> Iterator[str]:
     """A text for each difference that changes results or files."""
     for name in ("scenario", "seeds", "sets", "sweep", "traces", "shard"):
         was, now = getattr(old, name), getattr(new, name)
-        if was != now or (name == "sweep" and list(was) != list(now)):  # its order is that of rows
+        # The order of swept keys is the order of the rows.
+        if was != now or (name == "sweep" and list(was) != list(now)):
             yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
     was, now = ([metric.origin for metric in side.metrics] for side in (old, new))
     if was != now:

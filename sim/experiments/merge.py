@@ -30,57 +30,63 @@ _NAMED = 10  # runs that a message lists
 def merge(
     folders: Sequence[Path], out: Path, *, is_trusted: bool = False
 ) -> tuple[Results, list[str]]:
-    """Join the parts `folders` of an experiment in the folder `out`.
+    """Join the parts of an experiment, in `folders`, into the folder `out`.
 
     Returns the results, and a line for each part that lacks runs. Except for the durations of runs,
     `out` equals the folder of an experiment on one machine. Parts may have common runs, and `out`
-    may hold parts from an earlier call. ConfigError, with nothing changed, if the parts are of
-    different experiments or software, have different results of one run, or lack a trace. Parts
-    from different processors are joined, and the manifest names all processors. `is_trusted`: as of
-    `load_results`.
+    may hold parts from an earlier call. Parts from different processors are joined, and the
+    manifest names all processors. ConfigError, before any change of `out`, if the parts are of
+    different experiments or software, have different results of one run, or lack a trace.
+    `is_trusted`: metrics in Python files run unchecked, as in `load_results`.
     """
+    # 1. Manifests and tables of the parts, which must agree.
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"--out {out} is one of the parts; name another folder")
     parts = {folder: read_manifest(folder) for folder in folders}
     whole = _whole(parts, out)
-    rows: dict[str, tuple[Row, Path]] = {}
     tables = {folder: read_table(folder, part.plan) for folder, part in parts.items()}
     if (out / "manifest.json").exists():
         tables[out] = read_table(out, read_manifest(out).plan)
-    for folder, (_, own_rows) in tables.items():
-        for name, row in own_rows.items():
-            known, place = rows.setdefault(name, (row, folder))
-            _check_same(known, place, row, folder, has_traces=whole.traces)
+    row_of_run: dict[str, tuple[Row, Path]] = {}  # with the folder of the first part that has it
+    for folder, (_, rows) in tables.items():
+        for name, row in rows.items():
+            first_row, first_folder = row_of_run.setdefault(name, (row, folder))
+            _check_same(first_row, first_folder, row, folder, has_traces=whole.traces)
     for (folder, (metrics, _)), (next_folder, (next_metrics, _)) in pairwise(tables.items()):
         if metrics != next_metrics:
             text = f"{folder} and {next_folder}: their metrics differ"
             raise ConfigError(f"{text}; merge parts of one version")
-    errors = {run: why for folder in parts for run, why in read_errors(folder).items()}
-    failures = {run: why for folder in parts for run, why in read_failures(folder).items()}
+
+    # 2. Rows, traces and failures go to `out`, except for runs that `out` already has.
+    errors = {run: error for folder in parts for run, error in read_errors(folder).items()}
+    failures = {run: fault for folder in parts for run, fault in read_failures(folder).items()}
     with open_store(out, whole, metrics=next(iter(tables.values()))[0]) as store:
         for run in store.missing:
-            if run.id in rows:
-                row, place = rows[run.id]
+            if run.id in row_of_run:
+                row, folder = row_of_run[run.id]
                 if (trace := store.trace_of(run)) is not None:
-                    _copy(trace_path(place, run), trace)
+                    _copy(trace_path(folder, run), trace)
                 store.add(run, row.metrics, row.wall, errors.get(run.id))
             elif run.id in failures:
                 store.fail(run, failures[run.id])
         results = load_results(out, is_trusted=is_trusted)
         store.close(results.document())
-        return results, _lacking(parts, store.missing)
+        return results, _missing_runs(parts, store.missing)
 
 
 def _whole(parts: dict[Path, Manifest], out: Path) -> Manifest:
     """The manifest of all parts together; ConfigError if they do not belong together."""
-    (first, whole), *others = parts.items()
+    (first_folder, whole), *further_parts = parts.items()
     whole = structs.replace(whole, shard=None, command=_command(whole.command, out))
-    for folder, part in others:
+    for folder, part in further_parts:
         whole = joined(whole, part)
-        alike = structs.replace(part, shard=None, made_with=joined(part, whole).made_with)
-        difference = next(differences(whole, alike), None)
+        # Shards and processors may differ.
+        comparable = structs.replace(part, shard=None, made_with=joined(part, whole).made_with)
+        difference = next(differences(whole, comparable), None)
         if difference is not None:
-            raise ConfigError(f"{first} and {folder} are not of one experiment: {difference}")
+            raise ConfigError(
+                f"{first_folder} and {folder} are not of one experiment: {difference}"
+            )
     return whole
 
 
@@ -94,21 +100,26 @@ def _command(command: Sequence[str], out: Path) -> list[str]:
     return [*kept, "--out", str(out)] if kept else []
 
 
-def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: bool) -> None:
-    """ConfigError if two parts differ in metrics or trace of a run, or the trace is missing."""
+def _check_same(
+    first_row: Row, first_folder: Path, row: Row, folder: Path, *, has_traces: bool
+) -> None:
+    """ConfigError if two parts differ in metrics or trace of a run, or the trace is missing.
+
+    `first_folder` may be `folder` itself: then only the presence of the trace is checked.
+    """
     try:
-        is_same = known.metrics == row.metrics
+        is_same = first_row.metrics == row.metrics
         if has_traces:
-            traces = [trace_path(where, row.run) for where in (place, folder)]
-            traces[1].stat()
+            first_trace, trace = (trace_path(part, row.run) for part in (first_folder, folder))
+            trace.stat()
             is_same = is_same and (
-                place == folder or traces[0].read_bytes() == traces[1].read_bytes()
+                first_folder == folder or first_trace.read_bytes() == trace.read_bytes()
             )
     except OSError as error:
         text = f"{error.filename}: the trace of a finished run cannot be read: {error.strerror}"
         raise ConfigError(f"{text}; restore it, or remove the run's line from runs.csv") from error
     if not is_same:
-        text = f"{place} and {folder}: their results of run {row.run.id} differ"
+        text = f"{first_folder} and {folder}: their results of run {row.run.id} differ"
         raise ConfigError(f"{text}; leave one of them out")
 
 
@@ -122,30 +133,34 @@ def _copy(source: Path, target: Path) -> None:
         raise SwarmError(f"{text}: mend it and give the same command again") from error
 
 
-def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
-    """A line for each part that lacks runs, and one for runs that are in no part."""
+def _missing_runs(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
+    """A line for each part that lacks runs of its plan, and a line for runs that no part plans.
+
+    `parts`: the manifest of each part by its folder. `missing`: the runs without a result.
+    """
     missing_ids = {run.id for run in missing}
     lines: list[str] = []
     planned: set[str] = set()
     for folder, part in parts.items():
         runs = [run.id for run in part.plan.runs]
-        lost = [run for run in runs if run in missing_ids]
+        missing_of_part = [run for run in runs if run in missing_ids]
         planned |= set(runs)
-        if lost:
+        if missing_of_part:
             name = f"{folder} (part {part.shard})" if part.shard else str(folder)
-            lines.append(f"{name}: {len(lost)} of {len(runs)} runs: {_listed(lost)}")
-    nowhere = [run.id for run in missing if run.id not in planned]
-    if nowhere:
-        # The absent parts have numbers only if all parts divide the experiment equally.
+            count = f"{len(missing_of_part)} of {len(runs)} runs"
+            lines.append(f"{name}: {count}: {_listed(missing_of_part)}")
+    unplanned = [run.id for run in missing if run.id not in planned]
+    if unplanned:
+        # Absent parts can be named, as 3/40, only if all parts are of the same number of parts.
         counts = {part.shard.of if part.shard else 1 for part in parts.values()}
-        absent = ""
+        absent_parts = ""
         if len(counts) == 1:
-            (count,) = counts
+            (part_count,) = counts
             all_runs = replace(next(iter(parts.values())).plan, shard=None).runs
-            part_by_run = parts_of(all_runs, count)
-            numbers = sorted({part_by_run[run] for run in nowhere})
-            absent = f"part {_listed([f'{number}/{count}' for number in numbers])}, "
-        lines.append(f"{absent}in no folder: {_listed(nowhere)}")
+            part_by_run = parts_of(all_runs, part_count)
+            numbers = sorted({part_by_run[run] for run in unplanned})
+            absent_parts = f"part {_listed([f'{number}/{part_count}' for number in numbers])}, "
+        lines.append(f"{absent_parts}in no folder: {_listed(unplanned)}")
     return lines
 
 

@@ -99,9 +99,10 @@ class MissionSpace(Missions):
         ranges: Mapping[str, tuple[float, float]],
         folder: Path,
     ) -> None:
-        """`modules`: names of patterns. `ranges`: bounds by condition, with names as in `words`.
+        """`modules`: names of patterns. `ranges`: (least, greatest) bound of each condition.
 
-        Conditions: timeout, nearer, probability, neighbors, reading:NAME.
+        Conditions: timeout, nearer, probability, neighbors, reading:NAME. Missions are written into
+        `folder`.
         """
         self.groups = tuple(groups)
         self.modules = tuple(modules)
@@ -125,9 +126,9 @@ class MissionSpace(Missions):
         return None
 
     def draw(self, trial: Trial) -> dict[str, Any]:
-        """The values of a trial: the kind of mission, and part, conditions and bounds by state.
+        """Draw a candidate: the kind of mission, and for each state its pattern and conditions.
 
-        The values of states that no chain of transitions reaches are left out.
+        Values of states that no chain of transitions reaches from state 1 are left out.
         """
         states = trial.suggest_int("states", 1, MAX_STATES)
         values: dict[str, Any] = {"kind": "part"}
@@ -256,12 +257,14 @@ class MissionFileSpace(Missions, ParameterSpace):
 def mission_file_space(
     scenario: Scenario, path: Path, words: Iterable[str], folder: Path
 ) -> MissionFileSpace:
-    """The search space of numbers in a mission's file.
+    """The search space of numbers in the mission's file at `path`, for a tuning of `scenario`.
 
-    `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; without words
-    all probabilities of the file are searched. ConfigError if the file or a word is wrong, or if
-    the scenario cannot run missions.
+    `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; if empty, all
+    probabilities of the file are searched. `folder`: where the missions of candidates are written.
+    ConfigError if the file or a word is wrong, or if the scenario cannot run missions.
     """
+    # 1. The file must be a valid mission. Patterns of the scenario's plugin_dir cannot be found
+    # beside it, since `folder` replaces plugin_dir.
     data = read(path)
     installed = pattern_names(None)
     find = PatternLoader(
@@ -275,23 +278,25 @@ def mission_file_space(
                 f"--mission and pattern {pattern} of {scenario.plugin_dir}: candidates lie in a"
                 " folder of their own; install this pattern as a package"
             )
+
+    # 2. The groups that run the mission: those whose pattern is this file, else all that begin with
+    # a pattern.
     origin = pattern_names(scenario.plugin_dir).get(name)
-    is_present = origin is not None and is_same_file(origin.value, str(path))
-    groups = _groups(scenario, name if is_present else "")
-    is_present = is_present and bool(groups)
+    is_this_file = origin is not None and is_same_file(origin.value, str(path))
+    groups = _groups(scenario, name if is_this_file else "")
+    is_present = is_this_file and bool(groups)
     groups = groups or _groups(scenario)
     _check_groups(scenario, groups, name)
+
+    # 3. The numbers to search.
     parameters = []
     for word in words or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]:
         parameter = file_parameter(word, data, shown(path))
         if parameter.present is None or isinstance(parameter.present, dict | list):
-            there = (
-                "has no such value"
-                if parameter.present is None
-                else f"has {brief(parameter.present)}"
-            )
+            is_missing = parameter.present is None
+            fault = "has no such value" if is_missing else f"has {brief(parameter.present)}"
             raise ConfigError(
-                f"{SOURCE} {parameter.key}: {shown(path)} {there}; expected one value there"
+                f"{SOURCE} {parameter.key}: {shown(path)} {fault}; expected one value there"
             )
         parameters.append(parameter)
     if not parameters:
@@ -326,12 +331,14 @@ def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
 def mission_space(
     scenario: Scenario, modules: Iterable[str], words: Iterable[str], folder: Path
 ) -> MissionSpace:
-    """The search space of missions of the patterns `modules`.
+    """The search space of missions that are composed of the patterns `modules`.
 
-    The missions replace the pattern of each group that begins with a pattern. `words`: bounds of
-    conditions, such as `timeout=5..60`, `nearer=0.3..1`, `reading:light=0..100`. ConfigError if a
+    In `scenario`, a mission replaces the pattern of each group that begins with a pattern. `words`:
+    bounds of conditions, such as `timeout=5..60` (s), `nearer=0.3..1` (m) or
+    `reading:light=0..100`. `folder`: where the missions of candidates are written. ConfigError if a
     pattern or a condition is unknown, or if the scenario cannot run missions.
     """
+    # 1. Patterns and groups.
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))
     known = pattern_names(None)
     if not modules:
@@ -346,6 +353,8 @@ def mission_space(
         )
     groups = _groups(scenario)
     _check_groups(scenario, groups)
+
+    # 2. Bounds of conditions.
     ranges = dict(RANGES)
     for word in words:
         key = word.partition("=")[0]
@@ -408,7 +417,10 @@ def _probabilities(data: Mapping[str, Any], what: str) -> Iterator[str]:
 
 
 def _places(data: Any, keys: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
-    """The path of keys of each probability in nested dicts and lists; `keys` leads to `data`."""
+    """The keys from the root to each probability in nested dicts and lists `data`.
+
+    `keys`: from the root to `data`.
+    """
     items = data.items() if isinstance(data, dict) else enumerate(data)
     for key, value in items:
         place = (*keys, str(key))
@@ -426,13 +438,13 @@ def _state(key: str) -> int:
 
 def _reached(values: Mapping[str, Any], states: int) -> set[int]:
     """The states that transitions reach from state 1, itself included."""
-    reached, todo = set[int](), [1]
-    while todo:
-        n = todo.pop()
+    reached, to_visit = set[int](), [1]
+    while to_visit:
+        n = to_visit.pop()
         if n not in reached:
             reached.add(n)
             keys = (f"target_{n}_{k}" for k in range(1, MAX_TRANSITIONS + 1))
-            todo += [values[key] for key in keys if key in values]
+            to_visit += [values[key] for key in keys if key in values]
     return reached
 
 

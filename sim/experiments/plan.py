@@ -123,10 +123,12 @@ def make_plan(
     sweep: Mapping[str, Sequence[Any]],
     effective: Callable[[Mapping[str, Any]], Mapping[str, Any]],
 ) -> Plan:
-    """The plan of the full grid of `sweep`, its last key changing fastest.
+    """The plan of an experiment: each seed with each combination of the values of `sweep`.
 
-    `effective` gives the complete scenario for overrides by dotted key, and raises ConfigError
-    for invalid ones. It is called for every variant, so that errors appear before the first run.
+    A combination is a variant. The last key of `sweep` changes fastest. `sets`: overrides of all
+    variants by dotted key. `effective` gives the complete scenario for overrides, and raises
+    ConfigError for invalid overrides. It is called for every variant here, so that errors appear
+    before the first run.
     """
     planned_seeds = check_seeds(seeds)
     for key, values in sweep.items():
@@ -136,18 +138,17 @@ def make_plan(
         raise ConfigError(f"these are {count} runs; at most {MAX_RUNS} are made, so sweep less")
     # A variant's name has the last word of each key, or the whole key if two last words are equal.
     last_words = [key.rpartition(".")[2] for key in sweep]
-    short = {
+    short_key = {
         key: word if last_words.count(word) == 1 else key
         for key, word in zip(sweep, last_words, strict=True)
     }
     variants = []
-    for point in itertools.product(*sweep.values()):
-        values_of = dict(zip(sweep, point, strict=True))
-        name = ",".join(f"{short[key]}={shown(value)}" for key, value in values_of.items())
-        variants.append(Variant(name, values_of, effective({**sets, **values_of})))
-    return Plan(
-        scenario, planned_seeds, tuple(variants), dict(sets), {k: list(v) for k, v in sweep.items()}
-    )
+    for combination in itertools.product(*sweep.values()):
+        value_of = dict(zip(sweep, combination, strict=True))
+        name = ",".join(f"{short_key[key]}={shown(value)}" for key, value in value_of.items())
+        variants.append(Variant(name, value_of, effective({**sets, **value_of})))
+    swept = {key: list(values) for key, values in sweep.items()}
+    return Plan(scenario, planned_seeds, tuple(variants), dict(sets), swept)
 
 
 def shown(value: object) -> str:
@@ -157,12 +158,12 @@ def shown(value: object) -> str:
 
 
 def parts_of(runs: Sequence[Run], count: int) -> dict[str, int]:
-    """The number 1..count of the part that does each run, by the run's id.
+    """Divide runs into `count` parts of about equal work; returns the part (1..count) by run id.
 
-    The parts have about equal work: runs are taken in the order of decreasing work, and each goes
-    to the part with the least work so far (longest processing time rule, Graham 1969).
+    The runs are taken in the order of decreasing work. Each run goes to the part with the least
+    work so far (longest processing time rule, Graham 1969).
     """
-    loads = [(0.0, part) for part in range(1, count + 1)]  # a heap
+    loads = [(0.0, part) for part in range(1, count + 1)]  # a heap of (robot-seconds, part)
     part_of = {}
     for run in sorted(runs, key=lambda run: -run.robot_seconds):
         load, part = loads[0]
@@ -193,9 +194,9 @@ def _check_sweep(
 
 
 def _stems(names: Sequence[str]) -> list[str]:
-    """Variant names as unique, safe parts of file names of at most _LONGEST characters.
+    """Variant names as unique, safe parts of file names, of at most _LONGEST characters each.
 
-    A long or ambiguous name gets a digest in place of its end.
+    A name that is too long, or equal to a second name but for case, ends with a digest.
     """
     stems = [re.sub(r"[^A-Za-z0-9_.,=+-]", "-", name).lstrip(".-") for name in names]
     folded = [stem.lower() for stem in stems]

@@ -1,7 +1,7 @@
-"""Runs in worker processes: a run that crashes or hangs does not disturb the other runs.
+"""Simulation runs in worker processes: a run that crashes or hangs does not disturb other runs.
 
-A worker process does one job after another, each in a forked process, and reports progress and
-results through a pipe. The parent ends a worker whose run makes no progress.
+A worker process takes one job after another. It runs each job in a forked process, which sends
+progress and result through a pipe. The parent process ends a worker whose run makes no progress.
 """
 
 from __future__ import annotations
@@ -99,17 +99,18 @@ _report = msgspec.msgpack.Decoder(JobResult | float)
 
 
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
-    """Simulate, measure and write the trace, in this process.
+    """Simulate a run, measure its metrics and write its trace, in this process.
 
-    An error in the run is returned as the reason, not raised: a pattern may raise any exception.
-    `on_progress` is called with the simulated share after each step.
+    Any exception of the run is returned as `reason` of the result, since a pattern may raise any
+    exception. `on_progress` is called with the simulated share 0..1 after each step.
     """
-    begin = time.perf_counter()
+    start_time = time.perf_counter()
     try:
-        # Below the limit of the pool: the run's own error names the process that hangs.
-        limit = _SHARE_OF_TIMEOUT * job.timeout
+        # Less than the pool's time-out, so that this error comes first: it names the process of
+        # the run that hangs.
+        timeout = _SHARE_OF_TIMEOUT * job.timeout
         scenario = scenario_of(job.effective)
-        trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=limit)
+        trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=timeout)
         metrics, errors = measure(trace), dict[str, str]()
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)
@@ -124,12 +125,12 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         return JobResult(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
     if job.trace is not None:
         try:
-            job.trace.parent.stat()  # a removed folder is not made again
+            job.trace.parent.stat()  # OSError if the user has removed the folder of the traces
             trace.save(job.trace)
         except OSError as error:
             remove_partial(job.trace)
             return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
-    return JobResult(job.run, metrics, time.perf_counter() - begin, errors=errors)
+    return JobResult(job.run, metrics, time.perf_counter() - start_time, errors=errors)
 
 
 def remove_partial(trace: Path | None) -> None:
@@ -148,31 +149,35 @@ def one_line(text: str) -> str:
 def run_jobs(
     jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT, cores: int = 1
 ) -> Generator[JobResult | Shares, None, None]:
-    """Yield the result of each job as it arrives, and meanwhile the progress of all runs.
+    """Run jobs in `processes` worker processes; yield the result of each job as it arrives.
 
-    `processes` workers do the jobs, each run in `cores` processes. A run without progress for
-    `timeout` s is ended and has failed. Close an iterator that is not exhausted
-    (`contextlib.closing`): that ends the workers.
+    Between results, yield the simulated share (0..1) of each run in progress, by run. `cores`: the
+    number of processes that share the robots of one run. A run without progress for `timeout` s
+    fails, and its processes are killed. Close the iterator if it is not exhausted
+    (`contextlib.closing`), since this ends the workers.
     """
     waiting = deque(replace(job, cores=cores, timeout=timeout) for job in jobs)
-    workers: dict[Connection, _Worker] = {}
+    workers: dict[Connection, _Worker] = {}  # by pipe
 
-    def start(job: Job) -> None:
+    def start_worker(job: Job) -> None:
         worker = _Worker()
         workers[worker.pipe] = worker
         worker.assign(job)
 
     try:
         for _ in range(min(processes, len(waiting))):
-            start(waiting.popleft())
-        before = last_report = time.monotonic()
+            start_worker(waiting.popleft())
+        last_poll = last_report = time.monotonic()
         while workers:
-            ready = wait(list(workers), _POLL_PERIOD)
+            readable_pipes = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
-            # Time in which this process was suspended, too, does not count.
-            passed, before = min(now - before, 2.0 * _POLL_PERIOD), now
+            # Limited: time in which this process and its workers were suspended is no silence.
+            elapsed, last_poll = min(now - last_poll, 2.0 * _POLL_PERIOD), now
             for pipe, worker in list(workers.items()):
-                result = worker.receive() if pipe in ready else worker.add_silence(passed, timeout)
+                if pipe in readable_pipes:
+                    result = worker.receive()
+                else:
+                    result = worker.add_silence(elapsed, timeout)
                 if result is None:
                     continue
                 if worker.is_alive and waiting:
@@ -180,7 +185,7 @@ def run_jobs(
                 else:
                     workers.pop(pipe).end()
                     if waiting:
-                        start(waiting.popleft())
+                        start_worker(waiting.popleft())
                 yield result
             if now >= last_report + _PROGRESS_PERIOD:
                 last_report = now
@@ -293,9 +298,10 @@ class _Worker:
 
 
 def main(descriptor: int, parent: int) -> None:
-    """The worker process: do jobs until the pipe is closed.
+    """The main function of a worker process: run jobs from the pipe until the pipe is closed.
 
-    `descriptor`: of the pipe; `parent`: the process id of the pool.
+    `descriptor`: the file descriptor of the pipe. `parent`: the process id of the pool, with whose
+    end this process ends.
     """
     die_with_parent(parent)
     # Imported once, before the forks: modules of jobs, and lazy imports of metrics. A run of two
@@ -321,33 +327,36 @@ def _send(connection: Connection, report: JobResult | float) -> None:
 
 
 def _run_in_fork(job: Job, connection: Connection) -> None:
-    """Run the job in a fork. If the fork ends without a result, end this worker in the same way.
+    """Run the job in a forked child process of this worker, and wait for the end of the child.
 
-    The same way: with the exit code or by the signal that ended the fork.
+    The child sends progress and result through `connection`. If the child ends without a result,
+    this worker ends with the same exit code or by the same signal, which tells the pool the reason.
     """
-    ours, theirs = os.pipe()
-    worker = os.getpid()
-    child = os.fork()
-    if child == 0:
-        die_with_parent(worker)
-        # A process that a pattern forks must not write into the pipe.
+    # A second pipe: the child writes one byte once the result is sent.
+    read_end, write_end = os.pipe()
+    worker_pid = os.getpid()
+    child_pid = os.fork()
+    if child_pid == 0:
+        die_with_parent(worker_pid)
+        # A process that a pattern forks must not write into the pipe of results.
         os.register_at_fork(after_in_child=connection.close)
         _do(job, connection)
-        os.write(theirs, b"1")
+        os.write(write_end, b"1")
         os._exit(0)  # without waiting for threads of a pattern
-    os.close(theirs)
-    _, status = os.waitpid(child, 0)
-    os.set_blocking(ours, False)
-    with suppress(BlockingIOError):  # a process that the pattern forked holds the other end
-        if os.read(ours, 1):
-            os.close(ours)
+    os.close(write_end)
+    _, status = os.waitpid(child_pid, 0)
+    # Without a byte, the read would block while a process that the pattern forked holds write_end.
+    os.set_blocking(read_end, False)
+    with suppress(BlockingIOError):
+        if os.read(read_end, 1):
+            os.close(read_end)
             return
-    code = os.waitstatus_to_exitcode(status)
-    if code < 0:
+    exit_code = os.waitstatus_to_exitcode(status)
+    if exit_code < 0:  # a signal
         with suppress(OSError, ValueError):  # SIGKILL has no handler
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(code)
+            signal.signal(-exit_code, signal.SIG_DFL)
+        os.kill(os.getpid(), -exit_code)
+    os._exit(exit_code)
 
 
 def _do(job: Job, connection: Connection) -> None:

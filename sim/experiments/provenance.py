@@ -90,21 +90,23 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
 
 
 def git_state(folder: Path) -> GitState | None:
-    """The state of the git checkout that tracks files of `folder`.
+    """The commit of the git checkout that tracks files of `folder`, and whether files differ.
 
-    None without such a checkout or without git, and if a filter of the checkout has a name that
-    cannot be switched off.
+    None if no checkout tracks files of the folder, if git is missing, or if the checkout's
+    configuration has a filter program that cannot be switched off.
     """
     tracked = _git(folder, "ls-files", "--", ".")
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
     if not commit:
         return None
-    listed = _git(folder, *_LIST_FILTERS, no_match="")
-    if listed is None or "=" in listed:  # `-c KEY=` cannot switch off a key that contains "="
+    scopes_and_keys = _git(folder, *_LIST_FILTERS, no_match="")
+    # `-c KEY=` cannot switch off a key that contains "=".
+    if scopes_and_keys is None or "=" in scopes_and_keys:
         return None
-    filters = [line.partition("\t")[2] for line in listed.splitlines() if line[:1] in "lw"]
-    changed = _git(folder, *_STATUS, no_filters=filters)
-    return GitState(commit=commit, is_dirty=bool(changed))
+    lines = scopes_and_keys.splitlines()
+    filters = [line.partition("\t")[2] for line in lines if line[:1] in "lw"]
+    changed_files = _git(folder, *_STATUS, no_filters=filters)
+    return GitState(commit=commit, is_dirty=bool(changed_files))
 
 
 _NO_PROGRAMS = ("core.fsmonitor=false", f"core.hooksPath={os.devnull}")
@@ -116,16 +118,17 @@ _STATUS = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules
 def _git(
     folder: Path, *words: str, no_match: str | None = None, no_filters: Iterable[str] = ()
 ) -> str | None:
-    """The output of a git command; `no_match` for exit code 1; None if git fails or is missing.
+    """Run a git command in `folder`; returns its output, or None if git fails or is missing.
 
+    `no_match`: what is returned for exit code 1, by which `git config` reports that no key matches.
     The folder may come from a stranger, and its git configuration may name programs that git runs.
-    So hooks, the file system monitor, submodules, downloads and the filters `no_filters` are
-    switched off.
+    So hooks, the file system monitor, submodules, downloads and the filters of the keys
+    `no_filters` are switched off.
     """
-    switched_off = (*_NO_PROGRAMS, *(f"{key}=" for key in no_filters))
-    options = [word for value in switched_off for word in ("-c", value)]
+    settings = (*_NO_PROGRAMS, *(f"{key}=" for key in no_filters))
+    options = [word for setting in settings for word in ("-c", setting)]
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             ["git", "-C", str(folder), *options, *words],
             capture_output=True,
             text=True,
@@ -141,9 +144,9 @@ def _git(
         )
     except (OSError, subprocess.TimeoutExpired, UnicodeDecodeError):
         return None
-    if done.returncode:
-        return no_match if done.returncode == 1 else None
-    return done.stdout.strip()
+    if completed.returncode:
+        return no_match if completed.returncode == 1 else None
+    return completed.stdout.strip()
 
 
 def _python_files(folder: Path) -> Iterator[Path]:

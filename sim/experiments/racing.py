@@ -41,31 +41,36 @@ def looks(seeds: int) -> tuple[int, ...]:
 
 
 def losers(losses: Array, level: float) -> list[int]:
-    """The columns of losses (seeds, candidates) that are worse than the leader at this level.
+    """The candidates (column indices) that are significantly worse than the leader.
 
-    The least loss is the best. inf: a failed run. No loss may be NaN. The leader is the candidate
-    with the least sum of ranks. Empty with fewer than two seeds or candidates.
+    `losses` (seeds, candidates): the least loss is the best; inf: a failed run; never NaN. `level`:
+    of significance. The leader is the candidate with the least sum of ranks over the seeds. Two
+    candidates: Wilcoxon's signed-rank test. More: the Friedman test in the Iman-Davenport form,
+    then Conover's comparison with the leader. Empty with fewer than two seeds or candidates.
     """
     from scipy.stats import f, rankdata, t, wilcoxon
 
-    n, k = losses.shape
+    n, k = losses.shape  # seeds, candidates
     if n < 2 or k < 2:
         return []
     ranks = rankdata(losses, axis=1)
     sums = ranks.sum(axis=0)
     leader = int(sums.argmin())
+
     if k == 2:
         follower = 1 - leader
         excess = _differences(losses[:, leader], losses[:, follower])
         if not excess.any():
             return []
         return [follower] if float(wilcoxon(excess).pvalue) <= level else []
+
     # Friedman's statistic T1, with ties; Conover 1999, chapter 5.8.
     scatter = float((ranks**2).sum()) - n * k * (k + 1) ** 2 / 4.0
     if scatter <= 0.0:  # all candidates are equal on each seed
         return []
     t1 = (k - 1) * float(((sums - n * (k + 1) / 2.0) ** 2).sum()) / scatter
-    # Its F form T2 (Iman-Davenport); T2 is infinite if all seeds give the same order.
+    # T2, the F form of T1 (Iman-Davenport). T2 is infinite if all seeds give the same order; the
+    # test then rejects.
     t1_margin = n * (k - 1) - t1  # 0 for the same order on all seeds
     freedom = (n - 1) * (k - 1)
     if t1_margin > _ROUNDING * n:
@@ -88,10 +93,10 @@ def mean_loss(losses: Sequence[float]) -> tuple[int, float]:
 
 
 def _differences(a: Array, b: Array) -> Array:
-    """b - a (n,), where inf is a failed run.
+    """The differences b - a (n,) of losses (n,), where the loss inf is a failed run.
 
-    The difference of a failed and a finished run exceeds all finite differences. Two failed runs
-    are equal.
+    Two failed runs have the difference 0. A failed and a finished run have a difference that is
+    finite, and greater in size than each difference of two finished runs.
     """
     are_finite = np.isfinite(a) & np.isfinite(b)
     finite = np.where(are_finite, b, 0.0) - np.where(are_finite, a, 0.0)

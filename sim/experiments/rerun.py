@@ -32,8 +32,8 @@ from swarmd.sim.trace import Trace
 def warnings(folder: Path, *, is_trusted: bool = False) -> list[str]:
     """A text for each difference between the manifest's software and the present software.
 
-    ConfigError if `folder` is no experiment, or unless `is_trusted`, if a Python file that the
-    manifest names is new, has changed or has not been run by this user.
+    ConfigError if `folder` is no experiment. ConfigError also if a Python file that the manifest
+    names is new, has changed or has never been run by this user, unless `is_trusted`.
     """
     old = read_manifest(folder)
     return list(software_differences(old, _again(folder, old, is_trusted=is_trusted)))
@@ -48,12 +48,14 @@ def rerun(
     *,
     is_trusted: bool = False,
 ) -> dict[str, str]:
-    """Repeat the experiment of `folder` in `out`; the differences as a text by finished run.
+    """Repeat the experiment in `folder`, and compare the results; a text by finished run.
 
-    An empty text: the traces are equal bit by bit, or without traces the metrics. Runs are repeated
-    from the manifest alone, and nothing in `folder` changes. Without `out` the finished runs alone
-    are repeated, in a temporary folder. ConfigError if `folder` is no experiment, has no finished
-    run, or is `out` itself, and as of `warnings`.
+    The text names what differs. An empty text: the traces are equal bit by bit; without traces,
+    the metrics are equal. Runs are repeated from the manifest alone, and nothing in `folder`
+    changes. With `out`, all runs are repeated in this folder. Without, the finished runs are
+    repeated in a temporary folder. `processes`: runs at a time. `timeout`: see `run_jobs`.
+    ConfigError if `folder` is no experiment, has no finished run, or is `out`, and if `warnings`
+    refuses a Python file.
     """
     before = load_results(folder)
     if not before.runs:
@@ -63,12 +65,12 @@ def rerun(
     old = read_manifest(folder)
     manifest = _again(folder, old, is_trusted=is_trusted)
     runner = partial(run_jobs, processes=processes, timeout=timeout)
-    again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
+    run_again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
     if out is not None:
-        return _comparisons(before, again(out))
-    only = {run.id for run in before.runs}
-    with TemporaryDirectory(prefix="swarmd-exp-") as place:
-        return _comparisons(before, again(Path(place), only=only))
+        return _comparisons(before, run_again(out))
+    finished = {run.id for run in before.runs}
+    with TemporaryDirectory(prefix="swarmd-exp-") as temporary:
+        return _comparisons(before, run_again(Path(temporary), only=finished))
 
 
 def trace_differences(a: Trace, b: Trace) -> list[str]:

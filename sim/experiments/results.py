@@ -65,6 +65,8 @@ class CustomMetrics:
 
     `errors`: why a metric has no value, by run and metric. `is_trusted`: the files of the metrics
     may be run, whatever is in the files now. `report_units`: units by the keys of reports.
+    `errors`: why a metric has no value, by run and metric. `is_trusted`: the Python files of the
+    metrics may be run also if they are new or have changed since the runs.
     """
 
     by_name: Mapping[str, Metric]
@@ -93,16 +95,18 @@ class Results:
         kernels: str = "",
         custom: CustomMetrics | None = None,
     ) -> None:
+        """`rows`: the finished runs. `custom`: metrics beyond the catalog. See the class, too."""
         custom = custom or CustomMetrics({}, {})
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
         self.metrics = tuple(metrics)
         self.kernels = kernels
-        self.errors = {run: dict(why) for run, why in custom.errors.items()}
+        self.errors = {run: dict(reasons) for run, reasons in custom.errors.items()}
         self._own = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
         self._report_units = custom.report_units
+        # Metrics measured from traces later, by (name, digest of the code) and by run.
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
@@ -179,7 +183,7 @@ class Results:
         return np.array(values, dtype=np.float64)  # None gives NaN
 
     def unreported(self) -> dict[str, str]:
-        """A line for each metric of a report or reading that no robot gave in any run."""
+        """A line for each metric `report:KEY` or `reading:KEY` whose value no robot ever gave."""
         empty = [m for m in self._own.values() if not any(r.metrics[m.name] for r in self._rows)]
         return {metric.name: fault[0] for metric in empty if (fault := self._unreported(metric))}
 
@@ -195,7 +199,11 @@ class Results:
         return fault
 
     def _from_traces(self, metric: Metric) -> Mapping[str, float | None]:
-        """The value of a metric by run, measured on the traces, once."""
+        """The value of a metric by run, measured on the traces; later calls return the same values.
+
+        None: a custom metric failed, with its error in `errors`. SwarmError if a trace is missing.
+        ConfigError if no robot ever reports the value that the metric takes.
+        """
         key = metric.origin or metric.name, metric.digest
         if key not in self._measured:
             measured: dict[str, float | None] = {}
@@ -250,7 +258,10 @@ class Results:
         }
 
     def document(self, names: Sequence[str | Metric] | None = None) -> dict[str, Any]:
-        """The contents of summary.json: statistics of the metrics `names`, by default of all."""
+        """The contents of summary.json: counts of runs, speed, and statistics by variant.
+
+        `names`: the metrics; None: all.
+        """
         return {
             "scenario": self.plan.scenario,
             "runs": len(self.plan.runs),

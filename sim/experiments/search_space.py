@@ -147,23 +147,23 @@ class ParameterSpace:
 def parameter_space(
     scenario: Scenario, words: Iterable[str] = (), on_note: Callable[[str], object] = str
 ) -> ParameterSpace:
-    """The space of `--param` words, by default of all parameters of the scenario's patterns.
+    """The search space of a tuning of `scenario`, from the values of `--param`.
 
-    A word is KEY=LO..HI or KEY=A,B,C. KEY is a dotted key of the scenario, or the name of a
-    pattern's parameter. The name of a parameter alone is a word, too: its declared bounds hold.
-    `on_note` is called with a line about each parameter that is left out. ConfigError names the
-    wrong word.
+    `words`: each is KEY=LO..HI, KEY=A,B,C or KEY. KEY is a dotted key of the scenario, or the name
+    of a pattern's parameter. KEY alone stands for the parameter's declared bounds. Without words,
+    the space has all parameters of the scenario's patterns whose declaration has bounds; `on_note`
+    is called with a line about each other parameter. ConfigError names the wrong word.
     """
     declared = _declared(scenario)
     words = list(words)
     if not words:
         parameters = []
-        for parameter, why in declared:
-            if not why:
+        for parameter, exclusion in declared:
+            if not exclusion:
                 parameters.append(parameter)
             elif parameter.param not in Params.__struct_fields__:
                 name = parameter.name
-                on_note(f"{name} is not tuned: {why}; name it with {SOURCE} {name}=LO..HI")
+                on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
         if not parameters:
             raise ConfigError(
                 f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
@@ -177,9 +177,10 @@ def parameter_space(
 
 
 def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
-    """The parameter of KEY=LO..HI or KEY=A,B,C with a dotted key of a file's data.
+    """The parameter that the word KEY=LO..HI or KEY=A,B,C names; KEY is a dotted key of `data`.
 
-    `what` is the file in messages. ConfigError if the word is malformed.
+    `data`: the contents of a file, which messages call `what`. ConfigError if the word is
+    malformed.
     """
     return _parameter(word, (), data, what)
 
@@ -187,8 +188,8 @@ def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
 def once(parameters: Sequence[Parameter]) -> Sequence[Parameter]:
     """The given parameters; ConfigError if two of them have the same key."""
     keys = Counter(parameter.key for parameter in parameters)
-    if (twice := next((key for key, count in keys.items() if count > 1), None)) is not None:
-        raise ConfigError(f"{SOURCE} {twice} is given twice; keep one")
+    if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
+        raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
     return parameters
 
 
@@ -210,24 +211,25 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
-    """Each parameter of the scenario's patterns, with a reason text.
+    """Each parameter of the scenario's patterns with its declared bounds, and a text.
 
     The text says why a tuning leaves the parameter out unless the user gives bounds; "" if the
-    declared bounds suffice. The bounds of a speed are limited by the slowest robot's speed limit,
-    also backwards.
+    declared bounds suffice. The bounds of a speed are limited to plus and minus the speed limit of
+    the slowest robot.
     """
     origins = pattern_names(scenario.plugin_dir)
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
-    kinds = [(name, load(name).params_type) for name in patterns_of(scenario)]
-    count = Counter(spec.name for _, kind in kinds for spec in schema(kind))
-    bounded = []
-    for pattern, kind in kinds:
+    params_types = [(name, load(name).params_type) for name in patterns_of(scenario)]
+    # A parameter name of several patterns is preceded by the pattern's name.
+    count = Counter(spec.name for _, params_type in params_types for spec in schema(params_type))
+    declared = []
+    for pattern, params_type in params_types:
         robot = _robot_of(scenario, pattern)
         platform = scenario.robots[robot]
-        derived = {**derived_defaults(kind, platform)}
-        layers = (("platform", derived), *scenario.layers(robot, pattern))
-        _, present = build(kind, layers)
-        for spec in schema(kind):
+        platform_defaults = {**derived_defaults(params_type, platform)}
+        layers = (("platform", platform_defaults), *scenario.layers(robot, pattern))
+        _, present = build(params_type, layers)  # (value, source) by name
+        for spec in schema(params_type):
             name = spec.name if count[spec.name] == 1 else f"{pattern}.{spec.name}"
             parameter = Parameter(
                 _key(scenario, pattern, spec.name),
@@ -237,8 +239,8 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
                 unit=spec.unit,
                 present=present[spec.name][0],
             )
-            bounded.append(_with_bounds(parameter, spec, platform))
-    return bounded
+            declared.append(_with_bounds(parameter, spec, platform))
+    return declared
 
 
 def _with_bounds(
@@ -267,9 +269,9 @@ def _with_bounds(
 
 
 def _robot_of(scenario: Scenario, pattern: str) -> str:
-    """The slowest robot that begins with the pattern.
+    """The slowest robot that begins with the pattern; if none does, the slowest of all robots.
 
-    The slowest of all robots if an event starts the pattern.
+    No robot begins with a pattern that only an event starts.
     """
     groups = scenario.effective["groups"]
     ids = [
@@ -282,9 +284,10 @@ def _robot_of(scenario: Scenario, pattern: str) -> str:
 
 
 def _key(scenario: Scenario, pattern: str, name: str) -> str:
-    """The dotted key for a pattern's parameter.
+    """The dotted key of a scenario that sets a pattern's parameter.
 
-    The key of the first group that sets the parameter already, else the key for all robots.
+    If a group sets the parameter already, it is the key of the first such group. Else it is the key
+    for all robots, `parameters.PATTERN.NAME`.
     """
     for group, section in scenario.effective["groups"].items():
         if section["pattern"] == pattern and name in section["parameters"]:
@@ -298,43 +301,50 @@ def _parameter(
     data: Mapping[str, Any],
     what: str,
 ) -> Parameter:
-    """The parameter of one `--param` word; ConfigError if the word is wrong.
+    """The parameter to search that one value of `--param` names: KEY, KEY=LO..HI or KEY=A,B,C.
 
-    `declared`: parameters of patterns, as of `_declared`. `data`: the scenario or file with dotted
-    keys, which messages call `what`.
+    `declared`: the parameters of patterns, from `_declared`. `data`: the scenario or file in which
+    a dotted key is looked up; messages call it `what`. ConfigError if the word is wrong.
     """
     key, equals, text = (part.strip() for part in word.partition("="))
-    known = {parameter.name: (parameter, why) for parameter, why in declared}
-    known |= {parameter.key: (parameter, why) for parameter, why in declared}
-    parameter, why = known.get(key, (None, ""))
+    names = [parameter.name for parameter, _ in declared]
+    by_key = {parameter.name: (parameter, exclusion) for parameter, exclusion in declared}
+    by_key |= {parameter.key: (parameter, exclusion) for parameter, exclusion in declared}
+    parameter, exclusion = by_key.get(key, (None, ""))
+
+    # 1. KEY alone: the declared bounds or choices.
     if not equals:
         if parameter is None:
-            names = [parameter.name for parameter, _ in declared]
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if why and not parameter.choices:
-            raise ConfigError(f"{SOURCE} {key}: {why}; give {key}=LO..HI")
+        if exclusion and not parameter.choices:
+            raise ConfigError(f"{SOURCE} {key}: {exclusion}; give {key}=LO..HI")
         return parameter
+
     if parameter is None:
         if "." not in key:
-            names = [parameter.name for parameter, _ in declared]
             raise ConfigError(
                 f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
             )
         parameter = Parameter(key, key, present=_present(data, key))
     is_choice = bool(parameter.choices)
     parameter = replace(parameter, choices=(), low=0.0, high=0.0)
+
+    # 2. KEY=A,B,C: choices.
     match = _RANGE.fullmatch(text)
     if match is None:
         _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")
         if not values or any(isinstance(value, dict | list) for value in values):
             raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
         return replace(parameter, choices=tuple(dict.fromkeys(values)))
+
+    # 3. KEY=LO..HI: a range, of whole numbers if the parameter is an int, or for another key if
+    # both bounds are whole numbers.
     if is_choice:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
     low, high = parse_range(word)
-    whole = all(re.fullmatch(r"[+-]?\d+", end) for end in match.groups())
-    is_int = parameter.is_int if parameter.param else whole
-    if is_int and not whole:
+    are_whole = all(re.fullmatch(r"[+-]?\d+", bound) for bound in match.groups())
+    is_int = parameter.is_int if parameter.param else are_whole
+    if is_int and not are_whole:
         raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..8")
     return replace(parameter, low=low, high=high, is_int=is_int)
 

@@ -102,14 +102,14 @@ def simulate(
         raise ConfigError(f"cores is {cores}; expected 1 or more")
     if not timeout >= 1.0:
         raise ConfigError(f"timeout is {timeout:g}; expected 1 s or more")
-    listed = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
-    plan = plan_of(scenario, listed, set, sweep)
+    seed_list = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
+    plan = plan_of(scenario, seed_list, set, sweep)
     if shard is not None:
         plan = replace(plan, shard=parse_shard(shard))
-    own = beyond_catalog(map(metric_of, metrics))
-    manifest = manifest_of(plan, traces=traces, command=[], metrics=own)
-    in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
-    runner = in_workers if max(jobs, cores) > 1 else run_here
+    custom = beyond_catalog(map(metric_of, metrics))
+    manifest = manifest_of(plan, traces=traces, command=[], metrics=custom)
+    run_in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
+    runner = run_in_workers if max(jobs, cores) > 1 else run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner, on_progress=on_progress)
@@ -133,26 +133,28 @@ def plan_of(
     *,
     on_note: Callable[[str], object] = str,
 ) -> Plan:
-    """The plan of an experiment, after a check of each variant of the scenario and its start poses.
+    """The plan of an experiment: all variants of the scenario with all seeds.
 
-    `on_note` is called once with each note of the variants.
+    `set`: overrides by dotted key; `sweep`: lists of values by dotted key, of which each
+    combination is a variant. Each variant is checked, with its start poses; ConfigError if one is
+    invalid. `on_note` is called once with each note of the variants.
     """
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
-    first = check_seeds(seeds)
-    noted: dict[str, None] = {}
-    given = [source for source, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
+    checked_seeds = check_seeds(seeds)
+    reported_notes: dict[str, None] = {}
+    sources = [source for source, keys in ((SOURCE, set), (SWEEP_SOURCE, sweep)) if keys]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
         """The complete scenario of a variant; ConfigError if the variant is invalid."""
-        varied = _overridden(scenario, overrides, " or ".join(given))
-        varied.starts(first[0])
-        for note in varied.notes:
-            if note not in noted:
+        variant = _overridden(scenario, overrides, " or ".join(sources))
+        variant.starts(checked_seeds[0])  # ConfigError if there is no room for the robots
+        for note in variant.notes:
+            if note not in reported_notes:
                 on_note(note)
-        noted.update(dict.fromkeys(varied.notes))
-        return plain(varied.effective)
+        reported_notes.update(dict.fromkeys(variant.notes))
+        return plain(variant.effective)
 
-    return make_plan(name, first, set or {}, sweep or {}, effective)
+    return make_plan(name, checked_seeds, set or {}, sweep or {}, effective)
 
 
 def run_experiment(
@@ -164,15 +166,17 @@ def run_experiment(
     on_progress: OnProgress | None = None,
     summarized: Sequence[Metric] | None = None,
 ) -> Results:
-    """Let `runner` do the runs of a manifest that its folder lacks, and write the summary.
+    """Do the runs of a manifest that `folder` does not have yet, and write the summary.
 
-    `only`: ids of the runs to do, by default all. `summarized`: the metrics of the summary, by
-    default all. If an error or a signal ends this function early, the finished runs stay in the
-    folder. SwarmError if the folder cannot be used or the disk is full.
+    `runner` does the runs. `only`: ids of the runs to do; None: all. `summarized`: the metrics of
+    the summary; None: all. If an error or a signal ends this function early, the finished runs stay
+    in the folder, and a later call does the rest. SwarmError if the folder cannot be used or the
+    disk is full.
     """
-    code = manifest.plugins.items()
-    remember_code(digest for name, digest in code if not name.endswith(MISSION))
-    origins = {
+    # Python files of patterns and metrics: this user has run them from now on (`exp rerun`).
+    digest_by_file = manifest.plugins.items()
+    remember_code(digest for name, digest in digest_by_file if not name.endswith(MISSION))
+    custom_metrics = {
         metric.origin: manifest.plugins.get(metric.origin, "") for metric in manifest.metrics
     }
     columns = (*METRICS, *(metric.name for metric in manifest.metrics))
@@ -180,7 +184,7 @@ def run_experiment(
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
             jobs = [
-                Job(r.id, r.variant.effective, r.seed, store.trace_of(r), metrics=origins)
+                Job(r.id, r.variant.effective, r.seed, store.trace_of(r), metrics=custom_metrics)
                 for r in runs
             ]
             _gather(store, runs, runner(jobs), on_progress)
@@ -199,42 +203,47 @@ def _gather(
     run_jobs: Generator[JobResult | Shares, None, None],
     on_progress: OnProgress | None,
 ) -> None:
-    """Put each result into the store as it arrives; SwarmError if a result cannot be written."""
-    by_id = {run.id: run for run in runs}
+    """Write each result to the store as it arrives, and report the progress.
+
+    `run_jobs` yields the result of each run of `runs`, and between results the simulated share
+    (0..1) of each run in progress. SwarmError if a result cannot be written.
+    """
+    run_by_id = {run.id: run for run in runs}
     work = {run.id: run.robot_seconds for run in runs}
     total = len(store.rows) + len(runs)
-    ended = 0.0  # robot-seconds
-    left = sum(work.values())  # robot-seconds
-    shares: dict[str, float] = {}
+    ended_work = 0.0  # robot-seconds that runs which have ended have simulated
+    unended_work = sum(work.values())  # robot-seconds of all runs that have not ended
+    shares: dict[str, float] = {}  # of runs in progress
 
-    def report() -> None:
+    def report_progress() -> None:
         if on_progress is not None:
             failed = len(store.failures)
-            begun = sum(work[run] * share for run, share in shares.items())
+            begun_work = sum(work[run] * share for run, share in shares.items())
+            # Workers may have to wait for the longest run.
             longest = max((work[run] * (1.0 - share) for run, share in shares.items()), default=0.0)
-            to_come = max(left - begun, longest * len(shares))
+            work_left = max(unended_work - begun_work, longest * len(shares))
             done = len(store.rows) + failed
-            on_progress(Progress(done, total, failed, ended + begun, to_come))
+            on_progress(Progress(done, total, failed, ended_work + begun_work, work_left))
 
     with closing(run_jobs) as results:
-        report()
+        report_progress()
         for result in results:
             if not isinstance(result, JobResult):
                 shares = dict(result)
-                report()
+                report_progress()
                 continue
             if result.write_error:
                 text = f"{result.write_error}; {len(store.rows)} finished runs are kept"
                 raise SwarmError(f"{text}: mend it and give the same command again")
+            last_share = shares.pop(result.run, 0.0)
             if result.metrics is None:
-                store.fail(by_id[result.run], result.reason)
+                store.fail(run_by_id[result.run], result.reason)
+                ended_work += work[result.run] * last_share
             else:
-                store.add(by_id[result.run], result.metrics, result.wall, result.errors)
-            share = shares.pop(result.run, 0.0) if result.metrics is None else 1.0
-            shares.pop(result.run, None)
-            ended += work[result.run] * share
-            left -= work[result.run]
-            report()
+                store.add(run_by_id[result.run], result.metrics, result.wall, result.errors)
+                ended_work += work[result.run]
+            unended_work -= work[result.run]
+            report_progress()
 
 
 def run_here(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:

@@ -41,6 +41,7 @@ METHOD = (
 )
 _SEED = 1993
 _BATCH = 2_000_000  # numbers resampled at a time: 16 MB
+_ROUNDING = 1e-24  # a sum of squares below this share of the squared values is a rounding error
 
 
 class Interval(NamedTuple):
@@ -78,33 +79,36 @@ class Summary:
 
 
 def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool = False) -> Summary:
-    """The summary of values (n,). NaN: the run has no value.
+    """The statistics of a metric over runs: mean, median, their 95 % intervals, least, greatest.
 
-    `is_share`: the metric is 0 or 1 by definition, not a count that happens to be 0 or 1.
-    `is_time_to_event`: NaN means that the event never happened.
+    `values` (runs,): NaN if a run has no value. `is_share`: the metric is 0 or 1 by definition, not
+    a count that happens to be 0 or 1. `is_time_to_event`: NaN means that the event never happened
+    in the run.
     """
-    kept = values[~np.isnan(values)]
-    never = values.size - kept.size if is_time_to_event else None
-    if not kept.size:
+    known = values[~np.isnan(values)]
+    never = values.size - known.size if is_time_to_event else None
+    if not known.size:
         return Summary(n=0, never=never)
     if never:
+        # The time of an event that never happened is longer than each run. So the median is still
+        # known if most runs have the event, but the mean is not.
         median = float(np.median(np.where(np.isnan(values), np.inf, values)))
         return Summary(
-            n=kept.size,
+            n=known.size,
             median=median if np.isfinite(median) else None,
-            min=float(kept.min()),
+            min=float(known.min()),
             never=never,
         )
     return Summary(
-        n=kept.size,
-        mean=float(kept.mean()),
-        mean_interval=mean_interval(kept),
-        median=float(np.median(kept)),
-        median_interval=median_interval(kept),
-        min=float(kept.min()),
-        max=float(kept.max()),
-        share=float(kept.mean()) if is_share else None,
-        share_interval=wilson(int(kept.sum()), kept.size) if is_share else None,
+        n=known.size,
+        mean=float(known.mean()),
+        mean_interval=mean_interval(known),
+        median=float(np.median(known)),
+        median_interval=median_interval(known),
+        min=float(known.min()),
+        max=float(known.max()),
+        share=float(known.mean()) if is_share else None,
+        share_interval=wilson(int(known.sum()), known.size) if is_share else None,
         never=never,
     )
 
@@ -149,11 +153,11 @@ def ratio_interval(above: Array, below: Array) -> Interval | None:
 
 
 def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
-    """The p of a two-sided permutation test of equal means of a (n,) and b (m,).
+    """The p-value of a two-sided permutation test: do a (n,) and b (m,) have equal means?
 
-    `is_paired`: a[i] and b[i] are a pair, and values are exchanged within pairs alone. The test is
-    exact if there are at most PERMUTATIONS exchanges, else it draws PERMUTATIONS random exchanges.
-    None with fewer than two or infinite values on a side.
+    `is_paired`: a[i] and b[i] are a pair, and values are exchanged only within pairs. With at most
+    PERMUTATIONS possible exchanges the test is exact; else it draws PERMUTATIONS random exchanges.
+    None if a side has fewer than two values, or an infinite value.
     """
     from scipy.stats import permutation_test
 
@@ -176,13 +180,13 @@ def difference_p(a: Array, b: Array, *, is_paired: bool) -> float | None:
 
 
 def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
-    """The p of a two-sided log-rank test of times to an event a (n,) and b (m,).
+    """The p-value of a two-sided log-rank test of times to an event, a (n,) and b (m,) in s.
 
-    NaN: the event did not happen by `end_a` or `end_b`, the duration of the runs in s; such a time
-    is right-censored. Source: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports
-    50, 1966. Runs with a common seed count as independent. None with fewer than two runs on a side,
-    without any event, or if no event can tell the sides apart, such as events on one side after all
-    runs of the opposite side have ended.
+    `end_a`, `end_b`: the duration of the runs of each side in s. NaN: the event did not happen
+    before the end of the run, so the time is right-censored there. Runs with a common seed count as
+    independent. Source: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports 50,
+    1966. None with fewer than two runs on a side, or without any event. None also if no event
+    happens while runs of both sides last.
     """
     from scipy.stats import CensoredData, logrank
 
@@ -208,10 +212,10 @@ def restricted(times: Array, horizon: float) -> Array:
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
-    """The p of several tests with Holm's correction (Scand. J. Statist. 6, 1979); None stays None.
+    """The p-values of several tests with Holm's correction (Scand. J. Statist. 6, 1979).
 
-    If each test with a corrected p below 0.05 counts as a finding, the probability that any finding
-    is false is below 0.05.
+    None stays None. If each test with a corrected p below 0.05 counts as a finding, the probability
+    that at least one finding is false is below 0.05.
     """
     known = sorted((p, index) for index, p in enumerate(p_values) if p is not None)
     corrected: list[float | None] = [None] * len(p_values)
@@ -223,29 +227,31 @@ def holm(p_values: Sequence[float | None]) -> list[float | None]:
 
 
 def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
-    """The p of the interaction of two factors; a small p says that their effects do not add up.
+    """The p-value of the interaction of two factors; small if the effects do not add up.
 
-    `cells` (rows, columns, n): n runs for each combination of the factors. F test of the two-way
-    analysis of variance with equal n (Montgomery, Design and Analysis of Experiments, chapter 5.3).
-    `has_blocks`: the k-th runs of all cells share a seed, and the common effect of the seed is
-    removed from the scatter. None with one run per cell, one row or column, or without scatter.
+    `cells` (rows, columns, n): n runs for each combination of the values of both factors. F test of
+    the two-way analysis of variance with equal n (Montgomery, Design and Analysis of Experiments,
+    chapter 5.3). `has_blocks`: the k-th runs of all cells have the same seed, and the common effect
+    of the seed is removed from the scatter. None with one run per cell, one row or column, or
+    without scatter.
     """
     from scipy.stats import f as distribution
 
     rows, columns, n = cells.shape
     means, all_mean = cells.mean(axis=2), cells.mean()
-    added = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
-    scatter = cells - means[:, :, None]
-    degrees = rows * columns * (n - 1)
+    additive = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
+    residuals = cells - means[:, :, None]
+    error_freedom = rows * columns * (n - 1)
     if has_blocks:
-        scatter = scatter - (cells.mean(axis=(0, 1)) - all_mean)
-        degrees -= n - 1
+        residuals = residuals - (cells.mean(axis=(0, 1)) - all_mean)
+        error_freedom -= n - 1
     freedom = (rows - 1) * (columns - 1)
-    error = float((scatter**2).sum())
-    if not freedom or not degrees or error <= 1e-24 * float((cells**2).sum()):
+    error = float((residuals**2).sum())
+    has_no_scatter = error <= _ROUNDING * float((cells**2).sum())
+    if not freedom or not error_freedom or has_no_scatter:
         return None
-    ratio = n * float(((means - added) ** 2).sum()) / freedom / (error / degrees)
-    return float(distribution.sf(ratio, freedom, degrees))
+    ratio = n * float(((means - additive) ** 2).sum()) / freedom / (error / error_freedom)
+    return float(distribution.sf(ratio, freedom, error_freedom))
 
 
 @cache
@@ -262,15 +268,16 @@ def wilson(count: int, n: int) -> Interval:
 def _bootstrap(
     samples: tuple[Array, ...], statistic: Callable[..., Array], method: str
 ) -> Interval | None:
-    """A bootstrap interval with a fixed random seed; None with fewer than two or infinite values.
+    """A bootstrap interval of `statistic` of the samples, with a fixed random seed.
 
-    If BCa gives NaN, the interval is a percentile interval.
+    `method`: "BCa" or "percentile". If BCa gives NaN, the percentile interval is returned. None if
+    a sample has fewer than two values, or an infinite value.
     """
     from scipy.stats import DegenerateDataWarning, bootstrap
 
     if any(values.size < 2 or not np.isfinite(values).all() for values in samples):
         return None
-    # Almost equal values have no acceleration: 0 / 0.
+    # Almost equal values make BCa's acceleration constant 0 / 0.
     with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
         bounds = bootstrap(
@@ -294,9 +301,10 @@ NOTHING = "-"
 
 
 def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str, ...]]:
-    """A row of cells for each metric; a metric that is 0 or 1 has the interval of its share.
+    """The cells below HEADER for each metric.
 
-    A time to an event that never happened in some runs has their number instead of a mean.
+    A metric that is 0 or 1 has the interval of its share. For a time to an event that never
+    happened in some runs, the number of these runs stands in place of the mean.
     """
     return [
         (

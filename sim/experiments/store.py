@@ -73,10 +73,10 @@ def lines(rows: Iterable[Sequence[str]]) -> str:
 
 
 def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row]]:
-    """Read runs.csv: the names of the metrics, and the rows by run in the order of the plan.
+    """Read runs.csv: the names of the metrics, and the rows by run id in the order of the plan.
 
-    A torn last line is skipped. ConfigError with file and line for any other deviation from what
-    `lines` writes.
+    A last line that was not written completely is skipped. ConfigError with file and line if the
+    file differs in any other way from what `lines` writes.
     """
     path = folder / TABLE
     try:
@@ -88,10 +88,10 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     runs = {run.id: run for run in plan.runs}
     rows: dict[str, Row] = {}
     try:
-        head = tuple(next(reader, ()))
-        metrics = head[len(header(plan, ())) - 1 : -1]
-        if head != header(plan, metrics) or len(set(head)) < len(head):
-            raise ValueError(f"the columns are not those of its manifest: {','.join(head)}")
+        columns = tuple(next(reader, ()))
+        metrics = columns[len(header(plan, ())) - 1 : -1]  # between `seed` and `wall`
+        if columns != header(plan, metrics) or len(set(columns)) < len(columns):
+            raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:
             row = _row(cells, metrics, runs)
             if row.run.id in rows:
@@ -197,10 +197,10 @@ class Store:
 
 @contextmanager
 def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Iterator[Store]:
-    """Open or make the folder of an experiment, which may continue in it, and lock the folder.
+    """Open or make the folder of an experiment, and lock it; an interrupted experiment continues.
 
-    ConfigError, with nothing changed, if the folder has files of something else, belongs to another
-    experiment or is in use.
+    `metrics`: the columns of the table. ConfigError, before any change, if the folder has files
+    that are not of an experiment, belongs to another experiment, or is in use.
     """
     with _translate_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -248,10 +248,10 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     """The store of a new or continued experiment; removes partly written traces and lines."""
     table, traces = folder / TABLE, folder / TRACES
     if (folder / manifests.NAME).exists():
-        new, manifest = manifest, read_manifest(folder)
-        differing = next(manifests.differences(manifest, new), None)
-        if differing is not None:
-            text = f"{folder}: holds another experiment: {differing}"
+        requested, manifest = manifest, read_manifest(folder)
+        difference = next(manifests.differences(manifest, requested), None)
+        if difference is not None:
+            text = f"{folder}: holds another experiment: {difference}"
             raise ConfigError(f"{text}; name another folder with --out, or remove this one")
     else:
         _refuse_other_files(folder)

@@ -60,9 +60,12 @@ class Factors:
 
 
 def first_and_others(results: Results, metrics: Sequence[Metric]) -> list[list[Difference]]:
-    """The differences of each variant from the first, corrected for all of them together."""
-    first, *others = _sides(results)
-    by_variant = [compare(first, side, metrics) for side in others]
+    """The differences of each further variant from the first variant, a list for each variant.
+
+    Holm's correction is made for the differences of all variants together.
+    """
+    first, *further = _sides(results)
+    by_variant = [compare(first, side, metrics) for side in further]
     in_order = iter(corrected([difference for row in by_variant for difference in row]))
     return [[next(in_order) for _ in row] for row in by_variant]
 
@@ -91,13 +94,13 @@ def variants_table(
 
 def variants_document(results: Results, metrics: Sequence[Metric]) -> dict[str, Any]:
     """The differences of each variant from the first as plain values, by variant and metric."""
-    _, *others = _sides(results)
+    _, *further = _sides(results)
     return {
         side.variant: {
             difference.metric: {**asdict(difference), "holds": difference.holds}
             for difference in differences
         }
-        for side, differences in zip(others, first_and_others(results, metrics), strict=True)
+        for side, differences in zip(further, first_and_others(results, metrics), strict=True)
     }
 
 
@@ -126,8 +129,10 @@ def marginal_rows(effect: Factors) -> list[tuple[str, ...]]:
 
 def interaction_row(effect: Factors) -> tuple[str, ...]:
     """A row below INTERACTION_HEADER."""
-    shows = effect.p_holm is not None and effect.p_holm <= 1.0 - LEVEL
-    result = "shown" if shows else "too few runs" if effect.p_holm is None else "none shown"
+    if effect.p_holm is None:
+        result = "too few runs"
+    else:
+        result = "shown" if effect.p_holm <= 1.0 - LEVEL else "none shown"
     deviation = f"{effect.deviation:+.4g} with {effect.largest}"
     return (effect.metric, effect.unit or "-", deviation, number(effect.p_holm), result)
 
@@ -153,9 +158,13 @@ def _duration(results: Results, variant: str) -> float:
 
 
 def _factors(results: Results, metric: Metric) -> Factors | None:
-    """The effects of both keys on one metric; None if no seed has a value in each variant."""
+    """The effects of two swept keys on one metric; None if no seed has a value in each variant.
+
+    The values of the first key are rows, the values of the second key are columns.
+    """
+    # 1. An array (rows, columns, seeds) of the seeds with a value in each variant.
     (row_key, row_values), (column_key, column_values) = results.plan.sweep.items()
-    by_cell: dict[tuple[Any, Any], dict[int, float]] = {}
+    by_cell: dict[tuple[Any, Any], dict[int, float]] = {}  # values by (row, column) and seed
     for variant in results.plan.variants:
         values = results.metric(metric, variant.name)
         if metric.is_time_to_event:
@@ -168,10 +177,11 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
         return None
     row_texts, column_texts = [*map(shown, row_values)], [*map(shown, column_values)]
     row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
-    # (rows, columns, seeds)
     cells = np.array(
         [[[by_cell[a, b][seed] for seed in common] for b in column_texts] for a in row_texts]
     )
+
+    # 2. Marginal means: of all runs with one value of a key, with intervals over seeds.
     axes = (
         (row_name, row_texts, cells.mean(axis=1)),
         (column_name, column_texts, cells.mean(axis=0)),
@@ -181,6 +191,8 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
         for name, texts, by_text in axes
         for text, values in zip(texts, by_text, strict=True)
     ]
+
+    # 3. Interaction: the cell whose mean is farthest from the sum of both effects.
     means = cells.mean(axis=2)
     residuals = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
     row, column = np.unravel_index(int(np.abs(residuals).argmax()), residuals.shape)

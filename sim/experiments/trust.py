@@ -33,11 +33,12 @@ def remember_code(digests: Iterable[str]) -> None:
 def check_code(
     folder: Path, recorded: Mapping[str, str], present: Mapping[str, str], *, is_trusted: bool
 ) -> None:
-    """Raise ConfigError if a file that the results in `folder` name may not be run.
+    """ConfigError if a Python file that the results in `folder` name may not be run.
 
-    `recorded`: digests in the manifest by file name; `present`: digests of the files now. A file
-    may be run if both digests are equal and the user has run this code before. `is_trusted`: all
-    files may be run, and their digests are added to the user's list.
+    The results may come from another person, whose code must not run unread. `recorded`: SHA-256 in
+    the manifest by file name; `present`: SHA-256 of the files now. A file may be run if both are
+    equal and this user has run the same code before. `is_trusted`: all files may be run, and their
+    digests are added to the user's list of code.
     """
     if is_trusted:
         remember_code(present.values())

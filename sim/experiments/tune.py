@@ -134,7 +134,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """The state of a tuning at an interim analysis of a race (a look)."""
+    """A look is an interim analysis of a race: the state of a tuning after a block of seeds."""
 
     race: int  # counted from 1
     runs: int  # finished so far
@@ -205,8 +205,8 @@ class Tuning:
         """The mean of the metric over the seeds of the races.
 
         For a candidate that ended early the mean is extrapolated: the mean of the race's best
-        candidate, plus the mean difference of both on their common seeds. A failed run counts as
-        the worst run of the race.
+        candidate, plus the mean difference between candidate and best on their common seeds. A
+        failed run counts as the worst run of the race.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -242,9 +242,10 @@ def plain_tuning(tuning: Tuning) -> dict[str, Any]:
 
 
 def split_metric(text: str, goal: str | None = None) -> tuple[Metric, Goal]:
-    """The metric and the direction that `M`, `M:min` or `M:max` names; `goal` goes before the text.
+    """The metric and the direction ("min" or "max") that a text `M`, `M:min` or `M:max` names.
 
-    ConfigError if neither the text, nor `goal`, nor the metric itself has a direction.
+    `goal`: a direction that takes precedence over the text. ConfigError if neither the text, nor
+    `goal`, nor the metric itself has a direction.
     """
     name, _, word = text.rpartition(":")
     if goal is None and word in ("min", "max") and name not in ("", "report", "reading"):
@@ -310,20 +311,23 @@ def tune(
     ConfigError before anything runs if an argument is invalid. SwarmError if all runs of a race
     failed. PluginError without optuna.
     """
+    # 1. Checks of the arguments.
     if find_spec("optuna") is None:
         raise PluginError("tuning needs optuna, not installed; run: pip install 'swarmd[sim,tune]'")
     if jobs < 1 or candidates < 2:
         raise ConfigError(f"jobs is {jobs} and candidates {candidates}; expected 1 and 2, or more")
-    measured, goal = split_metric(metric)
-    raced = check_seeds(range(int(seeds)) if isinstance(seeds, Integral) else seeds)  # type: ignore[arg-type]
-    kept = _held_out(held_out, raced)
-    if not 2 * len(raced) <= budget <= MAX_RUNS:
+    parsed_metric, goal = split_metric(metric)
+    race_seeds = check_seeds(range(int(seeds)) if isinstance(seeds, Integral) else seeds)  # type: ignore[arg-type]
+    held_out_seeds = _held_out(held_out, race_seeds)
+    if not 2 * len(race_seeds) <= budget <= MAX_RUNS:
         raise ConfigError(
-            f"budget is {budget} runs; expected {2 * len(raced)} (two candidates with"
-            f" {len(raced)} seeds) to {MAX_RUNS}"
+            f"budget is {budget} runs; expected {2 * len(race_seeds)} (two candidates with"
+            f" {len(race_seeds)} seeds) to {MAX_RUNS}"
         )
     loaded = load_scenario(str(scenario), set)
-    loaded.starts(raced[0])  # for its ConfigError: there may be no room for the robots
+    loaded.starts(race_seeds[0])  # ConfigError if there is no room for the robots
+
+    # 2. The search space: numbers of one mission, missions of patterns, or parameters.
     folder = Path("tuning") if out is None else Path(out)
     space: Space
     modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
@@ -337,14 +341,16 @@ def tune(
         folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
         if isinstance(space, Missions):
             space.folder = folder / MISSIONS
-    run = _Tuner(
+
+    # 3. The races, then the held-out runs.
+    tuner = _Tuner(
         scenario=str(scenario),
         sets=dict(set or {}),
         loaded=loaded,
         space=space,
-        metric=measured,
+        metric=parsed_metric,
         goal=goal,
-        seeds=raced,
+        seeds=race_seeds,
         budget=budget,
         per_race=candidates,
         folder=folder,
@@ -356,10 +362,10 @@ def tune(
     try:
         with ExitStack() as stack:
             if workers is not None:
-                run.runner, first = stack.enter_context(workers(run.manifest()))
-                run.made_with = first.made_with
-            tuning = run.search()
-            run.assess(tuning, kept, pseudo_reality=pseudo_reality)
+                tuner.runner, manifest = stack.enter_context(workers(tuner.manifest()))
+                tuner.made_with = manifest.made_with  # the software of the workers
+            tuning = tuner.search()
+            tuner.assess(tuning, held_out_seeds, pseudo_reality=pseudo_reality)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -369,15 +375,18 @@ def tune(
     return tuning
 
 
-def _held_out(given: int | Iterable[int], raced: Sequence[int]) -> tuple[int, ...]:
-    """The held-out seeds of a list or a number; ConfigError if a race has one of them, too."""
+def _held_out(given: int | Iterable[int], race_seeds: Sequence[int]) -> tuple[int, ...]:
+    """The held-out seeds: `given`, or if it is a number, as many seeds above all `race_seeds`.
+
+    ConfigError if a seed is both held out and a seed of the races.
+    """
     if isinstance(given, Integral):
-        first, count = max(raced) + 1, int(given)
+        first, count = max(race_seeds) + 1, int(given)
         return check_seeds(range(first, first + count)) if count else ()
-    kept = check_seeds(cast("Iterable[int]", given))
-    if both := sorted({*kept} & {*raced}):
-        raise ConfigError(f"seed {both[0]} is both held out and raced; keep one of them")
-    return kept
+    held_out = check_seeds(cast("Iterable[int]", given))
+    if common := sorted({*held_out} & {*race_seeds}):
+        raise ConfigError(f"seed {common[0]} is both held out and raced; keep one of them")
+    return held_out
 
 
 @dataclass(slots=True, kw_only=True)
@@ -404,35 +413,44 @@ class _Tuner:
     """By race the numbers of its candidates; the first is the best candidate of the race before."""
 
     def search(self) -> Tuning:
-        """Race until the budget is used; take recorded races from the folder."""
+        """Race candidates until the budget of runs is used; returns the best and all candidates.
+
+        The best candidate of a race also takes part in the next race, without new runs. Races that
+        the folder has recorded are not run again: an interrupted tuning continues.
+        """
         study = _study()
-        recorded = self._open()
+        recorded_races = self._open()
         present = Candidate(0, self.space.present or {}, {}, plain(self.loaded.effective))
         self.candidates.append(present)
         best = present
         while True:
+            # 1. New candidates, as many as the budget allows, or as many as the recorded race has.
             index = len(self.races)
-            known = recorded[index] if index < len(recorded) else None
+            recorded = recorded_races[index] if index < len(recorded_races) else None
             affordable = (self.budget - self._runs) // len(self.seeds)
-            size = min(self.per_race, affordable) if known is None else len(known)
+            count = min(self.per_race, affordable) if recorded is None else len(recorded)
             if index == 0:
-                size -= 1  # candidate 0, the scenario's values, is a new candidate of this race
-            new = self._draw(study, max(size, 0))
+                count -= 1  # candidate 0, the scenario's values, is a new candidate of this race
+            new = self._draw(study, max(count, 0))
             if not new and index > 0:
                 break
+
+            # 2. The race, run or recorded.
             racing = [best, *new]
             self.races.append([candidate.number for candidate in racing])
-            if known is None:
+            if recorded is None:
                 self._race(racing, index)
             else:
-                self._recall(racing, known)
+                self._recall(racing, recorded)
+
+            # 3. The sampler learns the mean losses; the best candidate goes to the next race.
             for candidate in racing if index == 0 else new:
                 _tell(study, candidate, racing, self.space)
             best = min(
                 (candidate for candidate in racing if not candidate.is_out),
                 key=lambda candidate: mean_loss(candidate.losses),
             )
-            if known is None:
+            if recorded is None:
                 self._record()
             if not new:
                 break
@@ -452,24 +470,25 @@ class _Tuner:
     def assess(self, tuning: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
         """Compare the best candidate with the scenario's values on held-out seeds.
 
-        Sets the fields `held_out`, `gain`, `drops` and `document` of the tuning, and writes the
-        result files.
+        `held_out`: seeds that no race has used; empty: nothing is compared. `pseudo_reality`: the
+        held-out runs are repeated in pseudo-reality. Sets the fields `held_out`, `gain`, `drops`
+        and `document` of the tuning, and writes the result files.
         """
         tuning.held_out = held_out
         if held_out:
-            sides = {PRESENT: self.candidates[0], TUNED: tuning.best}
-            if tuning.best.number == 0:
-                del sides[TUNED]
-            variants = {name: candidate.effective for name, candidate in sides.items()}
+            variants = {PRESENT: self.candidates[0].effective}
+            if tuning.best.number != 0:
+                variants[TUNED] = tuning.best.effective
             nominal = self._run_held_out(HELD_OUT, held_out, variants)
-            if TUNED in sides:
+            if TUNED in variants:
                 tuning.gain = self._difference(nominal, PRESENT, nominal, TUNED)
             if pseudo_reality:
-                drawn = {
+                # A scenario may give its own bounds of pseudo-reality; True: the default bounds.
+                varied = {
                     name: {**effective, "pseudo_reality": effective.get("pseudo_reality") or True}
                     for name, effective in variants.items()
                 }
-                pseudo = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, drawn)
+                pseudo = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, varied)
                 tuning.drops = {
                     name: self._difference(nominal, name, pseudo, name) for name in variants
                 }
@@ -487,19 +506,22 @@ class _Tuner:
         return self._manifest(named, self.seeds, traces=False)
 
     def _race(self, racing: Sequence[Candidate], number: int) -> None:
-        """Run new candidates in blocks of seeds; after each block, end those that are worse.
+        """Run the new candidates of a race in blocks of seeds, and set their losses.
 
-        The best candidate of the race before has all its losses already. It is compared with new
-        candidates, but does not run again and does not end early.
+        After each block, a rank test ends the candidates that are significantly worse than the
+        leader (`is_out`). The best candidate of the race before has all its losses already: it is
+        compared with new candidates, but does not run again and does not end early. `number`: of
+        the race, from 0 on. SwarmError if no run of the first block has a value.
         """
         new = [candidate for candidate in racing if not candidate.losses]
-        veterans = [candidate for candidate in racing if candidate.losses]
+        earlier_best = [candidate for candidate in racing if candidate.losses]  # one, or none
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
-        # Numbers of seeds. No candidate ends early at the last number, which is all seeds.
-        stages = (*looks(len(self.seeds)), len(self.seeds))
-        level = ALPHA / max(len(stages) - 1, 1)
-        for count in stages:
+        # After each of these numbers of seeds but the last, which is all seeds, candidates are
+        # compared. The level is divided by the number of comparisons (Bonferroni).
+        seed_counts = (*looks(len(self.seeds)), len(self.seeds))
+        level = ALPHA / max(len(seed_counts) - 1, 1)
+        for count in seed_counts:
             alive = [candidate for candidate in new if not candidate.is_out]
             if not alive:
                 break
@@ -507,7 +529,7 @@ class _Tuner:
             if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
                 raise SwarmError(self._why_all_failed(number))
             if count < len(self.seeds):
-                compared = [*alive, *veterans]
+                compared = [*alive, *earlier_best]
                 table = np.array([candidate.losses[:count] for candidate in compared]).T
                 for column in losers(table, level):
                     if column < len(alive):
@@ -517,37 +539,39 @@ class _Tuner:
     def _run_block(
         self, manifest: Manifest, alive: Sequence[Candidate], number: int, count: int
     ) -> None:
-        """Run the candidates over the first `count` seeds, and set their losses.
+        """Run the candidates `alive` over the first `count` seeds, and set their losses.
 
-        Runs of these seeds that the race's folder has already are not repeated.
+        `number`: of the race, from 0 on. Runs that the race's folder has already are not repeated.
         """
-        place = self.folder / RACES / f"{number + 1:02d}"
+        race_folder = self.folder / RACES / f"{number + 1:02d}"
         seeds = {*self.seeds[:count]}
-        names = {_variant(str(candidate.number)): candidate for candidate in alive}
-        only = {
-            run.id for run in manifest.plan.runs if run.seed in seeds and run.variant.name in names
+        by_variant = {_variant(str(candidate.number)): candidate for candidate in alive}
+        runs_of_block = {
+            run.id
+            for run in manifest.plan.runs
+            if run.seed in seeds and run.variant.name in by_variant
         }
         results = run_experiment(
             manifest,
-            place,
+            race_folder,
             self.runner,
-            only=only,
+            only=runs_of_block,
             on_progress=self.on_progress,
             summarized=[self.metric],
         )
-        for name, candidate in names.items():
-            values = dict(
-                zip(results.seeds(name), results.metric(self.metric, name).tolist(), strict=True)
-            )
+        for name, candidate in by_variant.items():
+            values = results.metric(self.metric, name).tolist()
+            value_by_seed = dict(zip(results.seeds(name), values, strict=True))
             candidate.losses = [
-                self._loss(values.get(seed), candidate) for seed in self.seeds[:count]
+                self._loss(value_by_seed.get(seed), candidate) for seed in self.seeds[:count]
             ]
 
     def _loss(self, value: float | None, candidate: Candidate) -> float:
-        """The loss of a run with this value of the metric; the least loss is the best.
+        """The loss of a run, from the value of its metric; the least loss is the best.
 
-        A time to an event that never happened counts as the duration of the run. inf: the run
-        failed (None) or its metric has no value (NaN).
+        `value`: None if the run failed, NaN if the metric has no value. The loss is inf for both.
+        An exception is the time to an event that never happened: it counts as the duration of the
+        run.
         """
         if value is None:
             return math.inf
@@ -606,29 +630,30 @@ class _Tuner:
         return msgspec.structs.replace(manifest, made_with=made_with)
 
     def _draw(self, study: Study, count: int) -> list[Candidate]:
-        """Draw `count` new candidates that the scenario accepts.
+        """Draw `count` new candidates that the scenario accepts, and add them to `candidates`.
 
-        Fewer if _MAX_DRAWS draws in a row are refused or repeat an earlier candidate. ConfigError
-        if the tuning has no accepted candidate at all.
+        A candidate is refused if its values are invalid or equal those of an earlier candidate.
+        After _MAX_DRAWS refusals in a row, fewer candidates are returned. ConfigError if the whole
+        tuning has no accepted candidate.
         """
         accepted: list[Candidate] = []
         draws = 0  # since the last accepted candidate
-        refused = ""
+        last_refusal = ""
         while len(accepted) < count and draws < _MAX_DRAWS:
             draws += 1
             trial = study.ask()
             values = self.space.draw(trial)
-            twin = next(
+            equal_candidate = next(
                 (candidate for candidate in self.candidates if candidate.values == values), None
             )
             try:
-                if twin is not None:
-                    raise ConfigError(f"they are those of candidate {twin.number}")
+                if equal_candidate is not None:
+                    raise ConfigError(f"they are those of candidate {equal_candidate.number}")
                 overrides = self.space.overrides(values)
                 scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
                 scenario.starts(self.seeds[0])
             except ConfigError as error:
-                refused = str(error)
+                last_refusal = str(error)
                 _refuse(study, trial)
                 continue
             draws = 0
@@ -638,7 +663,7 @@ class _Tuner:
             accepted.append(candidate)
         if count and not accepted and len(self.candidates) == 1:
             text = f"no values of {', '.join(self.space.text)} are accepted"
-            raise ConfigError(f"{text}; the last: {refused}")
+            raise ConfigError(f"{text}; the last: {last_refusal}")
         return accepted
 
     @property
@@ -659,12 +684,13 @@ class _Tuner:
     # The folder
 
     def _open(self) -> list[list[dict[str, Any]]]:
-        """Make or open the folder; the recorded candidates of each finished race.
+        """Make or open the folder of the tuning; returns the candidates of each finished race.
 
-        ConfigError if the folder is damaged, or belongs to another tuning or to something else.
+        A new folder has no finished race. ConfigError if the folder is damaged, belongs to another
+        tuning, or has files that are not of a tuning.
         """
         path = self.folder / STATE
-        here = self._head()
+        present = self._head()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not path.exists():
@@ -673,25 +699,28 @@ class _Tuner:
                         f"{self.folder}: is not the folder of a tuning: it holds {entries[0]};"
                         " name a new or empty one with --out"
                     )
-                write_json(path, {**here, "races": []})
+                write_json(path, {**present, "races": []})
                 return []
-            text = path.read_bytes()
+            contents = path.read_bytes()
         except OSError as error:
             raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
+
+        # An existing folder must have the same arguments and software.
         try:
-            data = json.loads(text)
-            there = msgspec.convert(data["manifest"], Manifest)
-            asked, races = dict(data["asked"]), list(data["races"])
+            data = json.loads(contents)
+            recorded_manifest = msgspec.convert(data["manifest"], Manifest)
+            recorded_arguments, races = dict(data["asked"]), list(data["races"])
         except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
             raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
-        now = msgspec.convert(here["manifest"], Manifest)
-        differing = next(manifests.differences(there, now), None)
-        for key, value in here["asked"].items():
-            if differing is None and asked.get(key) != value:
-                differing = f"{key} was {asked.get(key)}, now {value}"
-        if differing is not None:
-            text_ = f"{self.folder}: holds another tuning: {differing}"
-            raise ConfigError(f"{text_}; name another folder with --out, or remove this one")
+        manifest = msgspec.convert(present["manifest"], Manifest)
+        difference = next(manifests.differences(recorded_manifest, manifest), None)
+        for key, value in present["asked"].items():
+            recorded = recorded_arguments.get(key)
+            if difference is None and recorded != value:
+                difference = f"{key} was {recorded}, now {value}"
+        if difference is not None:
+            text = f"{self.folder}: holds another tuning: {difference}"
+            raise ConfigError(f"{text}; name another folder with --out, or remove this one")
         return races
 
     def _head(self) -> dict[str, Any]:
@@ -760,11 +789,11 @@ def _refuse(study: Study, trial: Trial) -> None:
 
 
 def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
-    """Set a candidate's `estimate`, and tell the sampler this mean loss over all seeds.
+    """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
 
     The mean of a candidate that ended early is extrapolated: the mean of the race's leader, plus
-    the mean difference of both on their common seeds. A failed run counts as the worst run of the
-    race.
+    the mean difference between candidate and leader on their common seeds. A failed run counts as
+    the worst run of the race. `racing`: all candidates of the race.
     """
     finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)
@@ -781,11 +810,11 @@ def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space
 
 
 def _importance(study: Study) -> dict[str, float]:
-    """The share of each parameter, by PED-ANOVA of S. Watanabe et al., IJCAI 2023.
+    """The importance of each parameter as a share of 1, by PED-ANOVA (Watanabe et al., IJCAI 2023).
 
-    PED-ANOVA measures how much the best tenth of the candidates narrows each parameter. Parameters
-    that a candidate lacks are left out. Empty if there are fewer than ten candidates, or if all
-    losses are equal.
+    PED-ANOVA measures how much narrower the values of a parameter are in the best tenth of the
+    candidates. Parameters that a candidate lacks are left out. Empty if there are fewer than
+    _MIN_TRIALS candidates, or if all losses are equal.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances
     from optuna.trial import TrialState

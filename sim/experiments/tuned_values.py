@@ -49,22 +49,30 @@ def platform_values(space: Space, values: Mapping[str, Any]) -> dict[str, dict[s
 
 
 def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
+    """The sentences about the evidence for tuned values, which stand above the values.
+
+    Goal, means in the races, held-out difference, difference to pseudo-reality, software.
+    """
     unit = f" [{tuning.metric.unit}]" if tuning.metric.unit else ""
-    best = "less" if tuning.goal == "min" else "more"
-    yield f"Tuned for {tuning.metric.name}{unit}; {best} is better."
-    tried = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
+    direction = "less" if tuning.goal == "min" else "more"
+    yield f"Tuned for {tuning.metric.name}{unit}; {direction} is better."
+
+    # Races. Candidate 0 has the present values of the scenario.
+    effort = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
     present = next(
         (candidate for candidate in tuning.candidates if candidate.number == 0), tuning.best
     )
     if tuning.best.number == 0:
-        yield f"No values are better than the present ones ({tried})."
+        yield f"No values are better than the present ones ({effort})."
     else:
-        has_ended = f" (by {len(present.losses)} seeds)" if present.is_out else ""
+        early_end = f" (by {len(present.losses)} seeds)" if present.is_out else ""
         mean, present_mean = (number(tuning.value(c)) for c in (tuning.best, present))
         yield (
-            f"Races: seeds {_seeds(tuning.seeds)}, {tried}. Mean: {mean} tuned, {present_mean}"
-            f" present{has_ended}. These seeds chose the values, so this difference is too good."
+            f"Races: seeds {_seeds(tuning.seeds)}, {effort}. Mean: {mean} tuned, {present_mean}"
+            f" present{early_end}. These seeds chose the values, so this difference is too good."
         )
+
+    # Held-out seeds, and pseudo-reality.
     if tuning.gain is not None:
         text = _shown(tuning.gain, "present", "tuned", tuning)
         yield f"Held-out seeds {_seeds(tuning.held_out)}: {text}"

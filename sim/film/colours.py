@@ -47,24 +47,25 @@ class Colouring:
 
 
 def colouring_of(trace: Trace, by: str) -> Colouring:
-    """Colours by state, pattern, platform or robot, or by a value that patterns report.
+    """The colours of all robots of a run by `by`: state, pattern, platform, robot or a report.
 
-    `state` is the state of the robot; `report:state` is a value of this name that patterns report.
-    ConfigError with the nearest name if no robot reports such a value.
+    A report is a value that patterns report, as KEY or `report:KEY`. So `state` is the state of the
+    robot, and `report:state` is a reported value with the name `state`. ConfigError with the
+    nearest name if no robot reports such a value.
     """
-    shape = trace.pose.shape[:2]
+    shape = trace.pose.shape[:2]  # (instants, robots)
     name = by.removeprefix("report:")
     if by == "state":
         words = np.full(shape, "running") if trace.state is None else trace.state
         return _by_word(words, STATES)
     if by == "pattern":
-        names, places = patterns_of(trace)
-        return _by_word(np.array(names)[places], {})
+        names, indices = patterns_of(trace)
+        return _by_word(np.array(names)[indices], {})
     if by == "platform":
         return _by_word(np.broadcast_to(np.array(trace.platforms), shape), {})
     if by == "robot":
         rgb = np.array([rgb_of(robot_colour(i)) for i in range(shape[1])], dtype=np.uint8)
-        key = [(_plain(c), i) for c, i in zip(rgb, trace.ids, strict=True)]
+        key = [(_plain(colour), robot) for colour, robot in zip(rgb, trace.ids, strict=True)]
         return Colouring(np.broadcast_to(rgb, (*shape, 3)), key)
     if name in trace.words:
         return _by_word(trace.words[name], {})
@@ -83,11 +84,13 @@ def rgb_of(colour: str) -> Rgb:
 def _by_word(
     words: NDArray[np.str_], fixed: MappingProxyType[str, str] | dict[str, str]
 ) -> Colouring:
+    """Colours by a text (T, n): the colours of `fixed`; if empty, those of PALETTE in turn."""
     rgb = np.empty((*words.shape, 3), dtype=np.uint8)
     rgb[:] = rgb_of(UNKNOWN)
     key: list[tuple[Rgb, str]] = []
     for word in sorted({str(w) for w in np.unique(words)} - {""}):
-        colour = rgb_of(fixed.get(word, PALETTE[len(key) % len(PALETTE)] if not fixed else UNKNOWN))
+        free_colour = UNKNOWN if fixed else PALETTE[len(key) % len(PALETTE)]
+        colour = rgb_of(fixed.get(word, free_colour))
         rgb[words == word] = colour
         key.append((colour, word))
     return Colouring(rgb, key)

@@ -33,27 +33,24 @@ _SMALLEST = 13  # pixels of text
 _NARROWEST, _WIDEST = 0.8, 2.2  # width by height of a picture that is as wide as its arena
 _LONGEST_BAR = 0.2  # of the width of a frame
 _MAX_NAMES = 20  # robots with names
+_NOTED_ENLARGEMENT = 1.05  # of robots; a note tells a larger enlargement
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FilmSettings:
-    """`speed` times real time; `size` in pixels (None: by the file's suffix and the arena).
-
-    `start` and `stop` in s from the begin of the run (None: its end). `trail`: s of the path behind
-    each robot.
-    """
+    """The camera, the colours, the size and the part of the run that a film shows."""
 
     camera: Camera = "top"
-    colour: str = "state"
-    speed: float = 4.0
-    size: tuple[int, int] | None = None
-    start: float = 0.0
-    stop: float | None = None
-    trail: float = 5.0
+    colour: str = "state"  # the value that gives the colour of robots, see `colouring_of`
+    speed: float = 4.0  # times real time
+    size: tuple[int, int] | None = None  # pixels; None: by the file's suffix and the arena
+    start: float = 0.0  # s from the beginning of the run
+    stop: float | None = None  # s from the beginning of the run; None: its end
+    trail: float = 5.0  # s of the path that is drawn behind each robot
 
 
 def title_of(trace: Trace) -> str:
-    """What a run was, in a few words."""
+    """The title of a film: scenario and seed, or pattern, number of robots and platforms."""
     meta = trace.meta
     if "scenario" in meta:
         return f"{meta['scenario']}, seed {meta.get('seed', 0)}"
@@ -68,32 +65,39 @@ def make_film(
     settings: FilmSettings,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[str]:
-    """Write the film of a run to `path`; notes on what is not as it was.
+    """Write the film of a run to `path`; returns a note for each platform that is unknown here.
 
-    The file appears whole or not at all. ConfigError for wrong settings, PluginError if ffmpeg or
-    OpenGL is missing, SwarmError if the trace is empty or the film cannot be written.
+    Robots of an unknown platform are drawn with assumed heights. `on_progress` is called with the
+    numbers of written and of all frames. The file appears whole or not at all. ConfigError for
+    wrong settings, PluginError if ffmpeg or OpenGL is missing, SwarmError if the trace is empty or
+    the film cannot be written.
     """
+    # 1. Size of frames, part of the run, colours.
     check_output(path)
     trace = run.trace
     check_drawable(trace)
-    rate = RATES[path.suffix]
+    rate = RATES[path.suffix]  # frames per s
     size = settings.size or frame_size(trace, SIZES[path.suffix], settings.camera)
     stop = trace.duration if settings.stop is None else min(settings.stop, trace.duration)
     if stop <= settings.start:
         text = f"from {settings.start:g} s to {stop:g} s of a run of {trace.duration:g} s"
         raise ConfigError(f"a film {text} has no frame; choose an earlier start")
     colouring = colouring_of(trace, settings.colour)
-    notes = [f"{settings.speed:.3g}x real time"]
+
+    # 2. The model, which fills a frame but for the caption.
     width, height = size
-    bare = Caption(size, title, colouring.key)  # for its height
-    stage = stage_of(trace, (width, height - bare.height), run.platforms, run.fields)
+    caption_height = Caption(size, title, colouring.key).height
+    stage = stage_of(trace, (width, height - caption_height), run.platforms, run.fields)
+    notes = [f"{settings.speed:.3g}x real time"]
     with Renderer(trace, stage, colouring, settings.camera) as renderer:
-        if stage.factor > 1.05:
+        if stage.factor > _NOTED_ENLARGEMENT:
             notes.append(f"robots enlarged {stage.factor:.1f}x")
         marks = Marks(renderer, trace.ids)
         if marks.prefix:
             notes.append(f"names begin with {marks.prefix}")
         caption = Caption(size, title, colouring.key, notes)
+
+        # 3. The frames; the last frame stays for _HOLD s.
         count = max(round((stop - settings.start) * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
             for number in range(count):
@@ -104,12 +108,16 @@ def make_film(
                 on_progress(number + 1, count)
             for _ in range(round(_HOLD * rate)):
                 encoder.write(frame)
-    assumed = stage.assumed
-    return [f"the heights of {name} are assumed: there is no such platform" for name in assumed]
+    return [
+        f"the heights of {name} are assumed: there is no such platform" for name in stage.assumed
+    ]
 
 
 def frame_size(trace: Trace, size: tuple[int, int], camera: Camera) -> tuple[int, int]:
-    """The size in pixels, of about as many as `size`, that a view from above of the run fills."""
+    """The size (width, height) in pixels of frames in the shape of the run's arena.
+
+    The frame has about as many pixels as `size`. With a camera from the side it is `size`.
+    """
     if camera != "top":
         return size
     extent, (width, height) = extent_of(trace), size
@@ -216,10 +224,10 @@ class Caption:
 
     def _fitted(self, title: str) -> str:
         room = self.width - 2 * self._pad - self._length("  0000.0 s")
-        kept = len(title)
-        while kept and self._length(title[:kept]) > room:
-            kept -= 1
-        return title[:kept]
+        length = len(title)
+        while length and self._length(title[:length]) > room:
+            length -= 1
+        return title[:length]
 
     def _length(self, text: str) -> int:
         return round(self._font.getlength(text))

@@ -84,21 +84,22 @@ class Renderer:
         self._t = trace.t - trace.t[0]
 
     def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
-        """The run at `time` in s from its start; `trail`: s of the path behind each robot.
+        """Render the run at `time` in s from its start; returns pixels (height, width, 3).
 
-        ConfigError if the caller's thread did not make the renderer.
+        `trail`: s of the path that is drawn behind each robot. ConfigError if the calling thread is
+        not the thread that made the renderer.
         """
         self._make_current()  # another renderer may have been at work
-        at = self._place(time)
+        instant = self._place(time)
         model = self.stage.model
         data = self._data
         scene = self._scene
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        everything = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, scene)
+        all_geoms = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, all_geoms, scene)
         if trail > 0.0:
-            self._add_trails(at, time, trail)
+            self._add_trails(instant, time, trail)
         rect = mujoco.MjrRect(0, 0, self.width, self.height)
         mujoco.mjr_render(rect, scene, self._context)
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
@@ -120,39 +121,45 @@ class Renderer:
             ) from error
 
     def _place(self, time: float) -> int:
-        """Move and colour everything; the index of the latest instant."""
+        """Move and colour robots and boxes for `time` in s; hide those without a pose then.
+
+        Returns the index of the latest instant of the trace.
+        """
         trace = self._trace
         model = self.stage.model
         n = len(trace.ids)
         poses = poses_at(self._t, trace.pose, time)
-        at = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
-        is_there = _are_known(poses)
-        self._data.qpos[: 3 * n] = np.where(is_there[:, None], poses, 0.0).ravel()
-        colours = self._colouring.rgb[at] / 255.0
+        instant = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
+        has_pose = _are_known(poses)
+        self._data.qpos[: 3 * n] = np.where(has_pose[:, None], poses, 0.0).ravel()
+        colours = self._colouring.rgb[instant] / 255.0
         model.geom_rgba[self.stage.bodies, :3] = colours
         model.geom_rgba[self.stage.housings, :3] = _HOUSING * colours
-        for parts, shown in zip(self.stage.parts, is_there.tolist(), strict=True):
-            model.geom_rgba[parts, 3] = float(shown)
+        for parts, is_visible in zip(self.stage.parts, has_pose.tolist(), strict=True):
+            model.geom_rgba[parts, 3] = float(is_visible)
         if trace.box_pose is not None:
             boxes = poses_at(self._t, trace.box_pose, time)
-            is_there = _are_known(boxes)
-            self._data.qpos[3 * n :] = np.where(is_there[:, None], boxes, 0.0).ravel()
-            model.geom_rgba[self.stage.boxes, 3] = is_there
-        return at
+            box_has_pose = _are_known(boxes)
+            self._data.qpos[3 * n :] = np.where(box_has_pose[:, None], boxes, 0.0).ravel()
+            model.geom_rgba[self.stage.boxes, 3] = box_has_pose
+        return instant
 
-    def _add_trails(self, at: int, time: float, seconds: float) -> None:
-        """Lines on the floor along the latest positions."""
-        begin = int(np.searchsorted(self._t, time - seconds))
+    def _add_trails(self, instant: int, time: float, seconds: float) -> None:
+        """Add lines on the floor along the positions of the last `seconds` before `time`.
+
+        `instant`: the index of the latest instant of the trace.
+        """
+        first = int(np.searchsorted(self._t, time - seconds))
         n = len(self._trace.ids)
-        steps = min(_TRAIL_STEPS, _MAX_TRAILS // max(n, 1), at - begin)
+        steps = min(_TRAIL_STEPS, _MAX_TRAILS // max(n, 1), instant - first)
         if steps < 1:
             return
-        kept = np.linspace(begin, at, steps + 1).astype(int)
-        places = self._trace.pose[kept, :, :2]
+        instants = np.linspace(first, instant, steps + 1).astype(int)
+        positions = self._trace.pose[instants, :, :2]
         scene, line = self._scene, mujoco.mjtGeom.mjGEOM_LINE
         for robot in range(n):
-            colour = np.append(self._colouring.rgb[at, robot] / 255.0, 0.7).astype(np.float32)
-            for a, b in zip(places[:-1, robot], places[1:, robot], strict=True):
+            colour = np.append(self._colouring.rgb[instant, robot] / 255.0, 0.7).astype(np.float32)
+            for a, b in zip(positions[:-1, robot], positions[1:, robot], strict=True):
                 if scene.ngeom >= scene.maxgeom or not np.isfinite((a, b)).all():
                     continue
                 geom = scene.geoms[scene.ngeom]
@@ -169,7 +176,11 @@ def _aim(
     size: tuple[int, int],
     kind: Camera,
 ) -> float | None:
-    """Point the camera so that the extent fills the frame; m of its height, from above."""
+    """Point the camera so that `extent` fills a frame of `size` pixels (width, height).
+
+    `kind`: "top" is an orthographic view from above, "perspective" a view from the side. Returns
+    the height of the frame in m; None in perspective, where a frame has no such height.
+    """
     width, height = size
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0, 0.0
@@ -182,9 +193,9 @@ def _aim(
         camera.distance = 2.0 * longest
         camera.orthographic = 1
         model.vis.global_.orthographic = 1
-        high = _MARGIN * max(extent.height, extent.width * height / width)
-        model.vis.global_.fovy = high
-        return high
+        frame_height = _MARGIN * max(extent.height, extent.width * height / width)
+        model.vis.global_.fovy = frame_height  # in m for an orthographic camera
+        return frame_height
     camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
     model.vis.global_.fovy = _FOVY
     camera.distance = _distance(extent, math.tan(math.radians(_FOVY) / 2.0), width / height)

@@ -36,29 +36,25 @@ MIN_PIXELS = 32.0
 """The least length of a robot in pixels in a frame of 720 lines."""
 _LEAST_PIXELS = 20.0  # the least length of a robot in pixels in any frame
 _MOST = 2.0  # the largest enlargement of a robot
+_TIME_STEP = 0.01  # s, of the model; a film makes no step
 _ASSUMED = "waffle_pi"
 """The platform whose heights stand in for those of an unknown platform."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A compiled model, the size of frames in pixels, what they show, and the geoms of robots.
-
-    `bodies` and `housings` are the geoms that have the robot's colour, `parts` all of its visible
-    ones. Robots are drawn `factor` times as large as they are, within `reach` m of their axles at
-    most. `assumed` names platforms whose heights are not known here.
-    """
+    """The MuJoCo model of a film, and which of its geoms (by index) are parts of which robot."""
 
     model: mujoco.MjModel
-    size: tuple[int, int]
-    extent: Extent
-    bodies: NDArray[np.int64]
-    housings: NDArray[np.int64]
-    parts: tuple[NDArray[np.int64], ...]
-    boxes: NDArray[np.int64]
-    factor: float
-    reach: float
-    assumed: tuple[str, ...]
+    size: tuple[int, int]  # width and height of frames in pixels
+    extent: Extent  # the part of the world that frames show
+    bodies: NDArray[np.int64]  # the geom of each robot's body, which has the robot's colour
+    housings: NDArray[np.int64]  # the geom of each robot's lidar housing, in a darker colour
+    parts: tuple[NDArray[np.int64], ...]  # all visible geoms, by robot
+    boxes: NDArray[np.int64]  # the geom of each movable box
+    factor: float  # how many times larger than they are robots are drawn
+    reach: float  # m: the largest distance of a drawn part from the axle of its robot
+    assumed: tuple[str, ...]  # platforms whose heights are not known here
 
 
 def stage_of(
@@ -68,22 +64,26 @@ def stage_of(
     fields: Sequence[Field] = (),
     extent: Extent | None = None,
 ) -> Stage:
-    """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known.
+    """Build the MuJoCo model that shows a run in frames of `size` pixels (width, height).
 
-    `platforms` by name and `fields`, of which the floor is shown, are those of the scenario.
-    `extent`: the part of the world that is shown; None: what the run has used.
+    `platforms`: those of the scenario, by name. `fields`: scalar fields of the scenario, of which
+    the colours of the floor are shown. `extent`: the part of the world that frames show; None: all
+    places of the run. ConfigError if the trace does not name its arena.
     """
-    text = str(trace.meta.get("arena", ""))
-    if not text:
+    # 1. The world of the run, with marks on the robots.
+    arena_text = str(trace.meta.get("arena", ""))
+    if not arena_text:
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
-    arena = parse_arena(text)
+    arena = parse_arena(arena_text)
     assumed: list[str] = []
     platform_of = {
         name: platforms.get(name) or _platform(name, footprint, assumed)
         for name, footprint in trace.footprints.items()
     }
-    robots = {i: platform_of[p] for i, p in zip(trace.ids, trace.platforms, strict=True)}
-    spec = bodies.build_spec(robots, arena, 0.01)
+    robots = {
+        robot: platform_of[name] for robot, name in zip(trace.ids, trace.platforms, strict=True)
+    }
+    spec = bodies.build_spec(robots, arena, _TIME_STEP)
     for robot, platform in robots.items():
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)
     extent = extent or extent_of(trace)
@@ -93,15 +93,17 @@ def stage_of(
     spec.visual.quality.offsamples = 4
     model = spec.compile()
     _paint(model)
+
+    # 2. Robots that would be too small are enlarged about their axles.
     factor = _enlargement(trace, extent, size)
-    geoms = [model.geom(g).name for g in range(model.ngeom)]
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
     parts = tuple(
-        np.array([g for g, name in enumerate(geoms) if name.startswith(f"{robot}/")])
+        np.array([geom for geom, name in enumerate(names) if name.startswith(f"{robot}/")])
         for robot in robots
     )
-    for own in parts:
-        model.geom_size[own] *= factor
-        model.geom_pos[own] *= factor
+    for geoms in parts:
+        model.geom_size[geoms] *= factor
+        model.geom_pos[geoms] *= factor
     return Stage(
         model=model,
         size=size,
@@ -117,7 +119,10 @@ def stage_of(
 
 
 def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
-    """The platform; an unknown one, of which a trace holds only the footprint, is noted."""
+    """The platform `name`; if it is not known here, _ASSUMED with this footprint.
+
+    Adds the name of an unknown platform to `assumed`.
+    """
     try:
         return load_platform(name)
     except ConfigError:
@@ -126,14 +131,16 @@ def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
 
 
 def _add_marks(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
-    """A white bar along the front, and dark wheels at the axle."""
-    (left, right), (back, front) = _sides(platform.footprint)
+    """Add a white bar along the front and two dark wheels at the axle to the body of a robot.
+
+    The bar lies on the top. Its place and size are shares of the footprint's length and width.
+    """
+    (left, right), (back, front) = _sides(platform.footprint)  # m, in the base frame
     height = bodies.value(platform, "height")
     length, width = front - back, left - right
-    box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
     body.add_geom(
         name=f"{robot}/front",
-        type=box,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=[front - 0.14 * length, (left + right) / 2.0, height],
         size=[0.07 * length, 0.34 * width, 0.006],
         rgba=_WHITE,
@@ -141,14 +148,14 @@ def _add_marks(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
         conaffinity=0,
         group=bodies.BODY,
     )
-    wheel = min(0.3 * length, 0.45 * height)
+    wheel_radius = min(0.3 * length, 0.45 * height)
     for name, y in (("left", left), ("right", right)):
         body.add_geom(
             name=f"{robot}/{name}",
-            type=cylinder,
-            pos=[0.0, y, wheel],
-            size=[wheel, 0.06 * width, 0.0],
-            quat=[np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=[0.0, y, wheel_radius],
+            size=[wheel_radius, 0.06 * width, 0.0],
+            quat=[np.sqrt(0.5), np.sqrt(0.5), 0.0, 0.0],  # the cylinder's axis along y
             rgba=_DARK,
             contype=0,
             conaffinity=0,
@@ -162,7 +169,10 @@ def _sides(footprint: Array) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
-    """A floor beyond the walls, with a grid of 1 m, and light from the side."""
+    """Add an infinite floor with a grid of 1 m, which also shows outside of the walls, and light.
+
+    The light comes from the side, so that the tops and sides of bodies differ.
+    """
     spec.add_texture(
         name="grid",
         type=mujoco.mjtTexture.mjTEXTURE_2D,
@@ -179,7 +189,7 @@ def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
     spec.worldbody.add_geom(
         name="floor",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        size=[0.0, 0.0, 1.0],  # without end
+        size=[0.0, 0.0, 1.0],  # 0: infinite in x and y
         material="floor",
         group=bodies.FIXED,
         contype=0,
@@ -200,8 +210,8 @@ def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
 
 
 def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> None:
-    """The scenario's own floor within the walls, if it has one."""
-    pixels = floor_pixels(fields, (arena.length, arena.width))
+    """Add the floor that the scenario's fields give, as a texture within the walls, if any."""
+    pixels = floor_pixels(fields, (arena.length, arena.width))  # (rows, columns, 3), or None
     if pixels is None:
         return
     spec.add_texture(
@@ -217,7 +227,7 @@ def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> 
     spec.worldbody.add_geom(
         name="floor/picture",
         type=mujoco.mjtGeom.mjGEOM_PLANE,
-        pos=[0.0, 0.0, 0.002],
+        pos=[0.0, 0.0, 0.002],  # just above the grid
         size=[arena.length / 2.0, arena.width / 2.0, 1.0],
         material="picture",
         group=bodies.FIXED,
@@ -227,7 +237,7 @@ def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> 
 
 
 def _paint(model: mujoco.MjModel) -> None:
-    """Colours of the arena; what is only for collisions is hidden."""
+    """Set the colours and heights of walls and obstacles of the arena in the model."""
     for geom in range(model.ngeom):
         name, group = model.geom(geom).name, int(model.geom_group[geom])
         if group == bodies.FIXED and not name.startswith("floor"):
@@ -243,12 +253,15 @@ def _paint(model: mujoco.MjModel) -> None:
 
 
 def _enlargement(trace: Trace, extent: Extent, size: tuple[int, int]) -> float:
-    """How many times larger robots are drawn: the smallest has MIN_PIXELS, at most _MOST."""
+    """How many times larger than they are robots are drawn, from 1 to _MOST.
+
+    The smallest robot shall have MIN_PIXELS in a frame of 720 lines.
+    """
     width, height = size
     scale = min(width / extent.width, height / extent.height)  # pixels per m, about
-    pixels = 2.0 * scale * min(map(radius, trace.footprints.values()))
-    least = max(MIN_PIXELS * height / 720.0, _LEAST_PIXELS)
-    return float(min(max(least / pixels, 1.0), _MOST))
+    robot_pixels = 2.0 * scale * min(map(radius, trace.footprints.values()))
+    wanted_pixels = max(MIN_PIXELS * height / 720.0, _LEAST_PIXELS)
+    return float(min(max(wanted_pixels / robot_pixels, 1.0), _MOST))
 
 
 def _is_movable(model: mujoco.MjModel, geom: int) -> bool:

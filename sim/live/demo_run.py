@@ -66,7 +66,10 @@ class LiveTimeline:
         return self._operator.send_stop(verb, select=lambda known: robots, names=robots)
 
     def _carry_out(self, event: ScheduledEvent) -> None:
-        """Carry out one event; SwarmError if a robot refuses the request or does not answer."""
+        """Carry out one event; SwarmError if a robot refuses the request or does not answer.
+
+        Requests go only to robots of the event whose daemons run.
+        """
         present = set(self._fleet.robots)
         robots = tuple(robot for robot in event.robots if robot in present)
         match event.action:
@@ -84,7 +87,7 @@ class LiveTimeline:
             case "leave" | "kill" | "remove":
                 for robot in robots:
                     self._fleet.end_daemon(robot, in_order=event.action == "leave")
-                if event.action == "remove":
+                if event.action == "remove":  # of robots; without a daemon, too
                     for robot in event.robots:
                         self._world.take_out(robot)
             case "stop" | "estop":
@@ -122,9 +125,10 @@ class DemoSettings:
 
 
 class WorldWatcher:
-    """The newest state of the world, which a Zenoh thread hands over.
+    """The newest state of the simulated world, which a Zenoh thread hands over.
 
-    `all_moved_at`: the boot time in s at which each robot had moved since `begin`; None before.
+    `all_moved_at`: the boot time in s when the last robot made its first move after `begin`; None
+    before.
     """
 
     def __init__(self, world: WorldView, timeout: float = WORLD_TIMEOUT) -> None:
@@ -144,13 +148,16 @@ class WorldWatcher:
             self.all_moved_at = None
 
     def wait(self, since: float = -1.0) -> WorldState:
-        """A state later than simulated time `since`; NetworkError after `timeout` s without one."""
+        """Wait for a state whose simulated time is later than `since` s, and return it.
 
-        def later() -> WorldState | None:
+        NetworkError if no such state comes within the timeout.
+        """
+
+        def later_state() -> WorldState | None:
             return self._state if self._state is not None and self._state.time > since else None
 
         with self._changed:
-            state = self._changed.wait_for(later, self._timeout)
+            state = self._changed.wait_for(later_state, self._timeout)
         if state is None:
             raise NetworkError(f"the world has sent no state for {self._timeout:g} s")
         return state
@@ -188,49 +195,55 @@ class DemoRun:
     def perform(
         self, trace: Path, began: float, tell: Callable[[str], object] | None = None
     ) -> DemoSummary:
-        """Run all events from start to end.
+        """Run all events from start to end, and return the summary of the demo.
 
-        `began`: the boot time in s at which the user's command started. `tell` is called with
-        progress lines while robots start.
+        `trace`: the file that the world writes at the end. `began`: the boot time in s at which the
+        user's command started. `tell` is called with progress lines while robots start.
         """
+        # 1. Robots are up; the recording starts; the first patterns run.
         view = starting.await_robots(self._operator, self._fleet, tell)
         wall_start = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)
-        first, later = _split(self._settings.events)
+        first_runs, later_events = _split(self._settings.events)
         started = starting.joined(
-            starting.start_pattern(self._operator, view, run) for run in first
+            starting.start_pattern(self._operator, view, run) for run in first_runs
         )
-        self._timeline = LiveTimeline(later, self._fleet, self._operator, self._world)
+
+        # 2. Events, until the recording is complete.
+        self._timeline = LiveTimeline(later_events, self._fleet, self._operator, self._world)
         before = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         self._follow(before, start.time)
         wall = time.monotonic() - wall_start
+
+        # 3. The end: statuses, the trace, a stop of all robots.
         after = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         end = self._world.ask("finish").state
-        stopped = self._timeline.send_stop("stop", self._fleet.robots)
-        return self._summary(trace, began, end.recorded / wall, started, before, after, stopped)
+        stop_outcome = self._timeline.send_stop("stop", self._fleet.robots)
+        factor = end.recorded / wall
+        return self._summary(trace, began, factor, started, before, after, stop_outcome)
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
         """Carry out events and show the robots until the recording is complete.
 
-        `since`: the simulated time in s of the start. Earlier states may belong to an earlier
-        recording.
+        `statuses`: of the robots at the start. `since`: the simulated time in s of the start, since
+        earlier states may belong to an earlier recording.
         """
         state = self._watcher.wait(since=since)
-        next_round = 0.0
+        next_query = 0.0
         while state.is_recording and state.recorded < self._settings.seconds:
             self._timeline.apply(state.recorded)
             self._log.add_present(state.recorded, self._fleet.robots)
-            if time.monotonic() >= next_round:
+            if time.monotonic() >= next_query:
                 self._fleet.check()
                 statuses = starting.statuses_of(self._operator.members(timeout=STATUS_PERIOD))
                 self._log.add(state.recorded, statuses)
                 self._on_scene(self._scene(state, statuses))
-                next_round = time.monotonic() + STATUS_PERIOD
+                next_query = time.monotonic() + STATUS_PERIOD
             try:
                 state = self._watcher.wait(since=state.time)
             except NetworkError:
-                self._fleet.check()  # names the cause, if the world's process has ended
+                self._fleet.check()  # an error that names the cause, if the world has ended
                 raise
 
     def _scene(self, state: WorldState, statuses: Mapping[str, Status]) -> Scene:
@@ -255,24 +268,33 @@ class DemoRun:
         started: starting.Started,
         before: Mapping[str, Status],
         after: Mapping[str, Status],
-        stopped: Outcome,
+        stop_outcome: Outcome,
     ) -> DemoSummary:
+        """The summary of the demo; adds states and reports of robots to the trace file.
+
+        `began`: as in `perform`. `started`: the robots that run the first patterns. `before`,
+        `after`: statuses at the start and at the end. `stop_outcome`: of the stop at the end.
+        """
+        # 1. The trace and its numbers.
         spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
-        done = self._timeline.done
-        changed = {robot for event in done for robot in event.robots}
-        steady = [robot for robot in started.robots if robot not in changed]
+
+        # 2. Problems. Robots of an event may end or stop, so only a fault of theirs is a problem.
+        events = self._timeline.done
+        robots_of_events = {robot for event in events for robot in event.robots}
+        other_robots = [robot for robot in started.robots if robot not in robots_of_events]
         problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
-        problems += problems_of(steady, before, after, numbers.contacts)
-        failed = [event for event in done if event.problem]
-        problems += [f"{event.action} at {event.at:g} s: {event.problem}" for event in failed]
-        faulted = [name for name in sorted(changed & after.keys()) if _is_faulted(after[name])]
-        problems += [f"{name} ended faulted: {after[name].detail}" for name in faulted]
-        if stopped.exit_code:
-            problems.append(starting.why_not("stop", stopped))
-        moved = self._watcher.all_moved_at
+        problems += problems_of(other_robots, before, after, numbers.contacts)
+        problems += [f"{e.action} at {e.at:g} s: {e.problem}" for e in events if e.problem]
+        for name in sorted(robots_of_events & after.keys()):
+            if _is_faulted(after[name]):
+                problems.append(f"{name} ended faulted: {after[name].detail}")
+        if stop_outcome.exit_code:
+            problems.append(starting.why_not("stop", stop_outcome))
+
+        all_moved_at = self._watcher.all_moved_at
         return DemoSummary(
             pattern=self._settings.pattern,
             platform=self._settings.platform,
@@ -281,12 +303,12 @@ class DemoRun:
             arena=spec.arena,
             layout=spec.layout,
             seed=spec.seed,
-            seconds_to_moving=None if moved is None else round(moved - began, 2),
+            seconds_to_moving=None if all_moved_at is None else round(all_moved_at - began, 2),
             kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
             numbers=numbers,
             problems=tuple(problems),
             scenario=spec.scenario.scenario.name if spec.scenario else "",
-            events=tuple(done),
+            events=tuple(events),
             reports={name: dict(status.report) for name, status in after.items()},
             readings={name: dict(status.readings) for name, status in after.items()},
         )

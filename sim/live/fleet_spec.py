@@ -30,26 +30,29 @@ def plain_fleet(
     tell: Tell,
     **others: Any,
 ) -> FleetSpec:
-    """The fleet of a plain world with `count` robots of one platform.
+    """The fleet of a world without a scenario: `count` robots of one platform.
 
-    The default arena is 1.8 times as wide as the range of the lidar, so that a robot detects some
-    robots but not all. Its floor has at least (3 protection thresholds)^2 for each robot. `tell` is
-    called with notes. ConfigError if a value is wrong or there is no room. PluginError if the
-    emulator is unknown or lacks a library.
+    The default arena is a square, 1.8 times as wide as the range of the lidar, so that a robot
+    detects some robots but not all. For many robots it is wider: each robot has a square of 3
+    protection thresholds. `folder`: for logs and state. `emulator`: the driver whose protocol is
+    simulated, or None. `others`: further fields of FleetSpec. `tell` is called with notes.
+    ConfigError if a value is wrong or the arena has no room. PluginError if the emulator is unknown
+    or lacks a library.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.world.arena import parse_arena
     from swarmd.sim.world.layouts import parse_layout
 
     check_emulator(emulator, others["radio_range"])
-    kind, ids = _platform_and_ids(platform, count)
-    threshold = float(kind.protection.get("threshold", 0.5))
-    side = round(max(1.8 * kind.scan.range_max, 3.0 * threshold * count**0.5), 1)
+    loaded, ids = _platform_and_ids(platform, count)
+    threshold = float(loaded.protection.get("threshold", 0.5))  # m
+    side = round(max(1.8 * loaded.scan.range_max, 3.0 * threshold * count**0.5), 1)
     arena = arena or f"{side:g}x{side:g}"
     layout = layout or f"random:{0.6 * threshold:.2f}"
-    parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
+    # ConfigError if there is no room for the robots.
+    parse_layout(layout, [loaded.footprint] * count, parse_arena(arena), seed=others["seed"])
     if count > 1:
-        _tell_of_peers(kind, ids[0], others["lidar_visibility"], tell)
+        _tell_of_peers(loaded, ids[0], others["lidar_visibility"], tell)
     return FleetSpec(
         swarm=swarm,
         robots=dict.fromkeys(ids, platform),
@@ -80,9 +83,10 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
 
 
 def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> None:
-    """Call `tell` with what a robot of this platform would report about robots of its kind.
+    """Call `tell` with what robots of this platform would report about robots of their own kind.
 
-    Without the finding that a lidar cannot see them, if lidars see whole bodies in this world.
+    `robot`: the id of a robot. If lidars of this world see whole bodies (`visibility`), the finding
+    that a lidar cannot see the robots is left out.
     """
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 
@@ -117,10 +121,11 @@ def scenario_fleet(
     emulator: str | None,
     tell: Tell,
 ) -> FleetSpec:
-    """The fleet of a scenario, which is a name of `exp list` or a YAML file.
+    """The fleet of a scenario: its arena, robots, fields and radio, with one seed.
 
-    `overrides`: by dotted key of the file. `tell` is called with notes. ConfigError names the wrong
-    key.
+    `scenario`: a name of `exp list` or a YAML file. `folder`: for logs and state. `overrides`: by
+    dotted key of the file. `emulator`: as in `plain_fleet`. `tell` is called with notes.
+    ConfigError names the wrong key.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.live_scenario import LiveScenario, check_live
@@ -129,7 +134,7 @@ def scenario_fleet(
     loaded = load_scenario(scenario, overrides)
     check_emulator(emulator)
     check_live(loaded, MAX_ROBOTS, emulator)
-    loaded.starts(seed)  # raises without room
+    loaded.starts(seed)  # ConfigError if the arena has no room for the robots
     for note in loaded.notes:
         tell(f"note: {note}")
     return FleetSpec(

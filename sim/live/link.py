@@ -64,9 +64,9 @@ class PendingRequest:
 
 
 class WorldLink:
-    """The world's side: sends sensor data, keeps the newest command of each robot.
+    """The simulated world's link to daemons and viewers: sensor data out, newest commands in.
 
-    Daemons connect to `endpoint`, viewers to `viewers`.
+    Daemons connect to `endpoint`, viewers (Zenoh clients) to `viewers`.
     """
 
     def __init__(
@@ -77,21 +77,24 @@ class WorldLink:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Listen; NetworkError if the endpoint is in use, ConfigError if invalid.
+        """Listen at `endpoint` for daemons, and at a free port of the same host for viewers.
 
-        Port 0 selects a free port, which `endpoint` then holds.
+        `ids`: the robots. Port 0 selects a free port, which `self.endpoint` then holds. `clock`
+        stamps arrivals of commands. NetworkError if the endpoint is in use, ConfigError if invalid.
         """
-        self._lock = threading.Lock()
-        self._commands: dict[str, Command] = {}
-        self._grips: dict[str, bool] = {}
+        self._lock = threading.Lock()  # guards `_requests`, which a Zenoh thread fills
+        self._commands: dict[str, Command] = {}  # newest, by robot
+        self._grips: dict[str, bool] = {}  # newest command of the gripper, by robot; True: closed
         self._messages: list[hw_codec.MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
         self._dropped = 0
+
         self._robots = RobotServer(endpoint, swarm, ids, "the world", clock=clock)
         self.endpoint = self._robots.endpoint
+
         host = read_endpoint(self.endpoint, "").host
-        host = f"[{host}]" if ":" in host else host
+        host = f"[{host}]" if ":" in host else host  # IPv6
         self._session, self.viewers = open_listening(f"tcp/{host}:0", _OPTIONS, "the world")
         tune_sockets(self._session, LEASE)
         self._state = self._session.declare_publisher(state_key(swarm))
@@ -196,9 +199,9 @@ class WorldLink:
 
 
 class WorldView:
-    """The viewer's side of a world's session: receives states and sends requests.
+    """A viewer's Zenoh session with a simulated world: receives states and sends requests.
 
-    A context manager; `close` closes the session.
+    A context manager, which closes the session.
     """
 
     def __init__(self, swarm: str, endpoint: str) -> None:
@@ -227,9 +230,10 @@ class WorldView:
         return self._ask(WorldRequest(action=action), timeout)
 
     def place(self, box: str, pose: Triple, timeout: float = 10.0) -> WorldState:
-        """Put a movable box at rest at x, y in m and yaw in rad; returns the state afterwards.
+        """Put a movable box at x, y in m and yaw in rad, at rest; returns the state afterwards.
 
-        Raises SwarmError if the box does not fit or does not exist; NetworkError as `ask`.
+        SwarmError if the box does not fit there or does not exist. NetworkError if the world does
+        not reply within `timeout` s.
         """
         return self._done(WorldRequest(action="place", box=box, pose=pose), timeout)
 
@@ -301,9 +305,9 @@ class Command:
 
 
 class EmulatorTransport:
-    """The emulated interface of a ROS driver, in place of the world's own links to robots.
+    """The emulated interface of a ROS driver, in place of the world's own links to daemons.
 
-    `side`: the emulator, which is the hub of the ROS driver: the endpoint that daemons connect to.
+    `side`: the emulator. It stands for the ROS bridge or router that daemons connect to.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""A world in real time: steps on deadlines, publishes sensor data, applies commands.
+"""A simulated world in real time: steps on deadlines, publishes sensor data, applies commands.
 
-A command whose decision rests on a scan older than `stale_after` counts as zero: commands that a
-frozen daemon left in its socket arrive when it resumes. Commands to an emulated robot do not name
-their scan, so it follows them, as a real base would.
+A command that was decided with a scan older than `stale_after` counts as zero. Such commands come
+from a frozen daemon: they wait in its socket and arrive when the daemon resumes. Commands to an
+emulated robot do not name their scan. The emulated robot obeys them, as a real base would.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class RealTimeWorld:
         seed: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` is the clock with which `link` and `emulated` stamp arrivals.
+        """`clock` gives the time in s; `link` and `emulated` stamp arrivals with the same clock.
 
-        - `radio`: gives the neighbors. Without a radio, no neighbors are published and all robots
-          hear all.
-        - `emulated`: the source of the robots' sensors and commands instead of the link.
+        - `radio`: gives the neighbors. Without a radio, no neighbors are published and each robot
+          hears all robots.
+        - `emulated`: exchanges sensor data and commands with daemons in place of `link`.
         - `command_timeouts`: for each robot the seconds without a command after which its base
-          stops, inf for never, by default `COMMAND_TIMEOUT`.
-        - `seed`: of the order in which the robots' sensors measure, which favours no row.
+          stops, inf for never; None: COMMAND_TIMEOUT for all.
+        - `seed`: of the random order in which the sensors of the robots measure.
         """
         self._world = world
         self._link = link
@@ -70,13 +70,18 @@ class RealTimeWorld:
         self._radio, self._emulated = radio, emulated
         self._transport = emulated or link
         n, start = len(world.ids), world.time
+
+        # Commands; row i of each array belongs to robot i.
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
-        self._commands = np.zeros((n, 3))
-        self._arrivals = np.full(n, -np.inf)
+        self._commands = np.zeros((n, 3))  # linear, angular, lateral
+        self._arrivals = np.full(n, -np.inf)  # s, of the newest command; -inf: no command yet
         self._command_timeouts: Array = np.array(command_timeouts or [COMMAND_TIMEOUT] * n)
-        self._sent_seq = np.full(n, -1)
-        self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
+        self._sent_seq = np.full(n, -1)  # of the newest scan
+        # The number of scans after which a scan is stale.
+        self._stale_scans = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
+
+        # Schedules of sensors and states, in simulated time.
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._sensor_times = SensorTimes(
@@ -91,8 +96,8 @@ class RealTimeWorld:
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
-        # The robots whose daemons commanded them lately.
-        self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
+        # The robots with a fresh command when neighbors were last published to all.
+        self._last_commanded: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
 
@@ -123,19 +128,20 @@ class RealTimeWorld:
             self._answer(pending)
 
     def _is_fresh(self, now: float) -> NDArray[np.bool_]:
-        # NaN before the first command: then none is fresh, even without a timeout.
-        quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
-        return np.less_equal(quiet, self._command_timeouts)
+        """Which robots (n,) have a command that is not older than their command timeout."""
+        # NaN before the first command, so that the timeout inf does not make it fresh.
+        command_age = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
+        return np.less_equal(command_age, self._command_timeouts)
 
     def _take_commands(self) -> None:
         for robot, command in self._transport.take_commands().items():
             row = self._rows[robot]
             seq = command.scan_seq
             twist = command.twist
-            # A frozen daemon's queued commands arrive when it resumes.
-            is_late = seq is not None and self._sent_seq[row] - seq > self._too_old[row]
+            # A frozen daemon's queued commands arrive when the daemon resumes.
+            is_stale = seq is not None and self._sent_seq[row] - seq > self._stale_scans[row]
             received = (twist.linear, twist.angular, twist.lateral)
-            self._commands[row] = (0.0, 0.0, 0.0) if is_late else received
+            self._commands[row] = (0.0, 0.0, 0.0) if is_stale else received
             self._arrivals[row] = command.arrival
         for robot, is_closed in self._link.take_grips().items():
             self._world.grips[self._rows[robot]] = is_closed
@@ -159,31 +165,34 @@ class RealTimeWorld:
             self._link.publish_state(self._state())
 
     def _publish_radio(self, radio: Radio) -> None:
-        """Carry messages, and tell robots their neighbors: robots whose daemons command them.
+        """Send robots their neighbors, and carry messages of patterns by the simulated radio.
 
-        When a daemon comes or goes all robots are told at once, so that robots that start together
-        hear one another from then on.
+        Neighbors are only robots whose daemons command them. Each robot gets its neighbors at its
+        own instants. When a daemon begins or ends to command, all robots get their neighbors at
+        once, so that robots that start together hear one another from then on.
         """
         world, ids = self._world, self._world.ids
-        messages, due = self._link.take_messages(), self._neighbors_due.due(world.time)
-        there = self._is_fresh(self._clock())
-        if not np.array_equal(there, self._there):
-            self._there, due = there, np.arange(len(ids))
-        if messages or len(due):
+        messages, due_rows = self._link.take_messages(), self._neighbors_due.due(world.time)
+        is_commanded = self._is_fresh(self._clock())
+        if not np.array_equal(is_commanded, self._last_commanded):
+            self._last_commanded, due_rows = is_commanded, np.arange(len(ids))
+        if messages or len(due_rows):
             poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
             for wire in messages:
                 row = self._rows[wire.robot]
                 radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
-            for row in due.tolist():
+            for row in due_rows.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
-                present = tuple(n for n in neighbors if there[self._rows[n.id]])
-                self._transport.send(ids[row], NeighborsInput(present))
+                commanded = tuple(n for n in neighbors if is_commanded[self._rows[n.id]])
+                self._transport.send(ids[row], NeighborsInput(commanded))
+
+        # Messages whose delay is over go to their receivers.
         arrived: dict[int, list[MessageWire]] = {}
-        for hearer, sender, channel, payload in radio.arrived(world.time):
+        for receiver, sender, channel, payload in radio.arrived(world.time):
             wire = MessageWire(ids[sender], channel, cast(bytes, payload))
-            arrived.setdefault(hearer, []).append(wire)
-        for hearer, wires in arrived.items():
-            self._link.messages(ids[hearer], wires)
+            arrived.setdefault(receiver, []).append(wire)
+        for receiver, wires in arrived.items():
+            self._link.messages(ids[receiver], wires)
 
     def _answer(self, pending: PendingRequest) -> None:
         try:

@@ -74,51 +74,62 @@ def _read_options(text: str) -> WorldOptions:
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
     """Yield a function that is True after SIGTERM or SIGINT; restores the handlers at the end."""
-    came: list[int] = []
+    received: list[int] = []
 
-    def note(number: int, frame: FrameType | None) -> None:
-        came.append(number)
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        received.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    old_handlers = {
+        number: signal.signal(number, on_signal) for number in (signal.SIGTERM, signal.SIGINT)
+    }
     try:
-        yield lambda: bool(came)
+        yield lambda: bool(received)
     finally:
-        for number, handler in before.items():
+        for number, handler in old_handlers.items():
             signal.signal(number, handler)
 
 
 def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
+    """Run the world of `options` in real time until `is_over`, then write the trace, if any.
+
+    Prints one JSON line once daemons and viewers can connect.
+    """
+    # 1. The world and its recorder.
     swarm = check_id(options.swarm, "swarm")
     scenario = _scenario(options)
     robots = scenario.robots
-    # Over ROS, a scan tells one time from each ray to the next.
+    # A simulated scan has one time for each sector. A ROS scan has one time step from ray to ray,
+    # so its sectors must be small.
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
     meta = {**meta_of(scenario, options.seed), "swarm": swarm}
     if options.scenario is None:
         meta |= {"layout": options.layout, "realism": options.realism}
     trace = None if options.trace is None else Path(options.trace)
     settings = RecorderSettings(trace, options.trace_rate, options.seconds, meta)
-    record = LiveRecorder(world, settings)
-    with ExitStack() as opened:
+    recorder = LiveRecorder(world, settings)
+
+    with ExitStack() as exit_stack:
+        # 2. The link to daemons: the simulated driver, or an emulated ROS robot.
         link = WorldLink(swarm, robots, options.endpoint)
-        opened.callback(link.close)
+        exit_stack.callback(link.close)
         driver = DRIVER
         driver_options: dict[str, Value] = {"endpoint": link.endpoint}
-        timeouts = None
+        command_timeouts = None
         if needs_radio(scenario.radio):
             driver_options["radio"] = True
         emulated = None
         if options.emulator is not None:
             emulated = _make_emulator(options.emulator, options.emulator_endpoint, scenario)
-            opened.callback(emulated.side.close)
+            exit_stack.callback(emulated.side.close)
             driver, driver_options = options.emulator, dict(emulated.side.driver_options)
-            timeouts = [
+            command_timeouts = [
                 stops_after(p.drivers.get(driver, {}), f"platform {p.name}: drivers.{driver}")
                 for p in robots.values()
             ]
         ready = {"endpoint": link.viewers, "swarm": swarm, "driver": driver}
         print(json.encode({**ready, "driver_options": driver_options}).decode(), flush=True)
-        # The objects of the set-up stay alive; freezing spares each collection a walk through them.
+
+        # 3. The loop. Garbage collections skip the objects of the set-up, which stay alive.
         gc.collect()
         gc.freeze()
         # Without a radio no neighbors are published; daemons then assume that all hear each other.
@@ -128,10 +139,10 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         live = RealTimeWorld(
             world,
             link,
-            record,
+            recorder,
             radio=radio,
             emulated=emulated,
-            command_timeouts=timeouts,
+            command_timeouts=command_timeouts,
             seed=options.seed,
         )
         live.run(is_over)

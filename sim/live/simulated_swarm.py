@@ -60,11 +60,11 @@ class SimulatedSwarm:
         return () if self._fleet is None else self._fleet.robots
 
     def start(self) -> Self:
-        """Start the world and the daemons; return once all robots are up, after about 2 s.
+        """Start the world and the daemons; returns once all robots are up, after about 2 s.
 
-        Call `start` from the main thread: the processes end with the thread that started them.
-        SwarmError with the path of a log if a process ends meanwhile; all other processes are then
-        ended, too.
+        Call `start` from the main thread, since the processes end with the thread that started
+        them. If a process ends during the start, all processes are ended, and SwarmError names the
+        log of the process.
         """
         from swarmd.sim.live.fleet import Fleet
         from swarmd.sim.live.link import WorldView
@@ -126,13 +126,13 @@ def demo(
 
     The parameters are those of `swarmctl sim up`.
 
-    - `scenario`: a name of `swarmctl exp list`, or a YAML file. With a scenario, of the parameters
-      from `robots` to `plugin_dir` only `seed` has an effect.
+    - `scenario`: a name of `swarmctl exp list`, or a YAML file. A scenario replaces all parameters
+      from `robots` to `plugin_dir` except for `seed`.
     - `set`: overrides of the scenario by dotted key.
-    - `swarm`: the name of the swarm, by default a new name.
+    - `swarm`: the name of the swarm; None: a new name.
 
-    ConfigError for a wrong value, for most values when the swarm starts. PluginError without MuJoCo
-    (`pip install 'swarmd[sim]'`).
+    ConfigError for a wrong value. Most values are checked when the swarm starts. PluginError
+    without MuJoCo (`pip install 'swarmd[sim]'`).
     """
     from swarmd.core.keys import check_id
     from swarmd.plugins import need
@@ -144,7 +144,7 @@ def demo(
     if not isinstance(robots, int) or not 1 <= robots <= MAX_ROBOTS:
         raise ConfigError(f"robots is {robots!r}; expected 1 to {MAX_ROBOTS}")
 
-    def make(folder: Path) -> FleetSpec:
+    def make_spec(folder: Path) -> FleetSpec:
         if scenario is not None:
             overrides = dict(set or {})
             return scenario_fleet(
@@ -168,7 +168,7 @@ def demo(
             plugin_dir=None if plugin_dir is None else Path(plugin_dir),
         )
 
-    return SimulatedSwarm(make, name)
+    return SimulatedSwarm(make_spec, name)
 
 
 def check_free(operator: Operator, spec: FleetSpec, how: str) -> None:
@@ -183,17 +183,20 @@ def check_free(operator: Operator, spec: FleetSpec, how: str) -> None:
 
 @contextmanager
 def kept_folder(keep: Path | None) -> Iterator[Path]:
-    """The folder for logs and state: `keep`, or a temporary one that stays only after a failure."""
+    """Yield the folder for logs and state: `keep`, or for None a temporary folder.
+
+    The temporary folder is removed at the end, except after a SwarmError, for its logs.
+    """
     if keep is not None:
         yield keep
         return
     folder = Path(tempfile.mkdtemp(prefix="swarmd-sim-"))
-    is_wanted = False
+    has_logs_of_failure = False
     try:
         yield folder
     except SwarmError:
-        is_wanted = any(folder.iterdir())  # there are logs to read
+        has_logs_of_failure = any(folder.iterdir())
         raise
     finally:
-        if not is_wanted:
+        if not has_logs_of_failure:
             shutil.rmtree(folder, ignore_errors=True)

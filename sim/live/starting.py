@@ -39,44 +39,48 @@ class Started:
 def await_robots(
     operator: Operator, fleet: Fleet, tell: Callable[[str], object] | None = None
 ) -> MembersView:
-    """Wait until the robots reach their bases and are neighbors of each other; return the swarm.
+    """Wait until all robots of the fleet are up; returns their members and statuses.
 
+    A robot is up when its daemon reaches its base. The robots must also be neighbors of each other.
     The wait ends after UP_TIMEOUT s and UP_TIMEOUT_EACH s per robot, also if only some robots are
-    up. `tell` is called with the number of robots that are up each TELL_PERIOD s. SwarmError if a
-    process ends meanwhile. NetworkError if no robot is up in time.
+    up. `tell` is called each TELL_PERIOD s with the number of robots that are up. SwarmError if a
+    process of the fleet ends. NetworkError if no robot is up in time.
     """
     robots = fleet.robots
     timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
-    begin = told = time.monotonic()
-    deadline = begin + timeout
+    start_time = last_told = time.monotonic()
+    deadline = start_time + timeout
     while True:
         fleet.check()
         view = operator.members()
         up = {name for name, status in statuses_of(view).items() if status.health.driver_up}
-        is_over = time.monotonic() > deadline
-        is_up = up.issuperset(robots) and know_each_other(view, robots, fleet.spec.all_hear_all)
-        if is_up or (up and is_over):
+        is_timed_out = time.monotonic() > deadline
+        are_all_up = up.issuperset(robots)
+        if are_all_up and know_each_other(view, robots, fleet.spec.all_hear_all):
             return view
-        if is_over:
+        if up and is_timed_out:
+            return view
+        if is_timed_out:
             raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
-        if tell is not None and time.monotonic() - told > TELL_PERIOD:
-            told = time.monotonic()
-            tell(f"{len(up)} of {len(robots)} robots are up after {told - begin:.0f} s")
+        if tell is not None and time.monotonic() - last_told > TELL_PERIOD:
+            last_told = time.monotonic()
+            tell(f"{len(up)} of {len(robots)} robots are up after {last_told - start_time:.0f} s")
         time.sleep(UP_PERIOD)
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """True if neighborhood is mutual: robot a lists b as a neighbor if and only if b lists a.
+    """Whether for each two robots, either both list each other as neighbors, or neither does.
 
-    `robots` have all answered. `all_hear_all`: all robots must also be neighbors of each other,
-    since two robots that have just started list no neighbors. True for more than MAX_NEIGHBORS
-    robots, since a status lists no more neighbors.
+    `view`: the statuses, one of each of `robots`. `all_hear_all`: all robots must list each other,
+    since robots that have just started list no neighbors. True for more than MAX_NEIGHBORS robots,
+    since a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
-    heard = {robot: status.neighbors for robot, status in statuses_of(view).items()}
+    neighbors_of = {robot: status.neighbors for robot, status in statuses_of(view).items()}
     return all(
-        (b in heard[a]) == (a in heard[b]) and (b in heard[a] or not all_hear_all)
+        (b in neighbors_of[a]) == (a in neighbors_of[b])
+        and (b in neighbors_of[a] or not all_hear_all)
         for a, b in combinations(robots, 2)
     )
 
@@ -91,36 +95,37 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 
 
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
-    """Carry out a run event in at most RUN_ATTEMPTS requests to robots that do not run yet.
+    """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
 
-    ConfigError if all robots refuse the first request. SwarmError if no robot runs the pattern
-    after the last request.
+    `view`: the members, for the first request. A later request goes to the robots that do not run
+    the pattern yet. ConfigError if all robots refuse the first request. SwarmError if no robot runs
+    the pattern after the last request.
     """
     waiting = run.robots
-    started: set[str] = set()
-    late: set[str] = set()
+    started_at_once: set[str] = set()
+    started_late: set[str] = set()
     for attempt in range(RUN_ATTEMPTS):
         if attempt:
+            # A robot may run the pattern although its acknowledgement was late or lost.
             view = operator.members()
-            # A robot runs although its acknowledgement was late or lost.
             running = {
                 name
                 for name, status in statuses_of(view).items()
                 if status.state is State.RUNNING and status.pattern == run.pattern
             }
-            late |= running.intersection(waiting)
-            waiting = tuple(name for name in waiting if name not in late)
+            started_late |= running.intersection(waiting)
+            waiting = tuple(name for name in waiting if name not in started_late)
         outcome = operator.request(RunRequest, view.epochs(waiting), **run_fields(run))
         if not attempt and len(outcome.refused) == len(waiting):
             raise ConfigError(why_not("run", outcome))
-        (late if attempt else started).update(outcome.applied)
+        (started_late if attempt else started_at_once).update(outcome.applied)
         waiting = tuple(name for name in waiting if name not in outcome.applied)
         if not waiting:
             break
-    started |= late
+    started = started_at_once | started_late
     if not started:
         raise SwarmError(why_not("run", outcome))
-    return Started(tuple(sorted(started)), tuple(sorted(late)), _texts(outcome))
+    return Started(tuple(sorted(started)), tuple(sorted(started_late)), _texts(outcome))
 
 
 def joined(parts: Iterable[Started]) -> Started:
@@ -154,9 +159,9 @@ def _texts(outcome: Outcome) -> dict[str, str]:
 
 
 def why_not(verb: str, outcome: Outcome) -> str:
-    """The outcome of a request in one line: counts, then each reason with its robots.
+    """Why a request failed, in one line: counts of robots, then each reason with its robots.
 
-    One reason that all robots share is given without names.
+    If all robots have the same reason, no names are given.
     """
     by_text: dict[str, list[str]] = {}
     for name, text in sorted(_texts(outcome).items()):

@@ -67,30 +67,35 @@ def series_figure(
 
     SwarmError without values.
     """
-    kept = {panel: _smoothed(groups, smoothing) for panel, groups in facets.items()}
-    kept = {panel: groups for panel, groups in kept.items() if groups}
-    every = [run for groups in kept.values() for runs in groups.values() for run in runs]
-    if not every:
+    # 1. The runs of each panel and variant that have values.
+    facets = {panel: _smoothed(variants, smoothing) for panel, variants in facets.items()}
+    facets = {panel: variants for panel, variants in facets.items() if variants}
+    runs_of_variants = [runs for variants in facets.values() for runs in variants.values()]
+    all_runs = [run for runs in runs_of_variants for run in runs]
+    if not all_runs:
         raise SwarmError(f"{label}: no run has values over time: nothing to draw")
-    is_share = is_yes_or_no(every)
-    legend = Legend.of(kept)
-    figure, panels = new_series_figure(list(kept), legend, width)
-    for axes, groups in zip(panels, kept.values(), strict=True):
-        for name, runs in groups.items():
+    is_share = is_yes_or_no(all_runs)
+
+    # 2. The panels.
+    legend = Legend.of(facets)
+    figure, panels = new_series_figure(list(facets), legend, width)
+    for axes, variants in zip(panels, facets.values(), strict=True):
+        for name, runs in variants.items():
             bands = shares_of(runs) if is_share else bands_of(runs)
-            _paint_variant(axes, bands, legend.style(name), len(groups), legend.text(name))
+            _paint_variant(axes, bands, legend.style(name), len(variants), legend.text(name))
         if target is not None:
             paint_target(axes, target)
-        for time, word in events:
-            _paint_event(axes, time, word)
+        for time, event in events:
+            _paint_event(axes, time, event)
         axes.margins(x=0.01)
-        if is_count(every) and not is_share:
+        if is_count(all_runs) and not is_share:
             axes.locator_params(axis="y", integer=True)
+
+    # 3. The texts.
     note = f"; running mean over {smoothing:g} s" if smoothing > 0.0 else ""
-    reading = _reading([runs for groups in kept.values() for runs in groups.values()],
-                       len(legend.counts), is_share=is_share)  # fmt: skip
+    explanation = _explanation(runs_of_variants, len(legend.counts), is_share=is_share) + note
     text = f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]"
-    return finish_series(figure, panels, text, title, reading + note, legend, width, axis)
+    return finish_series(figure, panels, text, title, explanation, legend, width, axis)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,18 +129,23 @@ class Legend:
 def new_series_figure(
     panels: Sequence[str], legend: Legend, width: float | None
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of panels over time, and its axes, with room for the legend."""
-    rows = 0 if len(legend.counts) == 1 else len(legend.counts)
-    many = len(panels)
-    columns = many if width is None or width >= _TWO_COLUMNS else 1
+    """A new figure with axes for each of `panels` (names), and room for the legend.
+
+    `width`: in inches, for a paper, in which the legend stands above the panels; else it stands on
+    their right.
+    """
+    legend_lines = 0 if len(legend.counts) == 1 else len(legend.counts)
+    count = len(panels)
+    columns = count if width is None or width >= _TWO_COLUMNS else 1
+    rows = -(-count // columns)  # rounded up
     if width is not None:
-        height = 0.62 * width / columns * -(-many // columns) + 0.15 * rows
-        figure = new_figure(width, height)
+        figure = new_figure(width, 0.62 * width / columns * rows + 0.15 * legend_lines)
     else:
-        aside = 0.9 + 0.07 * max(map(len, map(legend.text, legend.counts))) if rows else 0.0
-        across = 7.5 if many == 1 else 4.2 * many
-        figure = new_figure(across + aside, max(4.2, 0.9 + 0.22 * rows))
-    grid = figure.subplots(-(-many // columns), columns, squeeze=False, sharex=True, sharey=True)
+        longest = max(map(len, map(legend.text, legend.counts)))
+        legend_width = 0.9 + 0.07 * longest if legend_lines else 0.0
+        panels_width = 7.5 if count == 1 else 4.2 * count
+        figure = new_figure(panels_width + legend_width, max(4.2, 0.9 + 0.22 * legend_lines))
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, name in zip(grid.flat, panels, strict=True):
         tidy(axes)
         if name:
@@ -148,12 +158,16 @@ def finish_series(
     panels: Sequence[Axes],
     label: str,
     title: str,
-    reading: str,
+    explanation: str,
     legend: Legend,
     width: float | None,
     axis: str = "",
 ) -> Figure:
-    """Name the axes, and add title, legend (named `axis`) and how to read the figure."""
+    """Add axis labels, titles and a legend to a figure of panels over time; returns the figure.
+
+    `label`: of the vertical axes. `explanation`: how to read lines and bands. `width`: in inches,
+    for a paper, or None. `axis`: the title of the legend.
+    """
     first = panels[0]
     for axes in panels:
         if axes.get_subplotspec().is_last_row():  # type: ignore[union-attr]
@@ -162,30 +176,35 @@ def finish_series(
             axes.set_ylabel(label)
     if len(panels) == 1:
         first.set_title(title, fontsize=11, loc="left", gid=NOTE)
-        first.set_title(reading, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
+        first.set_title(explanation, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
     else:
         figure.suptitle(title, fontsize=11, gid=NOTE)
-        figure.supxlabel(reading, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+        figure.supxlabel(explanation, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     if len(legend.counts) > 1:
-        lines: dict[str, Line2D] = {}
+        # Each variant once, in the order of the legend; a variant may be absent in some panels.
+        line_of: dict[str, Line2D] = {}
         for axes in panels:
             handles, texts = axes.get_legend_handles_labels()
-            lines |= dict(zip(texts, handles, strict=True))
+            line_of |= dict(zip(texts, handles, strict=True))
+        texts = [text for text in map(legend.text, legend.counts) if text in line_of]
+        lines = [line_of[text] for text in texts]
         style: Any = {"frameon": False, "fontsize": 9, "borderaxespad": 0.2}
-        where: Any = "outside right upper" if width is None else "outside upper left"
-        kept = [text for text in map(legend.text, legend.counts) if text in lines]
-        figure.legend([lines[text] for text in kept], kept, loc=where, title=axis or None, **style)
+        place: Any = "outside right upper" if width is None else "outside upper left"
+        figure.legend(lines, texts, loc=place, title=axis or None, **style)
     return fit(figure, width)
 
 
 def _smoothed(
     groups: Mapping[str, Sequence[Series]], seconds: float
 ) -> dict[str, Sequence[Series]]:
-    """The variants that have an instant; each run averaged over so many s, with 0 not at all."""
-    kept = {name: runs for name, runs in groups.items() if any(len(t) for t, _ in runs)}
+    """The runs of each variant of `groups` that has an instant, with their running means.
+
+    `seconds`: the window of the running mean; 0: the values as they are.
+    """
+    known = {name: runs for name, runs in groups.items() if any(len(t) for t, _ in runs)}
     if seconds <= 0.0:
-        return kept
-    return {name: [smoothed(run, seconds) for run in runs] for name, runs in kept.items()}
+        return known
+    return {name: [smoothed(run, seconds) for run in runs] for name, runs in known.items()}
 
 
 def paint_target(axes: Axes, target: float) -> None:
@@ -215,19 +234,28 @@ def _paint_variant(
               label=label)  # fmt: skip
 
 
-def _reading(groups: Sequence[Sequence[Series]], variants: int, *, is_share: bool) -> str:
-    """A text that explains lines and bands."""
-    counts = [len(runs) for runs in groups]
-    own = f", n = {counts[0]}" if len(groups) == 1 and counts[0] > 1 else ""
+def _explanation(
+    runs_of_variants: Sequence[Sequence[Series]], variants: int, *, is_share: bool
+) -> str:
+    """The text below a figure that explains lines and bands.
+
+    `runs_of_variants`: the runs of each line. `variants`: the number of variants, on which depends
+    which bands are drawn.
+    """
+    counts = [len(runs) for runs in runs_of_variants]
+    runs_text = f", n = {counts[0]}" if len(counts) == 1 and counts[0] > 1 else ""
     if max(counts) == 1:
-        return "one run each" if len(groups) > 1 else "one run"
-    is_wide = variants <= _MAX_OUTER
+        return "one run each" if len(counts) > 1 else "one run"
+    has_outer_band = variants <= _MAX_OUTER
     if is_share:
-        return f"share of the runs{', band: its 95 % interval' if is_wide else ''}{own}"
-    words = ["50 %"] if max(counts) > 2 and variants <= _MAX_INNER else []
-    words += [] if not is_wide else ["95 %"] if min(counts) >= MANY_RUNS else ["all"]
-    bands = f", bands: {' and '.join(words)} of the runs" if words else ""
-    return f"line: median{bands}{own}"
+        return (
+            f"share of the runs{', band: its 95 % interval' if has_outer_band else ''}{runs_text}"
+        )
+    bands = ["50 %"] if max(counts) > 2 and variants <= _MAX_INNER else []
+    if has_outer_band:
+        bands.append("95 %" if min(counts) >= MANY_RUNS else "all")
+    bands_text = f", bands: {' and '.join(bands)} of the runs" if bands else ""
+    return f"line: median{bands_text}{runs_text}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,22 +272,22 @@ class Bands:
 
 
 def bands_of(runs: Sequence[Series]) -> Bands:
-    """The median of the runs, the band of half of them, and the band of 95 % of them.
+    """The median of runs over time, a band that holds half of the runs, and a wide band.
 
-    With fewer than MANY_RUNS runs the wide band holds all. The runs are interpolated onto common
-    instants; counts keep their last value instead. A run has no value after its end, and infinite
-    values are left out.
+    The wide band holds 95 % of the runs, or all runs if there are fewer than MANY_RUNS. Runs are
+    interpolated at common instants; a metric that is a count keeps its last value instead. A run
+    has no value after its end, and infinite values are left out.
     """
     t = _common_instants([instants for instants, _ in runs])
-    at = _held if is_count(runs) else _interpolated
-    rows = np.stack([at(t, *run) for run in runs])
-    ends = (0.025, 0.975) if len(runs) >= MANY_RUNS else (0.0, 1.0)
-    found = np.full((5, len(t)), np.nan)
+    value_at = _held if is_count(runs) else _interpolated
+    rows = np.stack([value_at(t, *run) for run in runs])
+    lowest, highest = (0.025, 0.975) if len(runs) >= MANY_RUNS else (0.0, 1.0)
+    quantiles = np.full((5, len(t)), np.nan)
     is_known = np.isfinite(rows).any(axis=0)
     if is_known.any():
-        shares = (ends[0], 0.25, 0.5, 0.75, ends[1])
-        found[:, is_known] = np.nanquantile(rows[:, is_known], shares, axis=0)
-    low, lower, middle, upper, high = found
+        shares = (lowest, 0.25, 0.5, 0.75, highest)
+        quantiles[:, is_known] = np.nanquantile(rows[:, is_known], shares, axis=0)
+    low, lower, middle, upper, high = quantiles
     inner = (lower, upper) if len(runs) > 2 else None
     return Bands(t, middle, inner, (low, high) if len(runs) > 1 else None)
 
@@ -269,11 +297,11 @@ def shares_of(runs: Sequence[Series]) -> Bands:
     t = _common_instants([instants for instants, _ in runs])
     rows = np.stack([_held(t, *run) for run in runs])
     counts, ones = np.isfinite(rows).sum(axis=0), np.nansum(rows, axis=0)
-    found = np.full((3, len(t)), np.nan)
-    for at in np.flatnonzero(counts):
-        interval = wilson(round(ones[at]), int(counts[at]))
-        found[:, at] = ones[at] / counts[at], interval.low, interval.high
-    return Bands(t, found[0], None, (found[1], found[2]) if len(runs) > 1 else None)
+    share, low, high = np.full((3, len(t)), np.nan)
+    for k in np.flatnonzero(counts):
+        interval = wilson(round(ones[k]), int(counts[k]))
+        share[k], low[k], high[k] = ones[k] / counts[k], interval.low, interval.high
+    return Bands(t, share, None, (low, high) if len(runs) > 1 else None)
 
 
 def smoothed(run: Series, seconds: float) -> Series:

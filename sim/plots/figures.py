@@ -53,21 +53,19 @@ CURVE = "curve"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Look:
-    """How the pictures of an experiment are drawn.
+    """Options of the pictures of an experiment."""
 
-    `suffix`: .png, .svg or .pdf. `width` in inches: for a paper, with texts and lines of that size
-    and without titles, of panels of a `facet` too, which have letters. `facet`: a swept key, with
-    a panel for each of its values. `targets` are by metric; `labels`, such as `lidar range [m]`, by
-    metric or swept key. `only`: the kinds of pictures, of KINDS, and CURVE; None: STATISTICS,
-    and KINDS where seeds are chosen.
-    """
-
-    suffix: str = ".png"
+    suffix: str = ".png"  # .png, .svg or .pdf
     only: Collection[str] | None = None
+    """The kinds of pictures, of KINDS and CURVE. None: STATISTICS, or KINDS for chosen seeds."""
     labels: Mapping[str, str] = field(default_factory=dict)
+    """Texts of axes, such as `lidar range [m]`, by metric or swept key."""
     width: float | None = None
+    """Width in inches for a paper: small texts, thin lines, no titles; panels have letters."""
     facet: str | None = None
+    """A swept key; each of its values has a panel."""
     targets: Mapping[str, float] = field(default_factory=dict)
+    """Values of dashed lines, by metric."""
 
 
 def draw_experiment(
@@ -78,51 +76,56 @@ def draw_experiment(
     seeds: Iterable[int] | None = None,
     look: Look | None = None,
 ) -> list[Path]:
-    """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
+    """Draw the pictures of the experiment in `folder`; returns the paths of the files.
 
-    For all variants together: metrics run by run and over time, times to events as survival curves,
-    and differences from the first variant. With `look.only` or `seeds` also for each variant: all
-    runs in one picture, and a typical run (nearest to the median) and the worst run, with their
-    starts and ends. Where neither direction of the metric is good as such, the least typical run
-    is drawn instead of the worst.
-    What has one value in all runs is not drawn.
+    Pictures of all variants together show metrics run by run and over time, times to events as
+    survival curves, and differences from the first variant. A metric with one value in all runs is
+    not drawn. With `look.only` or `seeds`, each variant also has a picture of all runs, and
+    pictures of two runs with their starts and ends: a typical run, nearest to the median, and the
+    worst run. If neither direction of the metric is better, the least typical run is drawn instead
+    of the worst.
 
-    `metrics` replaces the default ones; the first of them selects the typical run. `seeds` limits
-    the runs. A trace that is missing or damaged gives one warning. ConfigError for an unknown
-    metric, seed, facet or folder, SwarmError if no run has finished.
+    - `out`: the folder of the pictures; None: `plots` in the experiment's folder.
+    - `metrics`: in place of the default metrics; the first of them selects the typical run.
+    - `seeds`: the runs to draw; None: all.
+
+    A missing or damaged trace gives one warning. ConfigError for an unknown metric, seed, facet or
+    folder. SwarmError if no run has finished.
     """
     look = look or Look()
-    kinds = look.only if look.only is not None else STATISTICS if seeds is None else KINDS
+    default_kinds = STATISTICS if seeds is None else KINDS
+    kinds = default_kinds if look.only is None else look.only
     gallery = _Gallery(folder, out, metrics, seeds, look)
-    made: list[Path] = []
+    paths: list[Path] = []
     for kind in (*KINDS, CURVE):
         if kind in kinds:
-            made += gallery.draw(kind)
-    return made
+            paths += gallery.draw(kind)
+    return paths
 
 
 def compared_over_time(
     sides: Mapping[str, Side], metric: str | Metric, look: Look | None = None, title: str = ""
 ) -> Figure:
-    """A picture of one metric over time, of variants of several experiments by their labels.
+    """A picture of one metric over time, of variants of several experiments.
 
-    ConfigError for an unknown metric, or one without values over time; SwarmError if a trace is
-    missing.
+    `sides`: a variant of an experiment, by its label in the legend. ConfigError for an unknown
+    metric, or a metric without values over time. SwarmError if a trace is missing.
     """
     look = look or Look()
-    groups: dict[str, list[Series]] = {}
-    found = next(side.results.about(metric) for side in sides.values())
+    runs_by_label: dict[str, list[Series]] = {}
+    found_metric = next(side.results.about(metric) for side in sides.values())
     for label, side in sides.items():
         for run, trace in zip(side.results.runs, side.results.traces, strict=True):
-            if run.variant.name == side.variant and (one := series(trace, found)) is not None:
-                groups.setdefault(label, []).append((trace.t - trace.t[0], one))
+            values = series(trace, found_metric) if run.variant.name == side.variant else None
+            if values is not None:
+                runs_by_label.setdefault(label, []).append((trace.t - trace.t[0], values))
     return series_figure(
-        {"": groups},
-        label=select.label_of(select.stem_of(found.name)),
-        unit=found.unit,
+        {"": runs_by_label},
+        label=select.label_of(select.stem_of(found_metric.name)),
+        unit=found_metric.unit,
         title=title,
-        target=look.targets.get(found.name),
-        smoothing=select.smoothing_of(found.name),
+        target=look.targets.get(found_metric.name),
+        smoothing=select.smoothing_of(found_metric.name),
         width=look.width,
     )
 
@@ -138,18 +141,21 @@ class _Gallery:
         seeds: Iterable[int] | None,
         look: Look,
     ) -> None:
+        """See `draw_experiment`, also for the errors."""
         self._results = load_results(folder)
         self._metrics = None if metrics is None else [*map(self._results.asked, metrics)]
         self._out = folder / "plots" if out is None else out
         self._look = look
         self._runs = _chosen(self._results, folder, seeds)
+        # The metric that selects the typical and the worst run.
         self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._check_labels()
+        # The panel of each variant, and its label there.
         self._facets = _lettered(
             select.facets_of(self._results.plan, look.facet, self._scenario, look.labels), look
         )
-        self._warned: set[str] = set()
+        self._warned: set[str] = set()  # runs whose trace cannot be drawn
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
         self._has_traces = (folder / "traces").is_dir()
@@ -170,14 +176,14 @@ class _Gallery:
             case "over_time":
                 return self.over_time()
             case "runs":
-                return [path for one in self.variants for path in self.overview(one)]
+                return [path for variant in self.variants for path in self.overview(variant)]
             case _:
-                return [path for one in self.variants for path in self.chosen_runs(one)]
+                return [path for variant in self.variants for path in self.chosen_runs(variant)]
 
     def _check_labels(self) -> None:
         swept = self._results.plan.sweep
         known = {*swept, *(key.rpartition(".")[2] for key in swept), *self._results.metrics}
-        known |= {one.name for one in self._metrics or ()}
+        known |= {metric.name for metric in self._metrics or ()}
         for name in self._look.labels:
             if name not in known:
                 raise ConfigError(f"--label: {unknown('swept key or metric', name, known)}")
@@ -212,72 +218,74 @@ class _Gallery:
     def _run_by_run(self) -> list[Panel]:
         """A panel for each metric and facet whose values differ."""
         panels = []
-        for one in self._asked(select.RUN_BY_RUN):
+        for metric in self._asked(select.RUN_BY_RUN):
             for panel, variants in self._by_panel().items():
-                shown = {self._facets[v].label: self._values(one, v) for v in variants}
-                if not self._has_spread(one, panel, list(shown.values())):
+                values = {self._facets[v].label: self._values(metric, v) for v in variants}
+                if not self._has_spread(metric, panel, list(values.values())):
                     continue
-                shown_as = self._quantity(one)
+                quantity = self._quantity(metric)
                 panels.append(
-                    Panel(label=_joined(shown_as.name, panel), unit=shown_as.unit,
-                          values=shown,
-                          quantity=select.stem_of(one.name),
-                          is_share=one.unit == YES_OR_NO,
-                          target=self._look.targets.get(one.name),
-                          is_time_to_event=one.is_time_to_event)
+                    Panel(label=_joined(quantity.name, panel), unit=quantity.unit,
+                          values=values,
+                          quantity=select.stem_of(metric.name),
+                          is_share=metric.unit == YES_OR_NO,
+                          target=self._look.targets.get(metric.name),
+                          is_time_to_event=metric.is_time_to_event)
                 )  # fmt: skip
         return panels
 
     def differences(self) -> list[Path]:
         """The difference of each variant from the first, by metric."""
-        if len(self._runs) < len(self._results.runs):  # of some seeds there are few
+        if len(self._runs) < len(self._results.runs):  # a few chosen seeds show no differences
             return []
         panels = []
-        for one in self._asked(select.RUN_BY_RUN):
-            for panel, (first, *others) in self._by_panel().items():
-                found = {
+        for metric in self._asked(select.RUN_BY_RUN):
+            for panel, (first, *further) in self._by_panel().items():
+                differences = {
                     f"{self._facets[v].label} - {self._facets[first].label}": compare(
-                        Side(first, self._results, first), Side(v, self._results, v), [one]
+                        Side(first, self._results, first), Side(v, self._results, v), [metric]
                     )[0]
-                    for v in others
+                    for v in further
                 }
-                if any(d.interval and d.interval != (0.0, 0.0) for d in found.values()):
-                    shown_as = self._quantity(one)
-                    label = _joined(shown_as.name, panel)
-                    panels.append(DifferencePanel(label, shown_as.unit, found))
+                if any(d.interval and d.interval != (0.0, 0.0) for d in differences.values()):
+                    quantity = self._quantity(metric)
+                    label = _joined(quantity.name, panel)
+                    panels.append(DifferencePanel(label, quantity.unit, differences))
         if not panels:
             return []
         figure = differences_figure(panels, self._scenario, width=self._look.width, axis=self._axis)
         return [self._save(figure, "differences")]
 
     def survival(self) -> list[Path]:
-        """Times to an event, as the share of runs that have not had it yet."""
-        made = []
-        for one in self._asked(select.OVER_TIME):
-            facets: dict[str, dict[str, Times]] = {}
+        """A picture for each time to an event: over time, the share of runs without the event.
+
+        Without a picture if the event never happened.
+        """
+        paths = []
+        for metric in self._asked(select.OVER_TIME):
+            if not metric.is_time_to_event:
+                continue
+            facets: dict[str, dict[str, Times]] = {}  # by panel and label
+            has_event = False
             for panel, variants in self._by_panel().items():
-                for v in variants:
-                    duration = float(self._of(v)[0].variant.effective["duration"])
-                    values = self._values(one, v)
+                for variant in variants:
+                    duration = float(self._of(variant)[0].variant.effective["duration"])
+                    values = self._values(metric, variant)
                     times = Times(values, np.full(len(values), duration))
-                    facets.setdefault(panel, {})[self._facets[v].label] = times
-            has_event = any(
-                np.isfinite(times.times).any()
-                for some in facets.values()
-                for times in some.values()
-            )
-            if one.is_time_to_event and has_event:
-                name = self._quantity(one).name
-                is_renamed = one.name in self._look.labels
+                    facets.setdefault(panel, {})[self._facets[variant].label] = times
+                    has_event = has_event or bool(np.isfinite(values).any())
+            if has_event:
+                name = self._quantity(metric).name
+                is_renamed = metric.name in self._look.labels
                 figure = survival_figure(
                     facets,
-                    event=name if is_renamed else one.event or f"the event of {name}",
+                    event=name if is_renamed else metric.event or f"the event of {name}",
                     title=self._scenario,
                     width=self._look.width,
                     axis=self._axis,
                 )
-                made.append(self._save(figure, f"survival_{one.name}"))
-        return made
+                paths.append(self._save(figure, f"survival_{metric.name}"))
+        return paths
 
     def overview(self, variant: str) -> list[Path]:
         """All runs of a variant in one picture."""
@@ -302,50 +310,56 @@ class _Gallery:
         if self._primary is None:
             return self._first_of(runs, "first")[0]
         values = self._values(self._primary, variant)
-        nearest = [runs[k] for k in select.typical_first(values)]
-        made, typical = self._first_of(nearest, "typical")
+        nearest_first = [runs[k] for k in select.typical_first(values)]
+        paths, typical = self._first_of(nearest_first, "typical")
         order, word = select.worst_first(values, self._primary.better)
-        # If the trace of the worst is lost, the next one is not the worst.
+        # Only the worst run: if its trace is lost, no second run takes its place.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
-        return made + self._first_of(worst, word)[0]
+        return paths + self._first_of(worst, word)[0]
 
     def over_time(self) -> list[Path]:
-        """Metrics over time, of all variants."""
-        asked = [one for one in self._asked(select.OVER_TIME) if not one.is_time_to_event]
+        """A picture of each metric over time whose values differ."""
+        # 1. Values over time, by metric, panel and label. Each trace is loaded once.
+        asked = [metric for metric in self._asked(select.OVER_TIME) if not metric.is_time_to_event]
         metrics = select.metrics_over_time(asked)
-        found: dict[str, dict[str, dict[str, list[Series]]]] = {one.name: {} for one in metrics}
-        events: set[tuple[tuple[float, str], ...]] = set()
+        runs_of: dict[str, dict[str, dict[str, list[Series]]]] = {m.name: {} for m in metrics}
+        events: set[tuple[tuple[float, str], ...]] = set()  # times and texts of each run
         for run in self._runs if metrics and self._has_traces else ():
             trace = self._trace(run)
             if trace is not None:
                 events.add(select.events_of(trace))
                 facet = self._facets[run.variant.name]
-                for one in metrics:
-                    values = None if one.series is None else one.series(trace)
+                for metric in metrics:
+                    values = None if metric.series is None else metric.series(trace)
                     if values is not None and np.isfinite(values).any():
-                        groups = found[one.name].setdefault(facet.panel, {})
-                        own = trace.t - trace.t[0], values.astype(np.float64)
-                        groups.setdefault(facet.label, []).append(own)
-        made = []
-        for one in metrics:
-            if _varies(found[one.name]):
-                shown_as = self._quantity(one, select.stem_of(one.name))
+                        by_label = runs_of[metric.name].setdefault(facet.panel, {})
+                        run_values = trace.t - trace.t[0], values.astype(np.float64)
+                        by_label.setdefault(facet.label, []).append(run_values)
+
+        # 2. The pictures. Events are drawn if they are the same in all runs.
+        paths = []
+        for metric in metrics:
+            if _varies(runs_of[metric.name]):
+                quantity = self._quantity(metric, select.stem_of(metric.name))
                 figure = series_figure(
-                    found[one.name],
-                    label=shown_as.name,
-                    unit=shown_as.unit,
+                    runs_of[metric.name],
+                    label=quantity.name,
+                    unit=quantity.unit,
                     axis=self._axis,
                     title=self._scenario,
-                    target=self._look.targets.get(one.name),
+                    target=self._look.targets.get(metric.name),
                     events=next(iter(events)) if len(events) == 1 else (),
-                    smoothing=select.smoothing_of(one.name),
+                    smoothing=select.smoothing_of(metric.name),
                     width=self._look.width,
                 )
-                made.append(self._save(figure, f"over_time_{select.stem_of(one.name)}"))
-        return made
+                paths.append(self._save(figure, f"over_time_{select.stem_of(metric.name)}"))
+        return paths
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
-        """Pictures of the first run with a trace, and that run."""
+        """Draw the first of `runs` that has a trace, as a `word` run ("typical", "worst").
+
+        Returns the paths of two pictures and the run; no path and None if no run has a trace.
+        """
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
@@ -389,12 +403,15 @@ class _Gallery:
         return found
 
     def _has_spread(self, metric: Metric, panel: str, values: Sequence[Array]) -> bool:
-        """Whether the values differ, or some runs have none; a line if all are equal."""
-        every = np.concatenate(values)
-        known = every[np.isfinite(every)]
+        """Whether the values differ, or only some runs have a value; warns if all are equal.
+
+        `values`: (runs,) of each variant.
+        """
+        all_values = np.concatenate(values)
+        known = all_values[np.isfinite(all_values)]
         if not known.size:
             return False
-        is_equal = known.size == every.size and np.ptp(known) == 0.0
+        is_equal = known.size == all_values.size and np.ptp(known) == 0.0
         if is_equal and self._metrics is not None:
             where = f" with {panel}" if panel else ""
             text = "%s is %.4g in all runs%s; it is not drawn"

@@ -55,31 +55,28 @@ _PAPER_ROW = 0.75  # of the height of a row
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """A metric in a picture: `values` of each variant's runs, None where a run has none.
-
-    `is_share`: the values are 0 or 1, and their mean is a share of the runs. `is_time_to_event`:
-    None means that the event never happened. Panels of the same `quantity` have the same axis.
-    """
+    """One metric in a figure, for all variants."""
 
     label: str
-    quantity: str = ""
+    quantity: str = ""  # panels of the same quantity have the same axis
     unit: str = ""
     values: Mapping[str, Sequence[float | None] | Array]
-    target: float | None = None
-    is_share: bool = False
-    is_time_to_event: bool = False
+    """The value of each run, by variant; None if a run has no value."""
+    target: float | None = None  # the value of a dashed line
+    is_share: bool = False  # the values are 0 or 1, and their mean is a share of the runs
+    is_time_to_event: bool = False  # None means that the event never happened
 
 
 def intervals_figure(
     panels: Sequence[Panel], title: str = "", *, width: float | None = None, axis: str = ""
 ) -> Figure:
-    """A picture of metrics by variant.
+    """A figure with a panel for each metric and a row for each variant.
 
-    One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
-    with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. Rows of numbers stand at their value. One variant
-    with more than three metrics is a table. `width`: in inches, for a paper. `axis` names the rows.
-    SwarmError if there is nothing to draw.
+    A row has a point for every run, and above the points the mean as a diamond with its 95 %
+    interval, of a share Wilson's interval. If an event never happened in some runs, the median of
+    all runs stands in place of the mean. If the variants are numbers, the distances of the rows are
+    the distances of the numbers. One variant with more than three metrics is drawn as a table.
+    `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without panels.
     """
     runs = _runs_of(panels)
     if len(runs) == 1 and len(panels) > _MAX_STRIPS:
@@ -98,9 +95,9 @@ def intervals_figure(
 
 @dataclass(frozen=True, slots=True)
 class PanelRows:
-    """Where the rows of variants stand: `places` (variants,), in rows below the first one.
+    """The vertical places (variants,) of the rows: the distance from the first row, in rows.
 
-    `is_log`: places are logarithms of the values.
+    `is_log`: the distances are those of the logarithms of the variants' values.
     """
 
     places: Sequence[float]
@@ -108,10 +105,12 @@ class PanelRows:
 
 
 def rows_of(names: Sequence[str]) -> PanelRows:
-    """Rows at the values of variants that are rising numbers; else at equal distances.
+    """The places of rows for variants `names`: on a scale if the names are rising numbers.
 
-    The closest two are one row apart. Where this would make a long figure, the logarithms of the
-    values are tried, then equal distances. Two rows are always next to each other.
+    On a scale, the distances of rows are those of the numbers, and the two closest rows are one row
+    apart. If this makes the figure too long, the logarithms of the numbers are tried. Rows have
+    equal distances if this fails, too, if the names are not rising numbers, or if there are fewer
+    than _FEWEST_ON_SCALE rows.
     """
     equal = PanelRows(range(len(names)))
     values = np.array([finite_number(name) for name in names])
@@ -126,7 +125,10 @@ def rows_of(names: Sequence[str]) -> PanelRows:
 
 
 def _runs_of(panels: Sequence[Panel]) -> dict[str, int]:
-    """The most runs of each variant in a panel, by its name in order; SwarmError without panels."""
+    """The number of runs of each variant, in order: the most in any panel.
+
+    SwarmError without panels.
+    """
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
     runs: dict[str, int] = {}
@@ -139,22 +141,23 @@ def _runs_of(panels: Sequence[Panel]) -> dict[str, int]:
 def grid_of_panels(
     count: int, labels: Sequence[str], width: float | None, places: PanelRows
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels, side by side as far as it is wide enough; one row a label.
+    """A new figure with a grid of `count` panels; returns the figure and the axes of the panels.
 
-    Its rows are named only at the left.
+    `labels`: of the rows inside a panel, shown at the left of the grid. `places`: of these rows.
+    `width`: in inches, for a paper, or None. All sizes here are in inches.
     """
-    aside = 0.3 + 0.07 * max(map(len, labels))
+    labels_width = 0.3 + 0.07 * max(map(len, labels))
     columns = min(count, 3)
     if width is not None:
-        aside *= 0.8
-        columns = max(1, min(count, int((width - aside) / _NARROWEST)))
-    rows = -(-count // columns)
-    height = 0.85 + max(0.42 * (places.places[-1] + 1.0), 0.6)
+        labels_width *= 0.8
+        columns = max(1, min(count, int((width - labels_width) / _NARROWEST)))
+    lines = -(-count // columns)  # rounded up
+    panel_height = 0.85 + max(0.42 * (places.places[-1] + 1.0), 0.6)
     if width is None:
-        figure = new_figure(aside + 3.4 * columns, height * rows + 0.7)
+        figure = new_figure(labels_width + 3.4 * columns, panel_height * lines + 0.7)
     else:
-        figure = new_figure(width, 0.8 * height * rows + 0.1)
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+        figure = new_figure(width, 0.8 * panel_height * lines + 0.1)
+    grid = figure.subplots(lines, columns, squeeze=False, sharey=True)
     for axes in grid.flat[count:]:
         axes.remove()
     return figure, list(grid.flat[:count])
@@ -208,7 +211,7 @@ def _groups(grid: Sequence[Axes], panels: Sequence[Panel]) -> list[list[tuple[Ax
 
 
 def _share_scales(grid: Sequence[Axes], panels: Sequence[Panel]) -> None:
-    """Ticks and limits of each panel; panels of one quantity have the same."""
+    """Set ticks and limits of the horizontal axes; panels of one quantity get the same limits."""
     for group in _groups(grid, panels):
         known = np.concatenate([_finite(values) for _, p in group for values in p.values.values()])
         is_share = group[0][1].is_share
@@ -236,32 +239,39 @@ def _finite(values: Sequence[float | None] | Array) -> Array:
 def curve_figure(
     panels: Sequence[Panel], title: str = "", *, width: float | None = None, axis: str = ""
 ) -> Figure:
-    """A picture of metrics over the numbers that are the names of the variants.
+    """A figure of metrics over a swept number: the variants are named by its values.
 
-    One panel a metric: a point for every run, the means with their 95 % intervals, joined by a
-    line; times to an event as in `intervals_figure`. `axis` names the numbers. `width`: in inches,
-    for a paper. SwarmError if there is nothing to draw, or if a name is not a number.
+    Each metric has a panel with a point for every run, and a line through the means with their 95 %
+    intervals. If an event never happened in some runs, the median of all runs stands in place of
+    the mean. `axis`: the name of the swept number. `width`: in inches, for a paper. SwarmError
+    without panels, with fewer than two variants, or if the name of a variant is not a number.
     """
-    runs = _runs_of(panels)
-    names = [*runs]
-    at = np.array([finite_number(name) for name in names])
-    if not np.isfinite(at).all() or len(at) < 2:  # a line needs two
+    # 1. The figure; its sizes are in inches.
+    names = [*_runs_of(panels)]
+    values = np.array([finite_number(name) for name in names])
+    if not np.isfinite(values).all() or len(values) < 2:
         raise SwarmError("a curve needs at least two values of one swept number")
     columns = min(len(panels), 3)
     if width is not None:
         columns = max(1, min(columns, int(width / _NARROWEST)))
-    lines = -(-len(panels) // columns)
-    across, high = (3.6 * columns, 2.7) if width is None else (width, 0.72 * width / columns)
-    figure = new_figure(across, high * lines + (0.5 if width is None else 0.1))
+    lines = -(-len(panels) // columns)  # rounded up
+    if width is None:
+        figure = new_figure(3.6 * columns, 2.7 * lines + 0.5)
+    else:
+        figure = new_figure(width, 0.72 * width / columns * lines + 0.1)
     grid = figure.subplots(lines, columns, squeeze=False)
+
+    # 2. The panels.
     is_log = rows_of(names).is_log
     for axes, panel in zip(grid.flat, panels, strict=False):
-        _paint_curve(axes, panel, dict(zip(names, at.tolist(), strict=True)))
+        _paint_curve(axes, panel, dict(zip(names, values.tolist(), strict=True)))
         if is_log:
             axes.set_xscale("log")
-            axes.set_xticks(at, names)
+            axes.set_xticks(values, names)
             axes.minorticks_off()
         axes.set_xlabel(axis, fontsize=9)
+
+    # 3. Panels of one quantity get the same vertical axis.
     for group in _groups(list(grid.flat), panels):
         low = min(axes.get_ylim()[0] for axes, _ in group)
         high = max(axes.get_ylim()[1] for axes, _ in group)
@@ -274,26 +284,33 @@ def curve_figure(
     return fit(figure, width)
 
 
-def _paint_curve(axes: Axes, panel: Panel, at: Mapping[str, float]) -> None:
+def _paint_curve(axes: Axes, panel: Panel, x_of: Mapping[str, float]) -> None:
+    """Paint the runs of a metric, and a line through the means, with intervals.
+
+    `x_of`: the swept number of each variant, by its name. A hollow diamond is a median, in place of
+    the mean if an event never happened in some runs.
+    """
     tidy(axes)
     colour = VARIANT_COLOURS[0]
-    means: list[tuple[float, float]] = []
-    for name, x in at.items():
+    line: list[tuple[float, float]] = []
+    for name, x in x_of.items():
         values = np.array(panel.values.get(name, ()), dtype=np.float64)  # None gives NaN
-        found = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
+        summary = summarize(
+            values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event
+        )
         finite = values[np.isfinite(values)]
         axes.scatter(np.full(finite.size, x), finite, s=11.0, color=colour, alpha=0.35,
                      linewidths=0.0, zorder=2.0)  # fmt: skip
-        bounds = _interval_of(found, panel)
+        bounds = _interval_of(summary, panel)
         if bounds is not None:
             axes.plot([x, x], [bounds.low, bounds.high], color=colour, linewidth=2.0, zorder=3.0)
-        middle = found.median if found.never else found.mean
-        means.append((x, np.nan if middle is None else middle))
+        middle = summary.median if summary.never else summary.mean
+        line.append((x, np.nan if middle is None else middle))
         if middle is not None:
             axes.scatter([x], [middle], s=26.0, marker="D", edgecolors=colour, clip_on=False,
                          zorder=4.0,
-                         color="white" if found.never else colour)  # fmt: skip
-    axes.plot(*np.array(means).T, color=colour, linewidth=1.2, zorder=2.5)
+                         color="white" if summary.never else colour)  # fmt: skip
+    axes.plot(*np.array(line).T, color=colour, linewidth=1.2, zorder=2.5)
     if panel.target is not None:
         paint_target(axes, panel.target)
     axes.margins(0.08)
@@ -306,21 +323,25 @@ def _interval_of(found: Summary, panel: Panel) -> Interval | None:
 
 
 def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> Figure:
-    """The metrics of one variant as the rows of a table; for a paper without median and range."""
-    columns = ["metric", "mean", "95 % interval", "median", "range", "runs"]
-    shares = [0.36, 0.11, 0.19, 0.11, 0.15, 0.08]
+    """A figure of the metrics of one variant as a table, with a row for each metric.
+
+    `width`: in inches, for a paper; the table then has only metric, mean and interval.
+    """
     from matplotlib.transforms import Bbox
 
+    columns = ["metric", "mean", "95 % interval", "median", "range", "runs"]
+    column_widths = [0.36, 0.11, 0.19, 0.11, 0.15, 0.08]  # shares of the width of the table
     rows = [_table_row(panel) for panel in panels]
+    row_height = _TABLE_ROW
     if width is not None:
-        kept = slice(0, 3)
-        columns, rows, shares = columns[kept], [row[kept] for row in rows], [0.57, 0.14, 0.29]
-    height = _TABLE_ROW * (len(rows) + 1) * (1.0 if width is None else _PAPER_ROW)
+        columns, rows = columns[:3], [row[:3] for row in rows]
+        column_widths = [0.57, 0.14, 0.29]
+        row_height *= _PAPER_ROW
 
-    figure = new_figure(width or _TABLE_WIDTH, height)
+    figure = new_figure(width or _TABLE_WIDTH, row_height * (len(rows) + 1))
     axes = figure.subplots()
     axes.set_axis_off()
-    table = axes.table(rows, colLabels=columns, colWidths=shares, bbox=Bbox.unit(),
+    table = axes.table(rows, colLabels=columns, colWidths=column_widths, bbox=Bbox.unit(),
                        edges="horizontal", cellLoc="left", colLoc="left")  # fmt: skip
     table.auto_set_font_size(value=False)
     table.set_fontsize(9 if width is None else _SMALL)
@@ -333,48 +354,53 @@ def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> F
 
 
 def _table_row(panel: Panel) -> list[str]:
-    """The cells of a metric; a target stands behind the unit."""
-    (values,) = panel.values.values()
+    """The cells of a metric: label with unit and target, mean, interval, median, range, runs."""
+    (values,) = panel.values.values()  # of the only variant
     numbers = np.array(values, dtype=np.float64)  # None gives NaN
-    found = summarize(numbers, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
+    summary = summarize(numbers, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
     target = "" if panel.target is None else f", target {panel.target:g}"
     unit = f" [{_unit_of(panel)}]" if _unit_of(panel) else ""
-    of_all = "" if found.n == numbers.size else f" of {numbers.size}"
+    of_all = "" if summary.n == numbers.size else f" of {numbers.size}"
     return [
         f"{panel.label}{unit}{target}",
-        f"{found.never} of {numbers.size} never" if found.never else number(found.mean),
-        interval(_interval_of(found, panel)),
-        number(found.median),
-        f"{number(found.min)} to {number(found.max)}" if found.n else NOTHING,
-        f"{found.n}{of_all}",
+        f"{summary.never} of {numbers.size} never" if summary.never else number(summary.mean),
+        interval(_interval_of(summary, panel)),
+        number(summary.median),
+        f"{number(summary.min)} to {number(summary.max)}" if summary.n else NOTHING,
+        f"{summary.n}{of_all}",
     ]
 
 
 def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: str) -> None:
-    """Points, mean and interval of one variant."""
-    beside = axes.get_yaxis_transform()
-    found = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
-    if found.n == 0:
-        text = f"{found.never} of {values.size} never" if found.never else "no value"
-        axes.text(0.5, row, text, transform=beside, ha="center", va="center", fontsize=8,
-                  color=GUIDE_COLOUR)  # fmt: skip
+    """Paint a row: the runs of one variant (n,) as points, above them mean and interval.
+
+    `row`: the vertical place. A hollow diamond is the median, in place of the mean if an event
+    never happened in some runs. A text gives the number of runs without a value.
+    """
+    # x as a share of the width of the axes, y in rows.
+    share_by_row = axes.get_yaxis_transform()
+    summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
+    never = f"{summary.never} of {values.size} never" if summary.never else ""
+    if summary.n == 0:
+        axes.text(0.5, row, never or "no value", transform=share_by_row, ha="center", va="center",
+                  fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
         return
     finite = _finite(values)
     axes.scatter(finite, row + 0.13 + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
-    bounds = _interval_of(found, panel)
+    bounds = _interval_of(summary, panel)
     if bounds is not None:
         axes.plot(
             [bounds.low, bounds.high], [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0
         )
-    middle = found.median if found.never else found.mean
+    middle = summary.median if summary.never else summary.mean
     if middle is not None:
-        face, edge = ("white", colour) if found.never else (colour, "white")
+        face, edge = ("white", colour) if summary.never else (colour, "white")
         axes.scatter([middle], [row - 0.22], s=34.0, marker="D", color=face, edgecolors=edge,
-                     linewidths=1.2 if found.never else 0.7, zorder=4.0)  # fmt: skip
-    if found.n < values.size:
-        text = f"{found.never} of {values.size} never" if found.never else ""
-        axes.text(1.0, row - 0.3, text or f"{values.size - found.n} without", transform=beside,
+                     linewidths=1.2 if summary.never else 0.7, zorder=4.0)  # fmt: skip
+    if summary.n < values.size:
+        without = never or f"{values.size - summary.n} without"
+        axes.text(1.0, row - 0.3, without, transform=share_by_row,
                   ha="right", va="bottom", fontsize=7.5, color=GUIDE_COLOUR)  # fmt: skip
 
 
@@ -410,26 +436,28 @@ def differences_figure(
     width: float | None = None,
     axis: str = "",
 ) -> Figure:
-    """A picture of the differences of means with their 95 % intervals; filled: 0 is excluded.
+    """A figure of the differences of each further variant from the first variant.
 
-    One panel a metric, one row a variant. `width`: in inches, for a paper. `axis` names the rows.
-    SwarmError if there is no difference.
+    Each metric has a panel, and each further variant a row: the difference of means with its 95 %
+    interval. The point is filled if the interval excludes 0. `width`: in inches, for a paper.
+    `axis`: the name of the rows. SwarmError without panels.
     """
     if not panels:
         raise SwarmError("no metric has differences: nothing to draw")
+    # A name is "VARIANT - FIRST". All variants are placed on one scale, but the first has no row.
     names = list(dict.fromkeys(name for panel in panels for name in panel.of))
-    # The first variant has no row.
     variants = [names[0].split(" - ", 1)[-1], *(name.split(" - ", 1)[0] for name in names)]
-    _, *places = (placed := rows_of(variants)).places
-    rows = PanelRows([place - places[0] for place in places], placed.is_log)
+    all_rows = rows_of(variants)
+    _, *places = all_rows.places
+    rows = PanelRows([place - places[0] for place in places], all_rows.is_log)
     figure, grid = grid_of_panels(len(panels), names, width, rows)
     for axes, panel in zip(grid, panels, strict=True):
         _paint_differences(axes, panel, names, rows)
     _name_rows(grid, axis, rows)
-    is_paired = any(one.is_paired for panel in panels for one in panel.of.values())
-    how = "paired by seed" if is_paired else "independent samples"
+    is_paired = any(d.is_paired for panel in panels for d in panel.of.values())
+    method = "paired by seed" if is_paired else "independent samples"
     figure.suptitle(title, fontsize=11, gid=NOTE)
-    note = f"difference of means with its 95 % interval, {how}; filled: the interval excludes 0"
+    note = f"difference of means with its 95 % interval, {method}; filled: the interval excludes 0"
     figure.supxlabel(note, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
 

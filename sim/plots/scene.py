@@ -71,7 +71,7 @@ def check_drawable(trace: Trace) -> None:
 def extent_of(trace: Trace) -> Extent:
     """The part of the world to show: the arena and all positions of robots and movable boxes.
 
-    If robots and boxes used a small part of the arena, only this part is shown. With a margin.
+    If robots and boxes stay in a small part of the arena, only this part is shown, with a margin.
     """
     low, high = _used(trace)
     arena = arena_of(trace)
@@ -205,25 +205,27 @@ def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> 
 def paint_bodies(
     axes: Axes, trace: Trace, instant: int, colours: Sequence[str], *, is_filled: bool
 ) -> None:
-    """Paint the footprints at an instant, up to 100 with a line from the axle to the front.
+    """Paint the footprints of all robots at an instant (an index of the trace; -1: the last).
 
-    At instant 0 a robot whose pose is not known yet, such as one whose recording begins later, is
-    painted at its first known pose. An absent robot is dotted and pale.
+    `colours`: by robot. `is_filled`: footprints in the colour with dark outlines, else outlines in
+    the colour. Up to _MAX_LARGE robots also have a line from the axle to the front. A robot whose
+    daemon is absent is dotted and pale. At instant 0, a robot whose recording begins later is
+    painted at its first known pose.
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
     robots = np.arange(len(trace.ids))
-    at = np.full(len(robots), instant)
+    instants = np.full(len(robots), instant)
     if instant == 0:
-        at = np.isfinite(trace.pose).all(axis=2).argmax(axis=0)
-    is_there = presence(trace)[at, robots]
+        instants = np.isfinite(trace.pose).all(axis=2).argmax(axis=0)
+    is_present = presence(trace)[instants, robots]
     is_small = len(trace.ids) > _MAX_LARGE
     for rows, linestyle, alpha in (
-        (np.flatnonzero(is_there), "-", 1.0),
-        (np.flatnonzero(~is_there), ":", 0.45),
+        (np.flatnonzero(is_present), "-", 1.0),
+        (np.flatnonzero(~is_present), ":", 0.45),
     ):
-        bodies = [(trace.footprint(row), trace.pose[at[row], row]) for row in rows.tolist()]
-        own = [colours[row] for row in rows.tolist()]
+        bodies = [(trace.footprint(row), trace.pose[instants[row], row]) for row in rows.tolist()]
+        robot_colours = [colours[row] for row in rows.tolist()]
         style: dict[str, Any] = {
             "linewidths": 0.3 if is_small else 0.9,
             "alpha": alpha,
@@ -231,16 +233,16 @@ def paint_bodies(
         }
         outlines = PolyCollection(
             [transform(shape, pose) for shape, pose in bodies],
-            facecolors=own if is_filled else "none",
-            edgecolors="0.1" if is_filled else own,
+            facecolors=robot_colours if is_filled else "none",
+            edgecolors="0.1" if is_filled else robot_colours,
             linestyles=linestyle,
             **style,
         )
         axes.add_collection(outlines, autolim=False)
         if not is_small:
             noses = [_nose(shape, pose) for shape, pose in bodies]
-            inks = [_ink(colour) for colour in own] if is_filled else own
-            axes.add_collection(LineCollection(noses, colors=inks, **style), autolim=False)
+            line_colours = [_ink(c) for c in robot_colours] if is_filled else robot_colours
+            axes.add_collection(LineCollection(noses, colors=line_colours, **style), autolim=False)
 
 
 def _ink(colour: str) -> str:
@@ -275,31 +277,35 @@ _MAPS = ("YlOrBr", "PuBu", "Greens")
 def paint_fields(
     axes: Axes, trace: Trace, extent: Extent, fields: Sequence[Field], *, is_small: bool = False
 ) -> None:
-    """Paint fields as contour lines, which have numbers unless `is_small`; shade the first field.
+    """Paint the scalar fields of a scenario, such as light, inside the arena if it is known.
 
-    If the arena is known, fields are painted inside it alone. A uniform field is not painted. A
-    floor is painted in its own colours, paler.
+    Each field has contour lines, which have numbers unless `is_small`. The first field is shaded,
+    too. A uniform field is not painted. A floor field is painted in its own colours, paler.
     """
     if not fields:
         return
     arena = arena_of(trace)
-    size = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
-    pixels = floor_pixels(fields, size)
+
+    # 1. The colours of the floor.
+    length, width = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
+    pixels = floor_pixels(fields, (length, width))
     if pixels is not None:
-        sides = (-size[0] / 2.0, size[0] / 2.0, -size[1] / 2.0, size[1] / 2.0)
-        axes.imshow(pixels, extent=sides, alpha=0.45, zorder=0.4, interpolation="nearest",
+        floor_sides = (-length / 2.0, length / 2.0, -width / 2.0, width / 2.0)
+        axes.imshow(pixels, extent=floor_sides, alpha=0.45, zorder=0.4, interpolation="nearest",
                     aspect="equal")  # fmt: skip
+
+    # 2. The fields, sampled on a grid.
     x, y = _cells(trace, extent)
     is_clear = None if arena is None else LineOfSight(arena).is_clear
-    fields = [one for one in fields if not isinstance(one, FloorField)]
-    places = np.stack(np.meshgrid(x, y), axis=-1)
-    sampled = sample(fields, places.reshape(-1, 2), None, is_clear)
+    scalar_fields = [field for field in fields if not isinstance(field, FloorField)]
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    sampled = sample(scalar_fields, points.reshape(-1, 2), None, is_clear)
     for index, (name, values) in enumerate(sampled.items()):
         grid = values.reshape(len(y), len(x))
         if np.ptp(grid) <= 0.0:
             continue
-        colours = _MAPS[index % len(_MAPS)]
         if index == 0:
+            colours = _MAPS[index % len(_MAPS)]
             sides = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
             axes.imshow(grid, extent=sides, origin="lower", cmap=colours, alpha=0.45, zorder=0.5,
                         interpolation="bilinear", aspect="equal")  # fmt: skip

@@ -37,50 +37,53 @@ def start_and_end_figure(
     fields: Sequence[Field] = (),
     width: float | None = None,
 ) -> Figure:
-    """A figure of the first instant beside the last.
+    """A figure of a run seen from above, at its first and at its last instant.
 
-    Colours show clusters (single linkage), and thin lines join robots within `link` m of each
-    other. The largest clusters have a colour each. Smaller clusters are grey, single robots white.
-    If robots report opinions, colours show opinions instead.
+    Colours show clusters: robots that are linked, directly or through other robots, by distances of
+    at most `link` m (single linkage). Thin lines show these links. The largest clusters have a
+    colour each. Smaller clusters are grey, single robots white. If robots report opinions, colours
+    show opinions instead.
 
-    `link`: None for that of the metrics, twice the largest protection threshold. If the trace has
-    no threshold either, all robots have one colour. `width`: in inches, for a paper. SwarmError if
-    there is nothing to draw.
+    `link`: None: twice the largest protection threshold, as for metrics. Without a threshold in the
+    trace, all robots have one colour. `width`: in inches, for a paper. SwarmError if the trace has
+    no instant or no robot.
     """
     scene.check_drawable(trace)
-    reach = cluster_link(trace) if link is None else link
-    extent = scene.extent_of(trace)
-    across, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
-    rows, columns = (2, 1) if across > 1.6 * height else (1, 2)
-    size = columns * (across + 0.2) + 0.7, rows * (height + 0.4) + 1.1
-    if width is not None:
-        scale = (width - 0.55) / (columns * across)
-        size = width, rows * (height * scale + 0.25) + 0.6
-    figure = new_figure(*size, is_map=True)
+    link_m = cluster_link(trace) if link is None else link
     opinions = opinions_of(trace)
-    both = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, part, word in zip(
-        both.flat,
-        (first(trace), last(trace)),
-        ("start", f"end, {trace.duration:.0f} s"),
-        strict=True,
-    ):
-        grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
+
+    # 1. Two maps, side by side, or one below the other if they are wide. Sizes are in inches.
+    extent = scene.extent_of(trace)
+    map_width, map_height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
+    rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
+    size = columns * (map_width + 0.2) + 0.7, rows * (map_height + 0.4) + 1.1
+    if width is not None:
+        scale = (width - 0.55) / (columns * map_width)
+        size = width, rows * (map_height * scale + 0.25) + 0.6
+    figure = new_figure(*size, is_map=True)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+
+    # 2. Start and end.
+    instants = ((first(trace), "start"), (last(trace), f"end, {trace.duration:.0f} s"))
+    for axes, (part, name) in zip(grid.flat, instants, strict=True):
+        grouping = by_opinion(part, opinions) if opinions else by_cluster(part, link_m)
         scene.prepare(axes, extent)
         scene.paint_fields(axes, trace, extent, fields)
-        _paint_instant(axes, part, None if opinions else reach)
+        _paint_instant(axes, part, None if opinions else link_m)
         scene.paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
-        axes.set_title(f"{word}: {grouping.label}", fontsize=10, pad=4.0)
-    for axes in both[-1]:
+        axes.set_title(f"{name}: {grouping.label}", fontsize=10, pad=4.0)
+
+    # 3. Texts.
+    for axes in grid[-1]:
         axes.set_xlabel("x [m]")
-    for axes in both[:, 0]:
+    for axes in grid[:, 0]:
         axes.set_ylabel("y [m]")
     if title:
         figure.suptitle(title, fontsize=11, gid=NOTE)
     if opinions:
         _add_legend(figure, opinions)
     else:
-        figure.supxlabel(_note(trace, reach), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+        figure.supxlabel(_note(trace, link_m), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
 
 

@@ -40,24 +40,26 @@ class Curve:
     censored: Array  # (c,) s, the ends of runs without the event
 
 
-def survival_curve(found: Times) -> Curve:
+def survival_curve(times: Times) -> Curve:
     """The Kaplan-Meier estimate of the share of runs without the event so far.
 
-    Kaplan and Meier, "Nonparametric Estimation from Incomplete Observations", JASA 53, 1958. The
-    95 % interval is Greenwood's on the log-log scale, by scipy; NaN where it does not exist.
+    Kaplan and Meier, "Nonparametric Estimation from Incomplete Observations", JASA 53, 1958. A run
+    without the event is censored at its end. The 95 % interval is Greenwood's on the log-log scale,
+    by scipy; NaN where it does not exist. The curve begins at 0 s with the share 1. It ends with
+    the last event or the last censored run.
     """
     from scipy.stats import CensoredData, ecdf
 
-    is_known = np.isfinite(found.times)
-    censored = found.ends[~is_known]
-    estimate = ecdf(CensoredData(uncensored=found.times[is_known], right=censored)).sf
+    is_known = np.isfinite(times.times)
+    censored = times.ends[~is_known]
+    estimate = ecdf(CensoredData(uncensored=times.times[is_known], right=censored)).sf
     with np.errstate(all="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # log(0) where no run, or each, had it
         interval = estimate.confidence_interval(LEVEL, method="log-log")
     t = np.concatenate(([0.0], estimate.quantiles))
     share, low, high = (
-        np.concatenate(([1.0], part))
-        for part in (
+        np.concatenate(([1.0], values))
+        for values in (
             estimate.probabilities,
             interval.low.probabilities,
             interval.high.probabilities,
@@ -65,7 +67,7 @@ def survival_curve(found: Times) -> Curve:
     )
     if len(censored) and censored.max() > t[-1]:
         t = np.append(t, censored.max())
-        share, low, high = (np.append(part, part[-1]) for part in (share, low, high))
+        share, low, high = (np.append(values, values[-1]) for values in (share, low, high))
     return Curve(t, share, low, high, np.sort(censored))
 
 
@@ -84,28 +86,37 @@ def survival_figure(
     `event`: a noun. `width`: in inches, for a paper. `axis`: the title of the legend. SwarmError
     without a run.
     """
-    kept = {
-        panel: {name: found for name, found in groups.items() if found.times.size}
-        for panel, groups in facets.items()
+    # 1. The variants of each panel that have runs.
+    facets = {
+        panel: {name: times for name, times in variants.items() if times.times.size}
+        for panel, variants in facets.items()
     }
-    kept = {panel: groups for panel, groups in kept.items() if groups}
-    if not kept:
+    facets = {panel: variants for panel, variants in facets.items() if variants}
+    if not facets:
         raise SwarmError(f"{event}: no run: nothing to draw")
-    legend = Legend.of({p: {n: [*f.times] for n, f in one.items()} for p, one in kept.items()})
+    legend = Legend.of(
+        {
+            panel: {name: [*times.times] for name, times in variants.items()}
+            for panel, variants in facets.items()
+        }
+    )
+
+    # 2. The curves.
     has_band = len(legend.counts) <= _MAX_BANDS
-    figure, panels = new_series_figure(list(kept), legend, width)
-    end = 0.0
-    for axes, groups in zip(panels, kept.values(), strict=True):
-        for name, found in groups.items():
-            curve = survival_curve(found)
+    figure, panels = new_series_figure(list(facets), legend, width)
+    last_time = 0.0
+    for axes, variants in zip(panels, facets.values(), strict=True):
+        for name, times in variants.items():
+            curve = survival_curve(times)
             _paint(axes, curve, legend.style(name), legend.text(name), has_band=has_band)
-            end = max(end, float(curve.t[-1]))
+            last_time = max(last_time, float(curve.t[-1]))
     panels[0].set_ylim(-0.03, 1.03)
-    panels[0].set_xlim(0.0, end)
+    panels[0].set_xlim(0.0, last_time)
+
     band = ", band: its 95 % interval" if has_band else ""
-    reading = f"Kaplan-Meier{band}; stroke: a run ended without it"
+    explanation = f"Kaplan-Meier{band}; stroke: a run ended without it"
     text = f"share of runs without {event}"
-    return finish_series(figure, panels, text, title, reading, legend, width, axis)
+    return finish_series(figure, panels, text, title, explanation, legend, width, axis)
 
 
 def _paint(axes: Axes, curve: Curve, look: tuple[str, str], label: str, *, has_band: bool) -> None:

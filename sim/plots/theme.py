@@ -102,10 +102,10 @@ _PAPER_SCALE = 0.8
 
 
 def fit(figure: Figure, width: float | None) -> Figure:
-    """Change `figure` to the style of a paper: small texts, thin lines, no notes; return it.
+    """Change the style of `figure` for a paper: small texts, thin lines, no notes; returns it.
 
-    A `width` of None changes nothing. The figure is not resized: its caller has made its layout
-    `width` inches wide.
+    `width`: in inches; the caller has made the figure this wide, and its size stays. None: the
+    figure is not for a paper, and nothing changes.
     """
     if width is None:
         return figure
@@ -127,12 +127,12 @@ def fit(figure: Figure, width: float | None) -> Figure:
         if isinstance(line, Line2D):
             line.set_linewidth(float(line.get_linewidth()) * _PAPER_SCALE)
             line.set_markersize(float(line.get_markersize()) * _PAPER_SCALE)
-    for found in figure.findobj(Collection):
-        if isinstance(found, Collection):
-            widths = np.atleast_1d(np.asarray(found.get_linewidth(), dtype=np.float64))
-            found.set_linewidth((widths * _PAPER_SCALE).tolist())
-        if isinstance(found, PathCollection):
-            found.set_sizes(found.get_sizes() * _PAPER_SCALE**2)
+    for collection in figure.findobj(Collection):
+        if isinstance(collection, Collection):
+            widths = np.atleast_1d(np.asarray(collection.get_linewidth(), dtype=np.float64))
+            collection.set_linewidth((widths * _PAPER_SCALE).tolist())
+        if isinstance(collection, PathCollection):  # markers, whose sizes are areas
+            collection.set_sizes(collection.get_sizes() * _PAPER_SCALE**2)
     return figure
 
 
@@ -147,16 +147,17 @@ def tidy(axes: Axes) -> None:
 def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
     """Write the figure to a file atomically, and make missing folders; returns the path.
 
-    Without a `width` the figure is cropped or enlarged to its contents. With a `width` the size
-    stays, and PNG has the resolution of print. Equal figures give equal bytes. ConfigError if the
-    suffix names no format. SwarmError if the file cannot be written.
+    `width`: None: the picture is cropped or enlarged to the contents of the figure. A number: the
+    figure is for a paper, so its size stays, and a PNG has the resolution of print. Equal figures
+    give equal bytes. ConfigError if the suffix names no format. SwarmError if the file cannot be
+    written.
     """
     from matplotlib import rc_context
 
     if path.suffix not in FORMATS:
         raise ConfigError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
     kind = path.suffix[1:]
-    dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
+    date_key = {"svg": "Date", "pdf": "CreationDate"}.get(kind)  # left out, for equal bytes
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         fonts: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
@@ -167,7 +168,7 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
                 dpi=DPI if width is None else _PRINT_DPI,
                 bbox_inches="tight" if width is None else None,
                 pad_inches=_PAD,
-                metadata={dated: None} if dated else None,
+                metadata={date_key: None} if date_key else None,
             )
     except OSError as error:
         raise SwarmError(

@@ -41,25 +41,30 @@ def trajectories_figure(
 ) -> Figure:
     """A figure of a run seen from above, with the scalar fields of its scenario.
 
-    Each of up to 20 robots has a colour and a line in the legend. With more robots, colours show
-    the time. Footprints are hollow at the start and filled at the end, with a line from the axle to
-    the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts,
-    and how many robots were moving in each. `width`: in inches, for a paper; robots are then not
-    named. SwarmError if matplotlib is not installed or there is nothing to draw.
+    Each of up to MAX_NAMED robots has a colour and a line in the legend. With more robots, colours
+    show the time. Footprints are hollow at the start and filled at the end, with a line from the
+    axle to the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show
+    contacts; their shape shows how many of the robots were moving. `width`: in inches, for a paper;
+    robots are then not named. SwarmError if matplotlib is not installed, or if the trace has no
+    instant or no robot.
     """
+    # 1. The figure; its sizes are in inches.
     scene.check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
     extent = scene.extent_of(trace)
-    across, height = extent.panel(6.3 if is_named else 8.0)
+    map_width, map_height = extent.panel(6.3 if is_named else 8.0)
     entries = (_names(trace) if is_named and width is None else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
     if width is None:
-        aside = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
-        above = 0.25 * (1 + title.count("\n"))
-        figure = new_figure(across + 0.7 + aside, height + 0.5 + above, is_map=True)
+        legend_width = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
+        title_height = 0.25 * (1 + title.count("\n"))
+        size = map_width + 0.7 + legend_width, map_height + 0.5 + title_height
     else:
-        scale = (width - (0.6 if is_named else 1.2)) / across
-        figure = new_figure(width, height * scale + 0.75, is_map=True)
+        scale = (width - (0.6 if is_named else 1.2)) / map_width
+        size = width, map_height * scale + 0.75
+    figure = new_figure(*size, is_map=True)
+
+    # 2. The map.
     axes = figure.add_subplot()
     scene.prepare(axes, extent)
     scene.paint_fields(axes, trace, extent, fields)
@@ -68,6 +73,8 @@ def trajectories_figure(
     axes.set_title(title, fontsize=11, gid=NOTE)
     axes.set_xlabel(", ".join(word for word in ("x [m]", scene.cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
+
+    # 3. The legend: beside the map, or below it in a paper and for many robots.
     style: Any = {"frameon": False, "fontsize": 9}
     if paths is None and width is not None:
         figure.legend(handles, labels, loc="outside lower center", ncols=3, **style)
@@ -81,9 +88,10 @@ def trajectories_figure(
 
 
 def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:
-    """Paint a run onto axes; return the paths if they need a colour bar.
+    """Paint arena, paths, start and end of all robots, and contacts of a run onto axes.
 
-    `is_small`: thinner lines and smaller marks, for one of many pictures.
+    With more than MAX_NAMED robots the colour of paths shows the time, and the paths are returned
+    for a colour bar; else None. `is_small`: thin lines and small marks, for one of many pictures.
     """
     n = len(trace.ids)
     is_named = n <= MAX_NAMED
@@ -210,34 +218,41 @@ def overview_figure(
     fields: Sequence[Field] = (),
     width: float | None = None,
 ) -> Figure:
-    """Small pictures of up to 25 runs, each with its name.
+    """A figure of small pictures of up to MAX_RUNS runs seen from above, all at one scale.
 
-    The runs are drawn as by `trajectories_figure`, but without legends and at one scale. A run
-    whose trace is None has an empty frame with a note. `note`: a text below the figure. `width`: in
-    inches, for a paper. SwarmError without a run.
+    `runs`: the name of each run, and a function that loads its trace, or gives None. A run without
+    a trace has an empty frame with a note. The pictures are drawn as by `trajectories_figure`,
+    without legends. `note`: a text below the figure. `width`: in inches, for a paper. SwarmError
+    without a run.
     """
     if not runs:
         raise SwarmError("there is no run: nothing to draw")
-    shown = runs[:MAX_RUNS]
-    columns = min(5, math.ceil(math.sqrt(len(shown))))
-    rows = -(-len(shown) // columns)
-    extent = _common_extent(shown)
-    side = next((inches for most, inches in _SIDES if len(shown) <= most), _SIDE)
-    across, height = extent.panel(side) if extent else (side, side)
-    inches = columns * (across + 0.1), rows * (height + 0.3) + 0.6
+    drawn = runs[:MAX_RUNS]
+
+    # 1. A grid that is about square; sizes are in inches.
+    columns = min(5, math.ceil(math.sqrt(len(drawn))))
+    rows = -(-len(drawn) // columns)  # rounded up
+    extent = _common_extent(drawn)
+    side = next((inches for most, inches in _SIDES if len(drawn) <= most), _SIDE)
+    map_width, map_height = extent.panel(side) if extent else (side, side)
+    size = columns * (map_width + 0.1), rows * (map_height + 0.3) + 0.6
     if width is not None:
-        inches = width, rows * (height * (width / columns - 0.1) / across + 0.25) + 0.1
-    figure = new_figure(*inches, is_map=True)
+        size = width, rows * (map_height * (width / columns - 0.1) / map_width + 0.25) + 0.1
+    figure = new_figure(*size, is_map=True)
     grid = figure.subplots(rows, columns, squeeze=False)
-    for axes, (name, load) in zip(grid.flat, shown, strict=False):
+
+    # 2. The pictures.
+    for axes, (name, load) in zip(grid.flat, drawn, strict=False):
         axes.set_title(name, fontsize=8, pad=3.0)
         _paint_small(axes, load(), extent, fields)
-    for axes in grid.flat[len(shown) :]:
+    for axes in grid.flat[len(drawn) :]:
         axes.remove()
-    cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
-    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
-    below = "; ".join(part for part in (note, cut, size) if part)
-    figure.suptitle(title or f"{len(shown)} runs", fontsize=11, gid=NOTE)
+
+    # 3. The texts.
+    cut = "" if len(drawn) == len(runs) else f"the first {len(drawn)} of {len(runs)} runs"
+    scale = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
+    below = "; ".join(text for text in (note, cut, scale) if text)
+    figure.suptitle(title or f"{len(drawn)} runs", fontsize=11, gid=NOTE)
     figure.supxlabel(below, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
 

@@ -62,26 +62,27 @@ def report_of(
 ) -> str:
     """The report of the experiment in `folder`, as HTML.
 
-    `metrics` replaces the metrics that are shown first; `seed` and `variant` choose the run that
-    the player plays, by default a typical one. ConfigError if there is no such experiment or run,
-    SwarmError if no run has finished.
+    `metrics`: the metrics that are shown first; None: a default choice. `seed` and `variant` choose
+    the run to play; without them it is a typical run of the first variant. ConfigError if there is
+    no such experiment or run, SwarmError if no run has finished.
     """
     results, manifest = load_results(folder), read_manifest(folder)
     if not results.runs:
         raise SwarmError(f"{folder}: no run has finished: nothing to report")
-    first, others = shown_metrics(results, metrics)
+    first_metrics, other_metrics = shown_metrics(results, metrics)
     source = _source(folder, results, metrics, seed, variant)
+    # Id, title and HTML; `page` leaves out a section without HTML.
     sections = [
-        ("results", "Results", _results(results, first, others)),
-        ("differences", "Differences", differences_tables(results, first)),
+        ("results", "Results", _results(results, first_metrics, other_metrics)),
+        ("differences", "Differences", differences_tables(results, first_metrics)),
         ("figures", "Figures", figures_html(figures_of(folder, metrics))),
         ("contacts", "Contacts", contacts_table(results)),
     ]
     player = None
     if source is not None:
         player = player_of(source)
-        what = f"The run of {source.playback.run if source.playback else ''}"
-        sections.append(("run", "One run", player_section(what, player.period)))
+        run_text = f"The run of {source.playback.run if source.playback else ''}"
+        sections.append(("run", "One run", player_section(run_text, player.period)))
     sections += [
         ("scenario", "Scenario", _scenario(results, manifest)),
         ("again", "How to make it again", _again(folder, manifest)),
@@ -106,26 +107,28 @@ def page(
     data: str = "",
     player: Player | None = None,
 ) -> str:
-    """The HTML of a report. `sections` are id, title and HTML; those without HTML are left out.
+    """The HTML of a report: one page with styles, data and scripts inside.
 
-    `data`: more elements; `player`: what the section of `player_section` plays.
+    `question`: the text below the title. `sections`: id, title and HTML of each; a section without
+    HTML is left out. `data`: further elements as HTML, such as those of `data_element`. `player`:
+    the data of the run that the section of `player_section` plays, or None.
     """
     code = ""
     if player is not None:
         data += data_element("run-data", player.data)
         code = f'<script type="module">\n{script()}\n</script>'
-    place = files("swarmd.sim.report") / "page"
-    parts = [
+    templates = files("swarmd.sim.report") / "page"
+    section_elements = [
         f'<section id="{name}"><h2>{escape(head)}</h2>\n{body}\n</section>'
         for name, head, body in sections
         if body
     ]
-    return Template((place / "report.html").read_text(encoding="utf-8")).substitute(
+    return Template((templates / "report.html").read_text(encoding="utf-8")).substitute(
         title=escape(title),
         question=escape(question),
         summary=escape(summary),
-        style=(place / "report.css").read_text(encoding="utf-8"),
-        sections="\n".join(parts),
+        style=(templates / "report.css").read_text(encoding="utf-8"),
+        sections="\n".join(section_elements),
         data=data,
         script=code,
     )
@@ -225,9 +228,10 @@ def _again(folder: Path, manifest: Manifest) -> str:
 
 
 def data_element(name: str, text: str) -> str:
-    """JSON for scripts, which cannot end the element that holds it.
+    """An HTML element with the id `name` that holds the JSON `text` for scripts.
 
-    A text with `<!--` and `<script` in it would keep the element open.
+    `<` is escaped, so that no text in the JSON, such as `<!--` or `</script`, changes where the
+    element ends.
     """
-    kept = text.replace("<", "\\u003c")
-    return f'<script type="application/json" id="{name}">{kept}</script>\n'
+    escaped = text.replace("<", "\\u003c")
+    return f'<script type="application/json" id="{name}">{escaped}</script>\n'

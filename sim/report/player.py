@@ -48,12 +48,18 @@ class Player:
 
 
 def player_of(source: Source) -> Player:
-    """Sample the run of a source for the player; moves the playback time of the source."""
+    """Sample the run that a source plays, for the player of a report.
+
+    Moves the playback time of the source. The number of samples is limited, so that a report stays
+    small.
+    """
     playback = source.playback
     assert playback is not None
     playback.play(is_playing=False, speed=1.0)
     duration, robots = playback.duration, len(source.robots)
     playback.seek(0.0)
+
+    # 1. Poses (count, bodies, 3) of robots, then of movable boxes; NaN while not in the arena.
     shapes = _box_shapes(source, duration)
     bodies = robots + len(shapes)
     count = max(2, min(round(MAX_RATE * duration) + 1, MAX_POSES // max(bodies, 1)))
@@ -61,15 +67,18 @@ def player_of(source: Source) -> Player:
     poses = np.full((count, bodies, 3), np.nan)
     for k in range(count):
         playback.seek(k * period)
-        places = source.frame()[1]
-        poses[k, places[:, 0].astype(int)] = places[:, 1:]
-        free = list(range(len(shapes)))
+        _, robot_poses = source.frame()  # rows: index of the robot, x, y, yaw
+        poses[k, robot_poses[:, 0].astype(int)] = robot_poses[:, 1:]
+        # Boxes have no names here; a box is a free index with the same outline.
+        free_indices = list(range(len(shapes)))
         for shape, pose in source.boxes():
-            index = next((i for i in free if np.array_equal(shapes[i], shape)), None)
+            index = next((i for i in free_indices if np.array_equal(shapes[i], shape)), None)
             if index is not None:
-                free.remove(index)
+                free_indices.remove(index)
                 poses[k, robots + index] = pose
     packed, centre, unit = _packed(poses)
+
+    # 2. Values of robots and links between them.
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
     data = {
@@ -88,9 +97,10 @@ def player_of(source: Source) -> Player:
 
 
 def script() -> str:
-    """The JavaScript of the player as one module script.
+    """The JavaScript of the player as one script, so that a report needs no other file.
 
-    Each module of the page, and the player, is a function of the script.
+    Each module of the page becomes a function that returns what the module exports. The text of the
+    player follows, with its imports taken from these functions.
     """
     page = files("swarmd.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]
@@ -112,20 +122,26 @@ def _linked(text: str) -> str:
 
 
 def _box_shapes(source: Source, duration: float) -> list[Array]:
-    """The outlines of the movable boxes, which are in the arena at one of 21 instants or more."""
+    """The outlines (k, 2) of the movable boxes that are in the arena at any of 21 instants.
+
+    An outline occurs as often as the greatest number of boxes with this outline at one instant.
+    """
     assert source.playback is not None
-    shapes: dict[bytes, Array] = {}
-    most = Counter[bytes]()
+    shape_by_bytes: dict[bytes, Array] = {}
+    most_boxes = Counter[bytes]()
     for k in range(21):
         source.playback.seek(k * duration / 20.0)
-        there = [shape for shape, _ in source.boxes()]
-        shapes |= {shape.tobytes(): shape for shape in there}
-        most |= Counter(shape.tobytes() for shape in there)
-    return [shapes[key] for key in most.elements()]
+        shapes = [shape for shape, _ in source.boxes()]
+        shape_by_bytes |= {shape.tobytes(): shape for shape in shapes}
+        most_boxes |= Counter(shape.tobytes() for shape in shapes)
+    return [shape_by_bytes[key] for key in most_boxes.elements()]
 
 
 def _packed(poses: Array) -> tuple[str, list[float], float]:
-    """Poses (count, bodies, 3) as base64 of 16-bit numbers; their centre and unit in m."""
+    """Poses (count, bodies, 3) as base64 of 16-bit integers, with their centre and unit in m.
+
+    A position is centre + unit * integer. A yaw is pi / _LARGEST * integer. _ABSENT: NaN.
+    """
     places = poses[..., :2].reshape(-1, 2)
     places = places[np.isfinite(places).all(axis=1)]
     low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(2),) * 2
@@ -140,22 +156,27 @@ def _packed(poses: Array) -> tuple[str, list[float], float]:
 
 
 def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]:
-    """The time in s between samples, and by sample the changed values by robot, and the links."""
+    """Sample the values of robots, such as state and report, and the links between robots.
+
+    Returns the time in s between samples; for each sample the values that have changed since the
+    sample before, by robot; and for each sample the linked pairs, empty for many robots.
+    """
     assert source.playback is not None
     robots = max(len(source.robots), 1)
     count = max(1, min(math.floor(duration / ROW_PERIOD + 1e-6) + 1, MAX_ROWS // robots))
     period = duration / (count - 1) if count > 1 else max(duration, ROW_PERIOD)
     rows, links = [], []
-    before: dict[str, dict[str, Any]] = {}
+    last_values: dict[str, dict[str, Any]] = {}  # of the sample before, by robot
     for k in range(count):
         source.playback.seek(k * period)
-        changed: dict[str, dict[str, Any]] = {}
+        changed_by_robot: dict[str, dict[str, Any]] = {}
         for name, row in source.rows().items():
-            kept = {key: row[key] for key in _KEPT if key in row}
-            old = before.get(name, {})
-            if new := {key: value for key, value in kept.items() if old.get(key) != value}:
-                changed[name] = new
-            before[name] = kept
-        rows.append(changed)
+            values = {key: row[key] for key in _KEPT if key in row}
+            old = last_values.get(name, {})
+            changed = {key: value for key, value in values.items() if old.get(key) != value}
+            if changed:
+                changed_by_robot[name] = changed
+            last_values[name] = values
+        rows.append(changed_by_robot)
         links.append(list(source.links()) if robots <= _MAX_LINKED else [])
     return period, rows, links

@@ -41,20 +41,23 @@ MAX_INSTANTS = 20_000
 
 
 def recording_report(path: Path) -> str:
-    """The report of a recording, or of a merged one, as HTML; ConfigError if it is none."""
+    """The report of a recording, of one robot or merged, as HTML.
+
+    ConfigError if the file at `path` is no recording, or has no odometry.
+    """
     source = RecordingSource([path])
     timeline = source.timeline
     trace = trace_of(timeline, path)
     player = player_of(source)
-    where = "Positions are in the shared frame of the robots."
+    frame_text = "Positions are in the shared frame of the robots."
     if not timeline.is_shared:
-        where = (
+        frame_text = (
             "Positions are by odometry, which drifts. The start poses are not known:"
             f" robots are drawn {APART:g} m apart, and distances between them mean nothing."
         )
     stops = _stops(trace)
     sections = [
-        ("robots", "Robots", f"{_notes(timeline)}<p>{where}</p>{_robots(trace, timeline)}"),
+        ("robots", "Robots", f"{_notes(timeline)}<p>{frame_text}</p>{_robots(trace, timeline)}"),
         ("figures", "Figures", _figures(trace)),
         ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
         ("run", "The run", player_section("The whole recording", player.period)),
@@ -78,10 +81,13 @@ def recording_report(path: Path) -> str:
 
 
 def trace_of(timeline: Timeline, path: Path) -> Trace:
-    """The robots with odometry as a trace; values are NaN, False or empty where none is recorded.
+    """A trace of the robots of a recording that have odometry, for figures and tables.
 
-    ConfigError if no robot recorded odometry.
+    The trace has an instant each PERIOD s, at most MAX_INSTANTS. It has no contacts. A value that
+    was not recorded is NaN, False or empty. `path`: the file, for ConfigError if no robot has
+    recorded odometry.
     """
+    # 1. Instants and empty arrays.
     tracks = {
         name: track for name, track in timeline.tracks.items() if track.topics["odometry"].times
     }
@@ -94,6 +100,8 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
     arrays["safe"] = np.zeros((*shape, 3))
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
+
+    # 2. The pose, the decision and the statuses of each robot.
     for row, (name, track) in enumerate(tracks.items()):
         for k, now in enumerate(t.tolist()):
             pose, decision = timeline.pose(name, now), track.decision(now)
@@ -138,7 +146,10 @@ def _enter_statuses(
     row: int,
     shape: tuple[int, int],
 ) -> None:
-    """Write the reports and readings of a robot's statuses; blank while nothing is recorded."""
+    """Write the reports and readings of a robot's statuses into `named` at the index `row`.
+
+    `t`: the instants. `shape`: (instants, robots). Values are blank while nothing is recorded.
+    """
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:
@@ -150,24 +161,24 @@ def _enter_statuses(
 
 
 def _robots(trace: Trace, timeline: Timeline) -> str:
-    """The table of numbers of each robot: distance, times, protection, gap and losses."""
+    """An HTML table with a row for each robot: distance, times, protection, gap and losses."""
     rows = []
     assert trace.state is not None
     assert trace.active is not None
     assert trace.gap is not None
-    period = trace.duration / max(len(trace.t) - 1, 1)
-    for row, name in enumerate(trace.ids):
-        is_running = trace.state[:, row] == "running"
-        moves = is_running & (np.abs(trace.safe[:, row]) > MOVING).any(axis=1)
-        steps = np.diff(trace.pose[:, row, :2], axis=0)
-        gaps = trace.gap[:, row]
-        active = trace.active[is_running, row]
+    period = trace.duration / max(len(trace.t) - 1, 1)  # s between two instants
+    for index, name in enumerate(trace.ids):
+        is_running = trace.state[:, index] == "running"
+        is_moving = is_running & (np.abs(trace.safe[:, index]) > MOVING).any(axis=1)
+        steps = np.diff(trace.pose[:, index, :2], axis=0)  # m, NaN without a pose
+        gaps = trace.gap[:, index]
+        is_active = trace.active[is_running, index]  # of protection
         cells = (
             name,
             f"{float(np.nansum(np.hypot(steps[:, 0], steps[:, 1]))):.2f} m",
             f"{period * float(is_running.sum()):.1f} s",
-            f"{period * float(moves.sum()):.1f} s",
-            f"{100.0 * float(active.mean()):.0f} %" if active.size else "-",
+            f"{period * float(is_moving.sum()):.1f} s",
+            f"{100.0 * float(is_active.mean()):.0f} %" if is_active.size else "-",
             f"{float(np.nanmin(gaps)):.2f} m" if np.isfinite(gaps).any() else "-",
             str(timeline.tracks[name].dropped or "-"),
         )
@@ -181,10 +192,10 @@ def _robots(trace: Trace, timeline: Timeline) -> str:
 
 
 def _stops(trace: Trace) -> list[tuple[str, ...]]:
-    """Rows (time, robot, duration, reason) of stops of at least LEAST_STOP s, in order of time.
+    """The stops of at least LEAST_STOP s in order of time: time, robot, duration and reason.
 
-    A stop: the robot is estopped or faulted, or runs with zero speed though its pattern requests
-    motion.
+    A robot stops if its state is estopped or faulted, or if it is running and the safe command is
+    zero although its pattern requests motion.
     """
     assert trace.state is not None
     assert trace.reason is not None
@@ -192,17 +203,25 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
     stops: list[tuple[float, tuple[str, ...]]] = []
     for row, name in enumerate(trace.ids):
         state, reason = trace.state[:, row], trace.reason[:, row]
-        asked = (np.abs(np.nan_to_num(trace.requested[:, row])) > MOVING).any(axis=1)
-        still = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
-        is_held = ((state == "running") & asked & still) | np.isin(state, ("estopped", "faulted"))
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_held, [False])).astype(int)))
+        is_requested = (np.abs(np.nan_to_num(trace.requested[:, row])) > MOVING).any(axis=1)
+        is_zero = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
+        is_held = (state == "running") & is_requested & is_zero
+        is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
+        # Where is_stopped changes: first instant of a stop, first instant after the stop, ...
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_stopped, [False])).astype(int)))
         for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
             seconds = float(trace.t[last] - trace.t[first])
             if seconds >= LEAST_STOP:
-                words = [str(word) for word in reason[first : last + 1] if word] or [""]
-                why = max(set(words), key=words.count).replace("_", " ") or str(state[first])
-                at = float(trace.t[first])
-                stops.append((at, (f"{at:.1f} s", name, f"{seconds:.1f} s", why)))
+                reasons = [str(word) for word in reason[first : last + 1] if word] or [""]
+                most_frequent = max(set(reasons), key=reasons.count).replace("_", " ")
+                start = float(trace.t[first])
+                cells = (
+                    f"{start:.1f} s",
+                    name,
+                    f"{seconds:.1f} s",
+                    most_frequent or str(state[first]),
+                )
+                stops.append((start, cells))
     return [cells for _, cells in sorted(stops)]
 
 

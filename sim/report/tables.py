@@ -76,12 +76,10 @@ def differences_tables(results: Results, metrics: Sequence[Metric]) -> str:
         parts += ["<h3>Interaction of both keys</h3>", _plain(sweep.INTERACTION_HEADER, rows)]
     for name, differences in zip(names[1:], sweep.first_and_others(results, metrics), strict=True):
         is_paired = any(difference.is_paired for difference in differences)
-        how = "paired by seed" if is_paired else "independent samples"
+        samples = "paired by seed" if is_paired else "independent samples"
         parts.append(f"<h3>B: {escape(name)}, and A: {escape(names[0])}</h3>")
-        text = (
-            f"{how}; 95 % bootstrap intervals of B - A; p with Holm's correction for all variants"
-        )
-        parts += [f'<p class="dim">{text}</p>', _differences(differences)]
+        text = "95 % bootstrap intervals of B - A; p with Holm's correction for all variants"
+        parts += [f'<p class="dim">{samples}; {text}</p>', _differences(differences)]
     return "\n".join(parts)
 
 
@@ -92,15 +90,18 @@ def _plain(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def contacts_table(results: Results) -> str:
-    """The first contacts of all runs; empty if there was none."""
+    """The first contacts of all runs as HTML; empty if no run had a contact.
+
+    Contacts are listed from traces. Runs without a trace are only counted.
+    """
     rows, count = [], 0
-    touched = {
+    runs_with_contacts = {
         row["run"]
         for row in results.rows
         if any((row.get(metric) or 0.0) > 0.0 for metric in _CONTACTS)
     }
     for run in results.runs:
-        if run.id not in touched:
+        if run.id not in runs_with_contacts:
             continue
         try:
             trace = results.traces[run.id]
@@ -117,9 +118,9 @@ def contacts_table(results: Results) -> str:
                 moving or "-",
             )
             rows.append((*map(escape, cells), f"{contact.closing_speed:.3f} m/s"))
-    if not touched:
+    if not runs_with_contacts:
         return ""
-    text = f"{len(touched)} of {len(results.runs)} runs had contacts"
+    text = f"{len(runs_with_contacts)} of {len(results.runs)} runs had contacts"
     text += f"; the first {MAX_CONTACTS} of {count} are listed" if count > MAX_CONTACTS else ""
     head = ("RUN", "TIME", "BETWEEN", "MOVING", "CLOSING SPEED")
     return f"<p>{text}.</p>\n{table(head, rows[:MAX_CONTACTS], 'contacts')}"

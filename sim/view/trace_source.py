@@ -124,9 +124,10 @@ class TraceSource:
 
 
 class _ShownRun:
-    """One run; times in s from its start."""
+    """One recorded run as the page shows it; times are in s from its start."""
 
     def __init__(self, run: RecordedRun) -> None:
+        """Prepares robots, arena and marks; scans need platforms that are known here."""
         trace = self._trace = run.trace
         self.robots = [
             ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
@@ -144,8 +145,10 @@ class _ShownRun:
         self._index = {name: i for i, name in enumerate(trace.ids)}
         self.link = cluster_link(trace)
         self.marks = self._marks()
+
+        # Ideal lidars; None if a platform is not known here.
         self._sensors: RangeSensors | None = None
-        with suppress(ConfigError):  # platforms of another machine
+        with suppress(ConfigError):
             names = set(trace.platforms)
             loaded = {name: run.platforms.get(name) or load_platform(name) for name in names}
             self._platforms = [loaded[name] for name in trace.platforms]
@@ -255,6 +258,10 @@ class _ShownRun:
         return min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
 
     def _row(self, at: int, i: int) -> dict[str, Any]:
+        """The values of robot `i` at instant `at`, as the page takes them (see `Source.rows`).
+
+        Values that the trace does not have are left out or blank.
+        """
         trace = self._trace
         is_present = bool(self._present[at, i])
         state = "running" if trace.state is None else str(trace.state[at, i])
@@ -302,9 +309,12 @@ def _partner(contact: TraceContact, robot: str) -> str:
 
 
 def _largest(trace: Trace) -> list[float]:
-    """The highest commands of the run, to scale the dial."""
-    both = [trace.safe] if trace.requested is None else [trace.safe, trace.requested]
-    values = np.concatenate([commands.reshape(-1, 3) for commands in both])
+    """The largest absolute linear, angular and lateral speed of all commands of the run.
+
+    The page scales its dial of commands by these speeds. Each is at least 0.01.
+    """
+    commands = [trace.safe] if trace.requested is None else [trace.safe, trace.requested]
+    values = np.concatenate([array.reshape(-1, 3) for array in commands])
     values = np.abs(values[np.isfinite(values).all(axis=1)])
     largest = np.maximum(values.max(axis=0) if len(values) else np.ones(3), 0.01)
     return [float(value) for value in largest]
@@ -336,10 +346,10 @@ def source_of(place: Path, seed: int | None = None, variant: str | None = None) 
 
 
 def runs_of(place: Path, seed: int | None = None, variant: str | None = None) -> Runs:
-    """The runs of an experiment's folder, of a demo's folder, or of a trace file.
+    """The recorded runs of an experiment's folder, of a demo's folder, or of a trace file.
 
-    `first` is the first run with this `seed` and `variant`. ConfigError in one line without a trace
-    or without such a run. `load` raises ConfigError for a damaged trace.
+    `first` of the result is the first run with this `seed` and `variant`; None: any. ConfigError if
+    there is no trace, or no such run. `load` of the result raises ConfigError for a damaged trace.
     """
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)
