@@ -440,6 +440,7 @@ export class SwarmMap {
   drawScale(text, back) {
     const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
     const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = (this.insets[2] + 12) * ratio;
+    if (y < (this.insets[0] + 40) * ratio) return; // a sheet leaves no room
     ctx.beginPath();
     ctx.moveTo(x, y - 4 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4 * ratio);
     ctx.textAlign = 'left';
