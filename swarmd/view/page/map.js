@@ -12,8 +12,9 @@ const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around 
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
-const BAR = 140; // pixels of the scale bar, at most
+const BAR = 140, ABOVE_SCALE = 30; // pixels: the length of the scale bar, at most; its height
 const EDGE = 0.6; // m around what is shown by Fit
+const NEAR = 10; // pixels from an edge within which a robot leaves the map
 const REFIT = 1000; // ms from one fit to the next, while nobody has moved the view
 const SMALL = 16; // pixels of a robot's radius below which its sign has its colour
 const SIGN = 5; // pixels from the middle of a sign to its edge, at least
@@ -132,7 +133,7 @@ export class SwarmMap {
     const arena = this.model.arena;
     if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
     if (left > right) return;
-    const { clientWidth: w, clientHeight: h } = this.canvas, [above, below, before, after] = this.insets;
+    const { clientWidth: w, clientHeight: h } = this.canvas, [above, under, before, after] = this.insets, below = under + ABOVE_SCALE;
     const edge = arena ? EDGE / 3 : EDGE;
     this.scale = Math.min(Math.max(w - before - after, 60) / (right - left + 2 * edge), Math.max(h - above - below, 60) / (top - bottom + 2 * edge), 220);
     this.centre = [(left + right) / 2 + (after - before) / 2 / this.scale, (bottom + top) / 2 + (above - below) / 2 / this.scale];
@@ -147,7 +148,7 @@ export class SwarmMap {
     const { clientWidth: w, clientHeight: h } = this.canvas, [above, below, before, after] = this.insets;
     return robots.some((robot) => {
       const [x, y] = this.toScreen(robot.x, robot.y).map((one) => one / this.ratio);
-      return x < before || x > w - after || y < above || y > h - below;
+      return x < before + NEAR || x > w - after - NEAR || y < above + NEAR || y > h - below - NEAR;
     });
   }
 
@@ -440,6 +441,7 @@ export class SwarmMap {
   drawScale(text, back) {
     const { ctx, ratio } = this, length = STEPS.findLast((step) => step * this.scale <= BAR) || STEPS[0];
     const width = length * this.scale * ratio, y = this.canvas.height - (this.insets[1] + 10) * ratio, x = (this.insets[2] + 12) * ratio;
+    if (y < (this.insets[0] + 40) * ratio) return; // a sheet leaves no room
     ctx.beginPath();
     ctx.moveTo(x, y - 4 * ratio); ctx.lineTo(x, y); ctx.lineTo(x + width, y); ctx.lineTo(x + width, y - 4 * ratio);
     ctx.textAlign = 'left';
