@@ -98,7 +98,7 @@ def calibrate(
             )
         # 2. Warn of moving robots, and ask whether the floor is free.
         side_m = _floor(status) if floor is None else floor
-        statuses = {name: other.status for name, other in view.members.items()}
+        statuses = {name: other_member.status for name, other_member in view.members.items()}
         if moving := running_beside(statuses, robot):
             names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")

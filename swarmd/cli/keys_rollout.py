@@ -100,30 +100,32 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
     if bool(names) == is_all:
         raise click.UsageError("keys renew needs names or --all")
     authority = open_authority(options.swarm)
-    settings, own = _network(options, authority)
+    settings, own_identity = _network(options, authority)
     roster = authority.roster
     # 1. Choose the names. A name without a record has no keys yet.
-    selectable = (*roster.robots, own.name) if is_all else roster.names
+    selectable = (*roster.robots, own_identity.name) if is_all else roster.names
     chosen = [
         name for name in select_names(names, selectable) if authority.record_of(name) is not None
     ]
     robots = tuple(name for name in chosen if name in roster.robots)
-    need_bundle = [name for name in chosen if name not in roster.robots and name != own.name]
+    need_bundle = [
+        name for name in chosen if name not in roster.robots and name != own_identity.name
+    ]
     if need_bundle:
         raise ConfigError(f"{', '.join(need_bundle)}: only a bundle brings them a new certificate")
     # 2. Renew this operator's certificate on this machine, and those of robots over the network.
-    if own.name in chosen:
-        _renew_own(authority, own, days)
+    if own_identity.name in chosen:
+        _renew_own(authority, own_identity, days)
     if not robots:
         return
     issued = {name: authority.issue(name, days=days, is_recorded=False) for name in robots}
-    outcome = _send_roster(options, settings, own, authority, robots, issued=issued)
+    outcome = _send_roster(options, settings, own_identity, authority, robots, issued=issued)
     # 3. Record what the robots have taken.
     for name in outcome.applied:
         authority.note_issued(issued[name])
     if outcome.missing:
         warn("robots that were not reached keep their certificates: repeat `swarmctl keys renew`")
-    _finish(options, authority, own, outcome)
+    _finish(options, authority, own_identity, outcome)
 
 
 @click.command()

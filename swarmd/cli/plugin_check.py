@@ -137,25 +137,25 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
     in a point, another child checks the points after it. After a point that hangs, the remaining
     points are skipped. Raises PluginError if the child fails before the first point.
     """
-    done: list[str] = []  # names of points
+    checked_names: list[str] = []  # of points
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
     side_effects: list[str] = []
     needs_child = True
     with TemporaryFile() as log:  # all that the plugin's code prints
         while needs_child:
             needs_child = False
-            words = ["check", str(path), "--done", *done]
+            words = ["check", str(path), "--done", *checked_names]
             for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
-                elif "result" in row and row["result"] not in done:
-                    done.append(row["result"])
+                elif "result" in row and row["result"] not in checked_names:
+                    checked_names.append(row["result"])
                     yield _point(row["result"], row, known_faults)
                     if row.get("is_hang"):
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
                 elif "lost" in row:  # the child ended or hangs in this point
-                    is_first = not done
-                    done.append(row["lost"])
+                    is_first = not checked_names
+                    checked_names.append(row["lost"])
                     fault = {"fault": f"the process that checks it {row['how']}"}
                     yield _point(row["lost"], fault, known_faults)
                     if row["hangs"]:

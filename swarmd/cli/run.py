@@ -92,7 +92,7 @@ def run(
     answers `applied` when the pattern is loaded and will be stepped. A robot that changed since
     swarmctl looked at it refuses: check `swarmctl members` and repeat the request.
     """
-    wanted = Run(
+    new_run = Run(
         pattern=pattern,
         params=read_assignments(params),
         seconds=duration,
@@ -104,15 +104,15 @@ def run(
         canary=read_canary(canary),
         canary_time=canary_time,
     )
-    wanted.check(_option)  # `_option` names a field as the option of the command line
+    new_run.check(_option)  # `_option` names a field as the option of the command line
     with asking(options, targets, needs_status=canary is not None) as asked, ExitStack() as opened:
         run_targets = goal_targets(targets, asked.names)
         if lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
             # A run with a lease lasts while this command runs, so the call does not return.
-            run_while_here(asked, wanted, run_targets)
-        started = carry_out(wanted, asked.targeted, run_targets, opened, _option)
+            run_while_here(asked, new_run, run_targets)
+        started = carry_out(new_run, asked.targeted, run_targets, opened, _option)
         asked.report(started.outcome, started.notes)
 
 

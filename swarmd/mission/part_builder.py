@@ -87,9 +87,9 @@ def build_setters(
         if source_part not in parts or target_part not in parts:
             continue
         # An unknown parameter is reported here once, instead of once for each value.
-        known = [spec.name for spec in schema(parts[target_part].params_type)]
-        if target_parameter not in known:
-            text = f"names {unknown('parameter', target_parameter, known)} (of {target_part})"
+        valid_names = [spec.name for spec in schema(parts[target_part].params_type)]
+        if target_parameter not in valid_names:
+            text = f"names {unknown('parameter', target_parameter, valid_names)} (of {target_part})"
             builder.faults.append(fault_at((*keys, "to"), text))
             continue
         # The opinion of a vote has a known number of values, and the map must have all of them.
@@ -143,23 +143,24 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
 
 
 def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
-    """A new part; the builder gets a fault for each parameter that the part refuses.
+    """Make a new part; add a fault to the builder for each parameter that the part refuses.
 
-    Refused parameters are left out, so that all are found. None, with a fault, if the part cannot
-    be made.
+    A refused parameter is left out and the part is made again, so that all faults are found. None,
+    with a fault, if the part cannot be made.
     """
-    parts, exposed = builder.document.parts, builder.exposed.get(name, {})
+    parts = builder.document.parts
+    mission_parameters = builder.exposed.get(name, {})  # the mission's own: not of the part's file
     while True:
         part = parts[name]
         try:
             return builder(name)
         except ParameterError as error:
             key = error.parameter
-            if key in part.params and key not in exposed:
+            if key in part.params and key not in mission_parameters:
                 text = f"is refused: {error_text(error)}"
                 builder.faults.append(fault_at(("parts", name, "params", key), text))
-                rest = {k: value for k, value in part.params.items() if k != key}
-                parts[name] = msgspec.structs.replace(part, params=rest)
+                params = {k: value for k, value in part.params.items() if k != key}
+                parts[name] = msgspec.structs.replace(part, params=params)
                 continue
             builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
         except RecursionError:
@@ -192,7 +193,7 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
     if isinstance(mapping.values, list):  # for the reported values 0, 1, 2 ...
         table = dict(enumerate(mapping.values))
     elif mapping.values is not None:
-        table = dict(mapping.values)
+        table = dict(mapping.values.items())
     else:  # base + step * n for the reported values n = 0, 1, 2 ...
         count = mapping.count or opinions
         if count is None:

@@ -215,31 +215,31 @@ class Peers:
         False without a fresh own pose in the same frame, for an old report, for a peer that is far
         away, and for a peer that the lidar sees.
         """
-        own, body_radius = self._own_pose, self._radii.get(place.robot)
+        own_pose, body_radius = self._own_pose, self._radii.get(place.robot)
         body = self._bodies.get(place.robot)
-        if own is None or body_radius is None or body is None:
+        if own_pose is None or body_radius is None or body is None:
             return False
-        if place.frame != own.shared.frame:
+        if place.frame != own_pose.shared.frame:
             return False
-        if now - own.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT:
+        if now - own_pose.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT:
             return False
         reported_at = now - place.age
-        pose = own.shared.pose
+        pose = own_pose.shared.pose
         dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
         if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
             return False
         # The disc grows by the errors of both places, by the error of the own yaw over the
         # distance, and by the motion of the peer until the time of the own pose.
-        error = own.shared.error + own.shift + place.error
-        error += (own.shared.yaw_error + own.turn) * math.hypot(dx, dy)
-        error += body.surface_speed * max(own.at - reported_at, 0.0)
+        error = own_pose.shared.error + own_pose.shift + place.error
+        error += (own_pose.shared.yaw_error + own_pose.turn) * math.hypot(dx, dy)
+        error += body.surface_speed * max(own_pose.at - reported_at, 0.0)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         disc = _PeerDisc(
             x=cos * dx + sin * dy,
             y=cos * dy - sin * dx,
             radius=body_radius + error,
-            at=own.at,
-            until=min(own.at, reported_at) + TOLD_TIMEOUT,
+            at=own_pose.at,
+            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,
         )
         _keep_newer(self._located, place.robot, disc)
         self._update_places_until()

@@ -707,10 +707,10 @@ class Lifecycle:
         if now >= running.finish_at:
             self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
-        lease_ends_at, own = self.goals.lease_ends, self.goals.own
-        if lease_ends_at is not None and own is not None and now >= lease_ends_at:
-            text = f"{own.goal.issuer} was not heard for {own.goal.lease:g} s"
-            self.raise_revision(f"the end of the run lease of {own.goal.issuer}")
+        lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
+        if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
+            text = f"{own_goal.goal.issuer} was not heard for {own_goal.goal.lease:g} s"
+            self.raise_revision(f"the end of the run lease of {own_goal.goal.issuer}")
             self.stop(Reason.LEASE_ENDED, text, effects)
             return None
         return self._present_hold(hold, effects, hold_text)
