@@ -59,8 +59,8 @@ COLUMNS = (*_COMMON, *(f"requested_{name}" for name in TWIST), *_PER_ROBOT, *BOU
 class Trace:
     """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
 
-    The fields from `requested` to `recovering` are known to robots alone: None unless the robots
-    reported them.
+    The fields from `requested` to `recovering` come from the robots, not from the world: they are
+    None if the robots did not report them.
     """
 
     ids: tuple[str, ...]

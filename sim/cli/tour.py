@@ -47,7 +47,7 @@ def tour(ctx: click.Context, /, yes: bool, **world: Any) -> None:
     """Try the first five commands on a simulated swarm; takes a minute and leaves nothing behind.
 
     Each command is shown first and runs after Enter; Ctrl-C ends the tour and the swarm. Exit code
-    0 if each command succeeds, else that of the first which does not.
+    0 if each command succeeds, else the exit code of the first command that fails.
     """
     if not yes and not sys.stdin.isatty():
         raise click.UsageError("the tour waits for Enter, and this is no terminal; give --yes")

@@ -76,14 +76,15 @@ class Candidate(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class TaskFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of a file of the suite.
+    """The keys of a task file of the benchmark suite.
 
     - `suite`: the version of the suite.
     - `task`: what the robots shall do, in words.
     - `seeds`: the number n of seeds, 0 to n - 1. A seed decides the start poses of layout random,
       and all noise.
-    - `groups`: the judged groups of the scenario, which have no pattern in the file.
-    - `candidates`: the patterns to try by default.
+    - `groups`: the judged groups of the scenario: they run the pattern that is judged, and have no
+      pattern in the file.
+    - `candidates`: the patterns that are judged unless the user names patterns.
     - `scenario`: the world and the robots, with the keys of a scenario's file. `duration` is the
       time budget in s. Platforms are complete, with `extends: null`.
     """

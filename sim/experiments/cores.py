@@ -15,8 +15,9 @@ LARGE_RUN = 100
 def usable_cores(root: Path = Path("/")) -> int:
     """The number of cores that this process may use, 1 to MAX_PROCESSES.
 
-    The cores of its affinity mask, limited by the quotas of its control groups (cgroup v1 and v2).
-    A quota is rounded up to whole cores. `root`: the folder that holds /proc and /sys.
+    It is the number of cores in the affinity mask of the process, limited by the quotas of its
+    control groups (cgroup v1 and v2). A quota is rounded up to whole cores. `root`: the folder that
+    holds /proc and /sys.
     """
     quotas = [_quota(folder) for folder in _groups(root)]
     limits = [math.ceil(quota) for quota in quotas if quota < math.inf]

@@ -1,4 +1,4 @@
-"""Racing: which candidates of a tuning are significantly worse than the leader, by rank tests.
+"""Racing of a tuning: rank tests find the candidates that are significantly worse than the leader.
 
 F-race: M. Birattari, T. Stuetzle, L. Paquete and K. Varrentrapp, "A racing algorithm for
 configuring metaheuristics", GECCO 2002. Each seed is a block in which the candidates are ranked.

@@ -153,11 +153,11 @@ class Results:
         return metric_of(which, report_units=self._report_units)
 
     def asked(self, name: str | Metric) -> Metric:
-        """The metric of that name as it is measured now.
+        """The metric of a name; a metric of a Python file has the present code of the file.
 
-        A metric of a Python file that is still there has the file's present code. All else is as in
-        `about`. ConfigError if the file is new, has changed or has not been run by this user,
-        unless these results are trusted.
+        Without the file, and for other metrics, it is the metric of `about`. ConfigError if the
+        file is new, has changed or has never been run by this user, unless these results are
+        trusted.
         """
         known = self._own.get(name) if isinstance(name, str) else None
         file = known.origin.rpartition(":")[0] if known is not None else ""
@@ -166,11 +166,11 @@ class Results:
         return self.about(name)
 
     def metric(self, which: str | Metric, variant: str | None = None) -> Array:
-        """The values (runs,) of a metric, of one variant or of all (None). NaN: no value.
+        """The values (runs,) of a metric in the finished runs; NaN: no value.
 
-        A metric that the runs did not measure, or measured with other code, is measured now on the
-        traces. ConfigError with the nearest name for an unknown metric or variant. SwarmError if
-        traces are missing.
+        `variant`: the runs of this variant; None: all runs. A metric that the runs did not measure,
+        or measured with other code, is measured now on the traces. ConfigError with the nearest
+        name for an unknown metric or variant. SwarmError if traces are missing.
         """
         metric = self.about(which)
         rows = self._rows if variant is None else self._of(variant)
@@ -238,10 +238,10 @@ class Results:
     def summary(
         self, variant: str | None = None, names: Sequence[str | Metric] | None = None
     ) -> dict[str, statistics.Summary]:
-        """Statistics by metric of one variant, by default of the only one.
+        """The statistics of metrics over the runs of one variant, by the metric's name.
 
-        `names`: the metrics, by default all. ConfigError if there are several variants and
-        `variant` is None.
+        `variant`: None for an experiment with one variant; ConfigError if it has several. `names`:
+        the metrics; None: all.
         """
         if variant is None:
             if len(self.variants) > 1:

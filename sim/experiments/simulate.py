@@ -1,4 +1,4 @@
-"""Experiments from Python: a scenario, over seeds, with statistics.
+"""Experiments from Python: `simulate` runs a scenario with many seeds and measures the runs.
 
 ::
 
@@ -8,7 +8,7 @@
     results = simulate("aggregation", seeds=3, set={"duration": 20}, sweep=spacings)
     print(results)
 
-The same as `swarmctl exp run`, with the same results to the last bit.
+`swarmctl exp run` uses the functions below; its results are the same to the last bit.
 """
 
 from __future__ import annotations

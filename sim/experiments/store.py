@@ -2,13 +2,13 @@
 
 ::
 
-    manifest.json   what was to be run, and with what
-    runs.csv        a row for each finished run, appended as it finishes
+    manifest.json   the planned runs, and the software that makes them
+    runs.csv        a row for each finished run, appended when the run ends
     traces/ID.npz   the trace of a run
-    failures.json   the runs that failed, and custom metrics that failed in a run, and why
+    failures.json   the reasons of runs that failed, and of custom metrics that failed in a run
     summary.json    means, medians and intervals by variant and metric
 
-A killed process may leave the last line of runs.csv torn. Readers skip a torn line.
+A killed process may leave the last line of runs.csv incomplete. Readers skip such a line.
 """
 
 from __future__ import annotations

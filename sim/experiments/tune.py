@@ -10,8 +10,8 @@
 `swarmctl exp tune` calls this function. A tuning has these phases:
 
 1. A sampler draws new candidates from the results of earlier races.
-2. All candidates of a race run over the same seeds in the same order. A candidate ends early when a
-   test shows with confidence that the leader is better (`racing.py`).
+2. A race runs all its candidates over the same seeds in the same order. A candidate ends early when
+   a rank test shows that the leader is significantly better (`racing.py`).
 3. The best candidate of a race also takes part in the next race. Races repeat until the budget is
    used.
 4. Held-out seeds, which no race has used, compare the best candidate with the values of the

@@ -1,8 +1,8 @@
 """The MuJoCo model of a film: the world of a run with a floor, light and visible robots.
 
 Walls are drawn low, so that they hide nothing. On each robot a white bar marks the front. Robots
-that would be too small to recognise are drawn larger than they are. There are no shadows: on a
-large floor MuJoCo's shadows are full of specks.
+that would be too small to recognise are drawn larger than they are. Shadows are off, since MuJoCo's
+shadows on a large floor are full of specks.
 """
 
 from __future__ import annotations

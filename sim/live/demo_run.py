@@ -1,8 +1,7 @@
 """One demo on a running fleet: carry out its events, stop all robots, and summarize the run.
 
-The demo commands the robots as any operator does, through
-`swarmd.network.operator.operator`. The true state of the world is for the view and the summary
-alone.
+The demo commands the robots as an operator does, through `swarmd.network.operator.operator`. It
+uses the true state of the world only for the live view and the summary.
 """
 
 from __future__ import annotations

@@ -52,10 +52,10 @@ WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetSpec:
-    """The processes to start.
+    """The options of a fleet: one process with the simulated world, and a daemon for each robot.
 
-    With a `scenario`, its file describes the world and the daemons. `arena`, `layout`, `realism`,
-    `lidar_visibility` and `radio_range` then have no effect.
+    With a `scenario`, the scenario describes the world and the daemons. `arena`, `layout`,
+    `realism`, `lidar_visibility` and `radio_range` then have no effect.
     """
 
     swarm: str

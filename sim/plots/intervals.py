@@ -1,7 +1,7 @@
 """Pictures of metrics run by run, and of the differences between variants, with intervals.
 
-Variants are the rows of a picture, and with `curve_figure` the values along its axis. A single
-variant with many metrics is a table.
+A variant is one point of a parameter sweep. Each variant is a row of a picture; in `curve_figure`
+each variant is a value on the horizontal axis. A single variant with many metrics gives a table.
 """
 
 from __future__ import annotations

@@ -102,10 +102,10 @@ def typical_first(values: Array) -> list[int]:
 
 
 def worst_first(values: Array, better: Better | None) -> tuple[list[int], str]:
-    """Indices of runs, the worst first, and the name of the first: "worst" or "least typical".
+    """The indices of runs in order from the worst run on, and the name of the first run.
 
-    `better`: None for a metric without a better direction; then the run farthest from the median
-    is first.
+    `better`: the better direction of the metric. The first run is "worst". Without a better
+    direction (None) it is the run farthest from the median, and its name is "least typical".
     """
     if better is None:
         known = [index for index in typical_first(values) if not np.isnan(values[index])]
@@ -212,11 +212,11 @@ class Facet:
 def facets_of(
     plan: Plan, key: str | None, alone: str, labels: Mapping[str, str] | None = None
 ) -> dict[str, Facet]:
-    """The facet of each variant by its name.
+    """The facet of each variant, by the variant's name: its panel, and its label in the panel.
 
-    `key`: a swept key, or its last part, each of whose values has a panel; None: one panel.
-    `alone`: the label of a single variant in a panel. `labels`: texts for swept keys. ConfigError
-    with the nearest key if `key` was not swept.
+    `key`: a swept key, or the last word of a swept key; each value of this key has a panel. None:
+    all variants are in one panel. `alone`: the label of a single variant in a panel. `labels`:
+    texts for swept keys. ConfigError with the nearest key if `key` was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:
