@@ -168,14 +168,15 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
         elif row["missing"]:
-            misfits.append(f"{name} (lacks {', '.join(row['missing'])})")
+            misfits.append(name)
         elif row["refused"] and name in own:
             yield Finding(f"pattern {name}", False, row["refused"])
         elif row["refused"]:
-            misfits.append(f"{name} ({row['refused']})")
+            misfits.append(name)
         else:
             fit += 1
-    rest = f"; not for this platform: {'; '.join(misfits)}" if misfits else ""
+    why = f"swarmctl patterns show NAME --platform {settings.platform_name}"
+    rest = f"; not for this platform: {', '.join(misfits)}; why: {why}" if misfits else ""
     yield Finding("patterns", True, f"{fit} of {len(rows)} fit this platform{rest}")
     by_name = {row["name"]: row for row in rows}
     yield from _check_parameters(settings, by_name)
