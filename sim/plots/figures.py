@@ -330,12 +330,15 @@ class _Gallery:
         for one in metrics:
             if _varies(found[one.name]):
                 shown_as = self._quantity(one, select.stem_of(one.name))
+                labels = {label for of in found[one.name].values() for label in of}
+                others = {facet.label for facet in self._facets.values()} - labels
+                alone = f", {min(labels)}" if len(labels) == 1 and others else ""
                 figure = series_figure(
                     found[one.name],
                     label=shown_as.name,
                     unit=shown_as.unit,
                     axis=self._axis,
-                    title=self._scenario,
+                    title=self._scenario + alone,
                     target=self._look.targets.get(one.name),
                     events=next(iter(events)) if len(events) == 1 else (),
                     smoothing=select.smoothing_of(one.name),
