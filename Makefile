@@ -72,7 +72,7 @@ help:
 # group that Ctrl-C ends, too. Processes that start late must not mix interpreted and compiled code.
 demo: $(VENV)/interpreted
 	@if [ $(VENV)/installed -nt $(VENV)/interpreted ]; then exec $(BIN)/swarmctl demo $(ARGS); fi; \
-	  echo "The kernels are compiled while the robots move; the next start uses them."; \
+	  echo "Kernels are compiled and matplotlib is installed while the robots move; the next start has both."; \
 	  setsid nice -n 19 $(REST) $(VENV)/installed >$(VENV)/rest.log 2>&1 & rest=$$!; \
 	  trap "kill -- -$$rest 2>/dev/null" INT TERM; \
 	  SWARMD_COMPILED=0 $(BIN)/swarmctl demo $(ARGS); status=$$?; \

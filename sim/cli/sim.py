@@ -151,8 +151,11 @@ def _report_ends(fleet: Fleet) -> NoReturn:
 def _print_usage(spec: FleetSpec) -> None:
     from swarmd.security.identity import find_identity
 
-    is_default = spec.swarm == DEFAULT_SWARM and context_in_use() is None
+    has_context = context_in_use() is not None
+    is_default = spec.swarm == DEFAULT_SWARM and not has_context
     swarmctl = "swarmctl" if is_default else f"SWARM={spec.swarm} swarmctl"
+    if has_context:  # its profile may be another one
+        swarmctl += " --profile dev"
     if find_identity(spec.swarm) is not None:
         warn(f"the simulated robots have no keys; a secured swarm {spec.swarm} ignores them")
         swarmctl += " --insecure"

@@ -341,12 +341,15 @@ class _Gallery:
         for metric in metrics:
             if _varies(runs_of[metric.name]):
                 quantity = self._quantity(metric, select.stem_of(metric.name))
+                labels = {label for groups in runs_of[metric.name].values() for label in groups}
+                other_labels = {facet.label for facet in self._facets.values()} - labels
+                only_label = f", {min(labels)}" if len(labels) == 1 and other_labels else ""
                 figure = series_figure(
                     runs_of[metric.name],
                     label=quantity.name,
                     unit=quantity.unit,
                     axis=self._axis,
-                    title=self._scenario,
+                    title=self._scenario + only_label,
                     target=self._look.targets.get(metric.name),
                     events=next(iter(events)) if len(events) == 1 else (),
                     smoothing=select.smoothing_of(metric.name),

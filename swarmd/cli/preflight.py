@@ -174,14 +174,15 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
         elif row["missing"]:
-            misfits.append(f"{name} (lacks {', '.join(row['missing'])})")
+            misfits.append(name)
         elif row["refused"] and name in in_plugin_dir:
             yield Finding(f"pattern {name}", False, row["refused"])
         elif row["refused"]:
-            misfits.append(f"{name} ({row['refused']})")
+            misfits.append(name)
         else:
             fit_count += 1
-    misfit_text = f"; not for this platform: {'; '.join(misfits)}" if misfits else ""
+    why = f"swarmctl patterns show NAME --platform {settings.platform_name}"
+    misfit_text = f"; not for this platform: {', '.join(misfits)}; why: {why}" if misfits else ""
     text = f"{fit_count} of {len(rows)} fit this platform{misfit_text}"
     yield Finding("patterns", True, text)
     rows_by_name = {row["name"]: row for row in rows}

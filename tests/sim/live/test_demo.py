@@ -179,13 +179,15 @@ def children_of_session(session: int) -> list[int]:
 
 
 @pytest.mark.integration
-def test_sim_up_of_a_swarm_whose_keys_are_here_is_insecure_and_says_so(
+def test_sim_up_of_a_swarm_whose_keys_are_here_prints_commands_that_reach_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     swarm = unique_swarm()
     monkeypatch.setenv("HOME", str(tmp_path))
-    made = run_command("swarmctl", "keys", "init", swarm, "--robots", "tb3-01", cwd=tmp_path)
-    assert made.returncode == 0, made.stderr
+    made = run_command(
+        "swarmctl", "keys", "init", swarm, "--robots", "tb3-01", "--interface", "lo", cwd=tmp_path
+    )
+    assert made.returncode == 0, made.stderr  # the context has profile field from now on
     command = [SWARMCTL, "sim", "up", "-n", "1", "--swarm", swarm]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
@@ -193,10 +195,13 @@ def test_sim_up_of_a_swarm_whose_keys_are_here_is_insecure_and_says_so(
         try:
             assert "1 robots are up" in process.stdout.readline()
             lines = [process.stdout.readline() for _ in range(2)]
+            environment, _, *words = lines[1].split()[:-5]
+            answered = run_command("swarmctl", *words, "--swarm", swarm, cwd=tmp_path)
         finally:
             process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=CAP)
-    assert f"SWARM={swarm} swarmctl --insecure members" in lines[1]
+    assert (environment, answered.returncode) == (f"SWARM={swarm}", 0), answered.stderr
+    assert "tb3-01" in answered.stdout
     assert "no keys" in errors
     assert process.returncode == 0
 

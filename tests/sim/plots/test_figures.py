@@ -127,6 +127,16 @@ def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment:
     assert "intervals.png" not in made
 
 
+def test_a_curve_over_time_of_one_variant_of_several_names_it(
+    experiment: Path, tmp_path: Path
+) -> None:
+    for trace in (experiment / "traces").glob("law=paper_*"):
+        trace.unlink()
+    look = Look(suffix=".svg", only=("over_time",))
+    (made,) = draw_experiment(experiment, tmp_path / "out", metrics=["minimum_gap"], look=look)
+    assert "gathering, law=settling" in made.read_text()
+
+
 def test_only_the_pictures_that_are_asked_for_are_drawn(experiment: Path, tmp_path: Path) -> None:
     made = names(draw_experiment(experiment, tmp_path / "all", metrics=["minimum_gap"]))
     assert not made & BOTH
