@@ -50,9 +50,9 @@ STAMPS = Stamps()  # of this process, which is one measurement
 
 
 class StampedDriver(simulated.SimulatedDriver):
-    def _take(self, sink: Sink, name: str, payload: bytes) -> None:
+    def _take(self, sink: Sink, name: str, payload: bytes, batch: Any) -> None:
         STAMPS.loop = monotonic_ns()
-        super()._take(sink, name, payload)
+        super()._take(sink, name, payload, batch)
 
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False

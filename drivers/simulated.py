@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Mapping
 from time import monotonic
+from typing import NamedTuple
 
 from msgspec import Struct
 
@@ -49,6 +50,14 @@ class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     endpoint: str = DEFAULT_ENDPOINT
     radio: bool = False
     detections: bool = False
+
+
+class _Batch(NamedTuple):
+    """What is common to the frames of one read."""
+
+    take_late: TakeLate | None
+    waited: float | None  # s since odometry arrived; None: it arrived before a scan
+    last_read: float  # when frames were read before, which was before these frames arrived
 
 
 class SimulatedDriver:
@@ -197,23 +206,15 @@ class SimulatedDriver:
         if take_late is not None:
             is_last = frames[-1].name == _ODOMETRY
             waited = self._link.age if is_last and self._link is not None else None
+        batch = _Batch(take_late, waited, last)
         self._is_taking = True
         try:
             for name, payload in newest.items():
-                self._take(sink, name, payload, take_late, waited, last)
+                self._take(sink, name, payload, batch)
         finally:
             self._is_taking = False
 
-    def _take(
-        self,
-        sink: Sink,
-        name: str,
-        payload: bytes,
-        take_late: TakeLate | None,
-        waited: float | None,
-        last: float,
-    ) -> None:
-        """Take a sensor frame; `waited` and `last` are for `_age`."""
+    def _take(self, sink: Sink, name: str, payload: bytes, batch: _Batch) -> None:
         try:
             input = hw_codec.decode_input(name, payload, self._platform)
         except CodecError:
@@ -224,25 +225,25 @@ class SimulatedDriver:
         if isinstance(input, ScanInput):
             self._scan_size = min(self._scan_size or len(payload), len(payload))
         elif isinstance(input, OdometryInput):
-            age = self._age(input.odometry.stamp, waited, last)
+            age = self._age(input.odometry.stamp, batch)
         self._last_sample = self._last_read - age
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        if take_late is not None and isinstance(input, OdometryInput):
-            take_late(input, age)
+        if batch.take_late is not None and isinstance(input, OdometryInput):
+            batch.take_late(input, age)
         else:
             sink.take(input)
 
-    def _age(self, stamp: float, waited: float | None, last: float) -> float:
-        """Seconds since a reading of odometry arrived, which was after `last`.
+    def _age(self, stamp: float, batch: _Batch) -> float:
+        """Seconds since a reading of odometry arrived.
 
-        `waited`: these seconds as measured. None for a reading that arrived before a scan: then its
-        stamp tells them, if it arrived as late after its stamp as the reading before.
+        The stamp gives the arrival of a reading before a scan: the reading came as late after its
+        stamp as the reading before.
         """
-        now = self._last_read
+        now, waited = self._last_read, batch.waited
         arrival = stamp + self._lag if waited is None else now - waited
-        arrival = min(max(arrival, last), now)
+        arrival = min(max(arrival, batch.last_read), now)
         self._lag = arrival - stamp
         return now - arrival
 
