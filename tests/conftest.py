@@ -22,7 +22,7 @@ from swarmd.core.kernels import describe_kernels
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
-from tests.support.scheduling import NICENESS, MixedScheduling, computes
+from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
 # of its examples in `make test`, other ones each time, and all of them in `make evidence`.
@@ -119,12 +119,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         evidence = [item for item in items if item.get_closest_marker("evidence")]
         config.hook.pytest_deselected(items=evidence)
         items[:] = [item for item in items if not item.get_closest_marker("evidence")]
-    long = {item.path for item in items if item.get_closest_marker("integration")}
-    long |= {item.path for item in items if LONG_FOLDERS & {*item.path.parts}}
-    items.sort(key=lambda item: item.path not in long)
+    waiting = {item.path for item in items if item.get_closest_marker("integration")}
+    places = {path: order(path, path in waiting) for path in {item.path for item in items}}
+    items.sort(key=lambda item: places[item.path])
 
-
-LONG_FOLDERS = {"protection", "sim", "studies"}
 
 # CPU time so far, and what was spent since the last report, by what it was spent on.
 CPU_TIME = pytest.StashKey[float]()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.scheduling import MixedScheduling, computes
+from tests.support.scheduling import LONGEST, MixedScheduling, computes, order
 
 MARKED, COMPUTING = ("w0", "w1"), ("c0", "c1", "c2", "c3")
 WAITING = (*MARKED, "drivers/w2")
@@ -132,3 +132,13 @@ def test_files_that_wait_come_first_and_not_to_the_worker_that_computes(
 @pytest.mark.parametrize(("workers", "found"), [(1, []), (4, [3]), (5, [4]), (6, [4, 5])])
 def test_a_third_of_the_workers_computes(workers: int, found: list[int]) -> None:
     assert [n for n in range(workers + 2) if computes(f"gw{n}", workers)] == found
+
+
+def test_the_longest_files_come_first_and_short_ones_that_compute_last() -> None:
+    here = Path(__file__).parent
+    files = [here / f"{name}.py" for name in LONGEST]
+    assert [path for path in files if not path.is_file()] == []
+    files += [here / "sim" / "x.py", here / "core" / "x.py"]
+    places = [order(path, is_integration=False) for path in files]
+    assert places == sorted({*places})
+    assert order(here / "core" / "x.py", is_integration=True) == places[-2]

@@ -19,6 +19,27 @@ _WAITING = {
 """Folders whose tests wait for sockets, threads or processes, also without the mark."""
 
 
+LONGEST = (
+    *("core/test_kernel_forms", "network/test_udp", "cli/test_calibrate"),
+    *("examples/test_notebooks", "sim/cli/test_tour", "swarm/test_watching", "swarm/test_garbage"),
+    *("network_faults/test_mesh", "network_faults/test_links", "drivers/test_daemons"),
+    *("sim/live/test_emulators", "sim/experiments/test_cluster", "sim/cli/test_classroom"),
+    *("network_faults/test_splits", "faults/test_daemon", "swarm/test_stolen_robot"),
+    *("network_faults/test_addresses", "swarm/test_estop", "sim/test_portable", "swarm/test_goals"),
+)
+"""Files of tests that take 50 s to 12 s with two cores, the longest first."""
+_LONG_FOLDERS = {"protection", "sim", "studies"}
+
+
+def order(path: Path, is_integration: bool) -> int:
+    """The place of a file among all: LONGEST, files that wait and long folders, the others."""
+    name = next((one for one in LONGEST if path.as_posix().endswith(f"tests/{one}.py")), None)
+    if name is not None:
+        return LONGEST.index(name)
+    is_long = is_integration or not _LONG_FOLDERS.isdisjoint(path.parts)
+    return len(LONGEST) + (0 if is_long else 1)
+
+
 class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
     """One file at a time for each worker, and one of three workers for files that compute.
 

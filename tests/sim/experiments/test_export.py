@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
@@ -53,6 +52,8 @@ def test_results_are_a_table_of_runs_and_traces_of_instants_and_robots(results: 
 
 @pytest.mark.parametrize("form", ["csv", "parquet"])
 def test_tables_are_read_again(results: Results, form: str, tmp_path: Path) -> None:
+    import pandas  # here, since each worker of pytest imports this module: 0.3 s
+
     read = {"csv": pandas.read_csv, "parquet": pandas.read_parquet}[form]
     names = [f"results.{form}", *(f"traces/{run.id}.{form}" for run in results.runs)]
     files = [*export(results, form, tmp_path / "out")]  # type: ignore[arg-type]

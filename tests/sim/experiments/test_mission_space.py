@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
-import optuna
 import pytest
 import yaml
 
@@ -39,8 +39,15 @@ def space(tmp_path: Path) -> MissionSpace:
     return mission_space(load_scenario("dispersion", LIGHT), MODULES, words, tmp_path / "missions")
 
 
+def random_study(seed: int) -> Any:
+    """An Optuna study that draws at random; imported here: each worker of pytest imports this."""
+    import optuna
+
+    return optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=seed))
+
+
 def test_every_draw_is_a_mission_without_faults(space: MissionSpace) -> None:
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=1))
+    study = random_study(1)
     kinds, states, drawn, targets = set(), set(), set(), set()
     for _ in range(300):
         overrides = space.overrides(space.draw(study.ask()))
@@ -64,7 +71,7 @@ def test_every_draw_is_a_mission_without_faults(space: MissionSpace) -> None:
 
 
 def test_robots_run_what_is_drawn(space: MissionSpace) -> None:
-    study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=2))
+    study = random_study(2)
     small = {**LIGHT, "groups.tb3.count": 2, "duration": 0.5}
     reported = set()
     for _ in range(6):
