@@ -123,7 +123,7 @@ evidence: $(VENV)/tools
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
 
-check: static docs wheel
+check: static docs wheel bringup
 
 static: $(VENV)/tools
 	$(BIN)/ruff format --check .
@@ -133,6 +133,10 @@ static: $(VENV)/tools
 # Without isolation: the installation of the tools has built swarmd with what pyproject.toml names.
 wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
+
+# The ROS 2 package of drivers/swarmd_bringup.
+bringup: $(VENV)/tools
+	.ci/try-bringup $(BIN)/python
 
 # A warning, such as a link that leads nowhere, is an error. All pages are read again, since a change of
 # one may break links of others.
