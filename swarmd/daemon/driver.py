@@ -139,7 +139,7 @@ class DriverOutput:
             self._on_crash(error)
 
 
-class Step(Protocol):
+class InputStep(Protocol):
     """Hands an input, which arrived `age` s ago, to the robot."""
 
     def __call__(self, input: events.Input, *, age: float = 0.0) -> None:
@@ -153,7 +153,7 @@ class DriverSink:
     robots itself. `drops`: counts of unreadable inputs by kind.
     """
 
-    def __init__(self, step: Step, neighborhood: NeighborSelection) -> None:
+    def __init__(self, step: InputStep, neighborhood: NeighborSelection) -> None:
         self._step = step
         self._neighborhood = neighborhood
         self.has_neighbors = False
