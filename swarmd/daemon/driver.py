@@ -142,7 +142,7 @@ class DriverOutput:
             self._on_crash(error)
 
 
-class Step(Protocol):
+class InputStep(Protocol):
     """Hands an input, which arrived `age` s ago, to the robot."""
 
     def __call__(self, input: events.Input, *, age: float = 0.0) -> None:
@@ -156,7 +156,7 @@ class DriverSink:
     senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
-    def __init__(self, step: Step, neighborhood: NeighborSelection) -> None:
+    def __init__(self, step: InputStep, neighborhood: NeighborSelection) -> None:
         self._step = step
         self._neighborhood = neighborhood
         self.has_neighbors = False

@@ -395,7 +395,8 @@ class RobotClient:
         finally:
             if not ended.done() or ended.cancelled():  # this task was cancelled
                 loop.remove_reader(file)
-            self._connection, self._read, self.is_known = None, None, False
+            self._connection = self._read = None
+            self.is_known = False
             connection.close()
 
     @property
