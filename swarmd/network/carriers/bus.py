@@ -150,7 +150,8 @@ class ZenohBus:
             for name in PUBLISHED
         }
         # Asking Zenoh whether a publisher has subscribers takes 50 us. So `_has_subscriber` keeps
-        # the answer, and Zenoh reports the names whose answer may have changed.
+        # the answer. Zenoh calls `_on_viewers` with each name whose answer may have changed, which
+        # adds the name to `_unsure_names`.
         self._has_subscriber = dict.fromkeys(self._publishers, False)
         self._unsure_names = set(self._publishers)
         for name, publisher in self._publishers.items():
@@ -226,6 +227,7 @@ class ZenohBus:
                         return
             query.drop()
 
+        # A key of `control` or `shared` ends with the name of its asker, a key of `state` does not.
         any_asker = ANY if plane in (CONTROL, SHARED) else ""
         served_key = build(self.swarm, self.robot, plane, name, any_asker)
         self._queryables.append(self._session.declare_queryable(served_key, on_query))

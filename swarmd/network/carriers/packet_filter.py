@@ -61,9 +61,11 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     with an operand. The first block whose tests all hold decides. The first stage (`heads`) tests
     the head of the datagram. The blocks of the second stage (`limits`) stand in this order:
 
-    1. Drop a share of the urgent datagrams (`URGENT`) of thinned sources.
+    1. Drop at random a part of the urgent datagrams (kinds in `URGENT`) of each source in
+       `rules.thinned`, which gives the share to keep.
     2. Accept datagrams of known sources.
-    3. Drop a share of the urgent datagrams of other sources, and accept the rest of the urgent.
+    3. Accept the share `rules.share` of the urgent datagrams of all further sources, and drop
+       the rest.
     4. Drop datagrams of blocked sources.
     5. Drop every other datagram if `only_known`, else accept it.
     """

@@ -97,8 +97,9 @@ class Operator:
     ) -> None:
         """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
 
-        `name`: of the operator in a swarm without keys; None: the name of this user. `carrier`: a
-        carrier in place of UDP or routers, for tests.
+        `name`: of the operator in a swarm without keys; None: the name of this user. `roster`:
+        robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
+        tests. `takes_rosters` False: a newer roster that robots show is not taken.
         """
         settings.check()
         self.settings = settings
@@ -339,6 +340,7 @@ class Operator:
         outcome, linked = self._requests.send(
             request, targets, asked, last_view, self._discovery, timeout, is_ended
         )
+        # Robots that have a link and sent no reply: they may lack this operator in their roster.
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:

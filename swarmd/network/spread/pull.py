@@ -168,15 +168,15 @@ async def pull(
 
     `asker`: the name of this robot or operator. `digest`: the SHA-256 that the blob must have;
     None: the digest that the peer states. Raises NetworkError in one line if the peer is not
-    reached, lacks the blob, or sends more than `limit` bytes or another digest. Raises TimeoutError
-    after `timeout` s.
+    reached, lacks the blob, or sends more than `limit` bytes or bytes with another digest. Raises
+    TimeoutError after `timeout` s.
     """
     key = build(settings.swarm, peer, SHARED, what, asker)
     async with asyncio.timeout(timeout):
         session = await open_in_thread(partial(open_pull_session, settings, address, identity))
         try:
             return await _pieces(session, key, f"{peer}: {what}", name, limit, digest)
-        finally:
+        finally:  # to close a session may block, so a thread does this
             asyncio.get_running_loop().run_in_executor(None, _close, session)
 
 

@@ -109,8 +109,10 @@ class StopRelay:
                 due=self._moment(now, FIRST_INTERVAL),
             )
 
-        # 2. Update the ages. Copies by several ways have different ages, and an age may be forged:
-        # a stop that looks older than the present run would not end that run.
+        # 2. Update the ages. Copies by several ways have different ages, and the greatest age
+        # counts. An age may be forged: a stop that looks older than the present run would not end
+        # that run. So later copies add at most MAX_AGE_SHIFT. `repeated` is the greatest age at
+        # which the operator itself has sent a copy.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
         repeated = min(stop.repeated / 1000.0, now - relayed.issued)
         relayed.repeated = max(relayed.repeated, repeated)
@@ -166,7 +168,8 @@ class StopRelay:
 
         The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
         names this robot as `via`. Each ack is handed on to each receiver once. A stop with many
-        targets is relayed in parts, all with one id.
+        targets is relayed in parts, all with one id. An ack that the base rests is not replaced by
+        an ack that the base moves.
         """
         parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
         sends: list[Send] = []
@@ -204,6 +207,7 @@ class StopRelay:
         """
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
+            # LIFETIME counts from the last copy that the operator itself has sent.
             if now - relayed.issued - relayed.repeated > LIFETIME:
                 del self._stops[key]
                 continue
