@@ -89,7 +89,7 @@ class Audit:
             entry = self._entry(what, operator, source, result, reply.text, now)
             self._keep(replace(entry, targets=targets, left_out=omitted))
 
-        # 2. The line.
+        # 2. The line of the log, limited by `line_limits` in the same way.
         omitted = line_limits.take(is_applied, now)
         if omitted is None:
             return

@@ -515,7 +515,7 @@ class Network:
         for place in effects.places:
             self._owner.on_input(PlaceInput(place))
 
-        # 3. Clocks, records of peers, and changes of the members.
+        # 3. Clocks, beacons (which show digests of a peer's records), and changes of the members.
         for sample in effects.clocks:
             self._owner.on_clock(sample)
         if effects.beacon is not None and source is not None:

@@ -190,7 +190,8 @@ class PatternIntake:
             self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
-            # The entry may have waited in the queue, so that its manifest is checked again.
+            # Checks the manifest again, since the entry may have waited in the queue. Then
+            # deletes the files of patterns that are no longer in use.
             refusal_and_text = self._refusal_of(entry)
             reply = None
             try:
@@ -203,7 +204,7 @@ class PatternIntake:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)  # needs no trial
+                    reply = await self._adopt(id, entry)  # a known entry needs no new trial
             finally:
                 self._is_taking = False
             if reply is not None:

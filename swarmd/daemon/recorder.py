@@ -163,7 +163,8 @@ class Recorder:
                 limits=limits,
             )
         )
-        # A replay begins with the inputs that still hold, then with the robot's memory.
+        # A replay begins with the inputs that still hold, such as labels, then with the robot's
+        # memory (its state at this moment), which the next entry carries.
         for input in list(self._lasting.values()):
             self.input(input, began)
         self._is_memory_due = True

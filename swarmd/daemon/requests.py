@@ -123,7 +123,7 @@ class RequestServer:
         for row in verbs.VERBS.values():
             if row.handler.is_service:
                 self._handlers[row.name] = services.handler(row)
-            elif row.handler is not verbs.Handler.NETWORK:
+            elif row.handler is not verbs.Handler.NETWORK:  # the bus itself answers these verbs
                 self._handlers[row.name] = lambda request, answer: on_request(request)
         # By verb: the tasks that wait for an answer made in a thread.
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)

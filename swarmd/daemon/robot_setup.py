@@ -29,7 +29,7 @@ def make_robot(
     """
 
     def layers(pattern: str) -> Layers:
-        """The layers of parameters of a pattern, for the robot's present labels."""
+        """The layers of parameters of a pattern, for the labels that the robot has at the call."""
         return settings.pattern_layers(pattern, robot.labels)
 
     robot = Robot(
