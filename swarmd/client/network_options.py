@@ -42,9 +42,9 @@ class NetworkOptions:
     def in_context(self) -> Self:
         """These options; options that are not set come from the context in use.
 
-        A context is a named set of options. It sets no option that the command line or $SWARM sets.
-        It is not used if the options or $SWARM_CONFIG name a swarm file, and if the context belongs
-        to another swarm. ConfigError if the context does not exist.
+        A context is a named set of options. A context sets no option that the command line or
+        $SWARM sets. No context is used if the options or $SWARM_CONFIG name a swarm file, or if
+        the context belongs to another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 

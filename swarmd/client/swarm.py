@@ -233,6 +233,7 @@ class Swarm:
         run.check()
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
+            # The session of a run with a lease stays open, so that its lease can be renewed.
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
