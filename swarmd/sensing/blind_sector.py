@@ -234,19 +234,21 @@ class BlindSectors:
         A static object is the same object in _STREAK comparisons in a row. A sector of the sensor
         that missed the object in between has missed a static object, which counts against the
         sector. The object is seen only if all rays in the direction return. `x`, `y` in m is the
-        place of the robot.
+        place of the robot. `_pending` has an element for each direction and sector (the sector has
+        missed the object of the direction), `_missed` for each sector and direction.
         """
         k: cython.Py_ssize_t
 
         # 1. Is an object seen there, and is it the object of before?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
-        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]
+        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # rays, and all of them hit
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
-        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+        self._streak[d] = self._streak[d] + 1 if is_same else is_seen  # 1: new object, 0: no object
 
-        # 2. Sectors that wait for a decision: a static object confirms that they missed it.
+        # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
+        # sector with returns is not blind: its misses are forgotten. A new object ends the wait.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
         is_decided: cython.bint = is_static or not self._is_known[d] or (is_seen and not is_same)
         for k in range(_SECTORS):
@@ -256,7 +258,7 @@ class BlindSectors:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
 
-        # 3. Stores the object, once it is new or static.
+        # 3. Stores an object that is new or static. `_seen_at` is set only by a static object.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
         if is_seen and not is_same:

@@ -119,11 +119,12 @@ class ScanConditioner:
         if reason is not None:
             return reason
 
-        # 2. A frozen sensor sends the same ranges again and again.
+        # 2. A frozen sensor sends the same ranges again and again. With noise (`_is_noisy`) an
+        # exact repeat is implausible for a sensor that measures.
         ranges = np.array(raw_ranges, np.float64)
         values: cython.double[::1] = view_of(ranges)
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
-            now = self._rays.known_at  # a repeat has no new data
+            now = self._rays.known_at  # a repeat has no new data: its rays are as old as before
             if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
 
@@ -194,7 +195,7 @@ class ScanConditioner:
 
     @cython.cfunc
     def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
-        """True if a noisy sensor sends the ranges of one of its last scans again; counts these.
+        """True if a noisy sensor sends the ranges of one of its last scans again; counts repeats.
 
         A scan with hardly any return may repeat by chance if the robot stands, and does not count.
         `ranges` and `values` (n,) are the same array, as numpy array and as buffer.

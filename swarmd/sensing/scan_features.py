@@ -64,7 +64,8 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
     whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
-    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
+    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1. A layout keeps
+    the arrays of a scan and its working arrays from call to call.
     """
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
@@ -191,7 +192,8 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         )
         if start == 0 and is_last[i]:
             start = i + 1
-    # Starts behind a break, so that no object spans the end of the arrays.
+    # Starts behind a break, so that no object spans the end of the arrays. Without any break
+    # (`is_whole`) all rays are a single object, which ends with the last ray.
     is_whole: cython.bint = start == 0
     if is_whole:
         start = 1
