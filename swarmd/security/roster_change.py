@@ -111,7 +111,7 @@ def take_roster(
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
 
-    # 3. Write the roster.
+    # 3. Write the roster, unless another process of this identity has written it already.
     try:
         if load_identity(identity.folder).signed_roster != signed:
             write_roster(identity.folder, RosterFile(signed, keys))
