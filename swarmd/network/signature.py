@@ -89,7 +89,7 @@ class Signer:
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
         """The datagram `payload` with a signature. Raises CodecError if it exceeds MAX_DATAGRAM.
 
-        `asker`: the author of the question that the datagram answers; None: it answers no question.
+        `asker`: the author of the question that the datagram answers; None: not an answer.
         """
         if asker is not None and asker.is_previous and self._previous is not None:
             return self._previous.sign(payload, asker)

@@ -522,7 +522,8 @@ class UdpCarrier:
     def _open_unicast(self, port: int) -> int:
         """Open the sockets that send, for IPv4 and IPv6 with one port; returns the port.
 
-        With `port` 0 the port that is free for IPv4 may be in use for IPv6: then another is tried.
+        With `port` 0 the system chooses a port that is free for IPv4. If this port is in use for
+        IPv6, another port is tried.
         """
         tries = 1 if port else 1 + _PORT_TRIES
         for is_last in (*[False] * (tries - 1), True):

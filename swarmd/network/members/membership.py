@@ -64,8 +64,9 @@ class Life(Struct):
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
         """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        1. A beacon with a lower number than the newest beacon counts as delayed for LATE_TIME after
-           the newest. Later such a beacon is taken: a forged high number must not hide the robot.
+        1. A beacon with a lower number than the newest beacon counts as delayed, for LATE_TIME from
+           the arrival of the newest. Later such a beacon is taken: a forged high number must not
+           hide the robot.
         2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) is always taken.
         3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
            this life counts.

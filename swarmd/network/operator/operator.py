@@ -175,16 +175,18 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        `notices` gets a line. Raises NetworkError if the new roster lacks the own name.
+        `notices` gets a line for the user. Raises NetworkError if the new roster lacks the name of
+        this operator.
         """
         before = self.identity
         self._rosters.update()
         return self.identity is not before
 
     def take_identity(self, identity: Identity) -> None:
-        """Use this identity's keys, and new links, from the next look on.
+        """Use the keys of `identity`, on new links, from the next look (query of all members) on.
 
-        An identity with the same roster and keys of more robots is used at once, on the same links.
+        If only keys of further robots differ from the present identity, `identity` is used at once,
+        on the present links.
         """
         with self._arrivals.lock:
             admission, before = self._datagrams.answers, self.identity
@@ -250,7 +252,7 @@ class Operator:
     def ways(self, robot: str) -> tuple[str, ...]:
         """The ways (such as `multicast`) by which beacons of a robot came lately.
 
-        Empty if none came, and in profile routed.
+        Empty if no beacon came, and always in profile routed.
         """
         from swarmd.network.carriers.udp import UdpCarrier
 
@@ -276,7 +278,8 @@ class Operator:
     def watch(self, name: str, handler: Callable[[str, bytes], object], robot: str = ANY) -> None:
         """Call `handler(robot, payload)` for each sample that robots publish on `state/<name>`.
 
-        Zenoh's threads call it, for robots that are found now and by later looks, until `unwatch`.
+        Zenoh's threads call the handler, for robots that are found now and by later looks, until
+        `unwatch`.
         """
         self._sessions.watch(name, handler, robot)
 
@@ -285,9 +288,10 @@ class Operator:
         self._sessions.unwatch(name, robot)
 
     def listen(self, kind: type[D], handler: Callable[[D, float], object] | None) -> None:
-        """Call `handler(datagram, now)` for each datagram of a kind; `handler` None ends it.
+        """Call `handler(datagram, now)` for each datagram of a kind; `handler` None ends the calls.
 
-        The carrier's thread calls it with the lock held: the handler must not block or take a lock.
+        The carrier's thread calls the handler with the lock held: the handler must not block or
+        take a lock.
         """
         with self._arrivals.lock:
             self._listeners.pop(kind, None)
@@ -297,7 +301,7 @@ class Operator:
     def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
         """Send a datagram to each robot in `robots` that the last look has found.
 
-        `make` is called for each robot.
+        `make()` returns the datagram, and is called once for each robot.
         """
         with self._arrivals.lock:
             to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
