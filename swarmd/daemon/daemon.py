@@ -394,7 +394,7 @@ class Daemon:
     def step(self, input: events.Input, *, may_repeat: bool = True, age: float = 0.0) -> None:
         """Hand an input, which arrived `age` s ago, to the robot and carry out the actions.
 
-        `may_repeat` as in `DriverOutput.command`.
+        `may_repeat` False: a command to the base that equals the last command is not sent again.
         """
         kind = type(input)
         if kind is events.TickInput or kind is events.HostInput:
@@ -409,9 +409,11 @@ class Daemon:
             self._timer.tick_early()
 
     def _rest(self, is_resting: bool) -> None:
-        """Let timer and driver rest, or end their rest: the robot gets what the driver kept back.
+        """Let timer and driver rest, or end their rest.
 
-        A recording has each reading of odometry, so the driver does not rest meanwhile.
+        At rest the timer ticks half as often, and the driver keeps readings back; at the end of the
+        rest the robot gets these readings. While a recording is made, which has each reading of
+        odometry, the driver does not rest.
         """
         self._timer.rest(is_resting)
         driver, was_resting = self._resting_driver, self._is_driver_resting
@@ -649,8 +651,8 @@ class Daemon:
     def _carry_out(self, actions: Actions, *, may_repeat: bool) -> None:
         """Carry out what the robot wants after an input, the command to the base first.
 
-        `may_repeat` as in `DriverOutput.command`. Latches are on disk before any reply is sent;
-        goals are written by a task.
+        `may_repeat` False: a command that equals the last command is not sent again. Latches are on
+        disk before any reply is sent. A task writes goals.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:  # nothing but a command

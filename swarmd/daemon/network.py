@@ -141,7 +141,9 @@ class Network:
     ) -> None:
         """Nothing is opened until `join`.
 
-        `hears_programs` False: messages of Zenoh programs are neither taken nor sent.
+        `robot`: name, instance and body of this robot. `stop_counters`: the file of the greatest
+        counters of stops, required with an `identity`. `hears_programs` False: messages of Zenoh
+        programs (sessions that are no robots) are neither taken nor sent.
         """
         self._settings = settings
         self._own, self._roster = robot, robot.roster

@@ -306,8 +306,8 @@ class PatternIntake:
     def on_reply(self, reply: Reply) -> Reply:
         """Take a reply of the robot before it is sent; returns the reply to send.
 
-        The reply to a trial ends the trial. If the trial succeeded, the text of the reply then also
-        says that the version is provisional.
+        The reply to a trial ends the trial. After a successful trial the text of the reply also
+        says that the version is provisional: a fault of a run brings the version before back.
         """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:

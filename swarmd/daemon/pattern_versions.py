@@ -493,7 +493,8 @@ class PushedRuns:
     def granted(self, event: HostEvent) -> HostEvent:
         """An event of the pattern host without permissions that a pushed pattern may not get.
 
-        A pushed pattern may not continue with late scans: no configuration grants that by name.
+        A pushed pattern may not continue with late scans: no file of the robot's owner can grant
+        this permission to a pushed pattern by name.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"
