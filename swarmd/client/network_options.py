@@ -21,7 +21,7 @@ DEFAULT_SWARM = "default"
 class NetworkOptions:
     """The options of the network; None or empty if not given.
 
-    `context`: another context of the user than the one in use.
+    `context`: the name of a context (a named set of options) in place of the context in use.
     """
 
     swarm: str | None = None
