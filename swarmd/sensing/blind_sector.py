@@ -5,8 +5,9 @@ rays pass over the same static object. If other rays return the object before an
 without a return has missed it. A sector of the sensor is blind once its rays have missed objects in
 many directions, without any return meanwhile.
 
-No false alarms: an open field, a door and a surface that no ray sees give no ray a return. An
-object that moves is not the same before and after. A sector with a return begins again.
+Why there are no false alarms: in an open field, at a door and at a surface that reflects no ray,
+the other rays have no return either. An object that moves is not the same before and after. A
+return in a sector of the sensor clears the misses of the sector.
 """
 
 from __future__ import annotations

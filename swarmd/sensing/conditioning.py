@@ -47,8 +47,8 @@ class ScanConditioner:
 
     - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
       ray
-    - INVALID_SCAN: fewer than half of the rays known, an unknown sector wider than `max_gap`, or
-      such a sector without rays, unless the sensor never has rays there
+    - INVALID_SCAN: fewer than half of the rays known, or a sector wider than `max_gap` whose rays
+      are unknown, or that has no rays although the sensor has rays there
     - INVALID_SCAN: no return at all after a scan with many far returns
     - FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans
     - FROZEN_STAMP: the stamp is that of the scan before, whose ranges differ

@@ -444,7 +444,7 @@ class RayMemory:
     def _widest(self, before: cython.double) -> cython.double:
         """The width in rad of the widest sector of rays that were lost before the time `before`.
 
-        inf if all rays were.
+        inf if all rays were lost before this time.
         """
         n: cython.Py_ssize_t = self._ray_count
         first: cython.Py_ssize_t = 0
