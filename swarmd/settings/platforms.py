@@ -191,7 +191,7 @@ def platform_names() -> tuple[str, ...]:
 
 
 def load_platform(name: str, near: Path | None = None) -> Platform:
-    """The platform of that name, or of that file if it ends in .yaml (relative to `near`).
+    """The platform with the name `name`; a `name` that ends in .yaml is a path relative to `near`.
 
     ConfigError names file, key, value, what was expected and the nearest valid key.
     """
