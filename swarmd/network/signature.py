@@ -157,7 +157,8 @@ class Verifier:
     def verify(self, payload: bytes, now: float) -> Author | Flaw:
         """The author of a datagram whose head `unpack` accepts, or the flaw of its signature.
 
-        A datagram of another generation has a flaw, except a stop of the previous generation.
+        A datagram signed with keys of another generation of the roster has a flaw, except a stop of
+        the previous generation.
         """
         try:
             trailer_begin = length_without_trailer(payload)

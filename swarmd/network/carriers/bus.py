@@ -141,6 +141,7 @@ class ZenohBus:
         self._loop = asyncio.get_running_loop()
         self._queryables: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
+        # DROP: a full link loses a value and does not block the loop. express: no batching.
         self._publishers = {
             name: session.declare_publisher(
                 build(swarm, robot, STATE, name),
@@ -225,7 +226,7 @@ class ZenohBus:
                     question = ZenohQuery(self._session, query, reply_key, asker, bytes(payload))
                     if queue.offer(handle, question):
                         return
-            query.drop()
+            query.drop()  # refused, or the queue was full
 
         # A key of `control` or `shared` ends with the name of its asker, a key of `state` does not.
         any_asker = ANY if plane in (CONTROL, SHARED) else ""

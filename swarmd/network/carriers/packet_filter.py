@@ -89,6 +89,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     limits += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
     limits += [(_DROP, [_is_from(key)]) for key in _source_keys(rules.blocked, is_ipv6)]
     limits.append((_DROP if rules.only_known else _ACCEPT, []))
+    # Between the stages: store the source's key (a hash of its address) and the kind, for `limits`.
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
     return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
 

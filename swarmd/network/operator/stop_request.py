@@ -83,6 +83,7 @@ class PendingStop:
             return
         targets: list[str] = []  # of the next datagram
         for name in sorted(self.selected() if names is None else names):
+            # The datagram is full once its names, with `name`, exceed _MAX_TARGET_BYTES.
             size = sum(len(target) + _NAME_OVERHEAD for target in (*targets, name))
             if targets and size > _MAX_TARGET_BYTES:
                 addresses = self._addresses(lacking.intersection(targets))
