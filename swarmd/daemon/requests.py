@@ -151,6 +151,7 @@ class RequestServer:
         if not is_stored:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
+        # True if this id has had a reply: a stop is carried out for each copy, but audited once.
         is_repeat = self._keep(reply)
         with self._drops.refusing("control/reply"):
             pending.answer(reply)
