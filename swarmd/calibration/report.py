@@ -70,7 +70,7 @@ def settings(
         text = f"{_text(scan_delay)}, and 2 sd"
         is_safe = value >= scan_delay.assumed  # a longer latency makes the robot more careful
         chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
-    if sweep is not None and sweep.direction:
+    if sweep is not None and sweep.direction:  # empty: the order is not known
         yaml = "null"  # all rays at one time
         if sweep.duration:
             yaml = (
