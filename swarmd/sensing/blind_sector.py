@@ -242,16 +242,19 @@ class BlindSectors:
 
         # 1. Is an object seen there, and is it the object of before?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
-        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # rays, and all of them hit
+        is_seen: cython.bint = (
+            0 < self._rays[d] == self._hits[d]
+        )  # has rays, and all of them return
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
+        is_new: cython.bint = is_seen and not is_same
         self._streak[d] = self._streak[d] + 1 if is_same else is_seen  # 1: new object, 0: no object
 
         # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
         # sector with returns is not blind: its misses are forgotten. A new object ends the wait.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
-        is_decided: cython.bint = is_static or not self._is_known[d] or (is_seen and not is_same)
+        is_decided: cython.bint = is_static or not self._is_known[d] or is_new
         for k in range(_SECTORS):
             if self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
@@ -262,9 +265,9 @@ class BlindSectors:
         # 3. Stores an object that is new or static. `_seen_at` is set only by a static object.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
-        if is_seen and not is_same:
+        if is_new:
             self._seen_at[d] = -INFINITY
-        if is_seen and (not is_same or self._streak[d] >= _STREAK):
+        if is_new or (is_seen and self._streak[d] >= _STREAK):
             self._range[d] = distance
             self._x[d], self._y[d] = x, y
         return 0

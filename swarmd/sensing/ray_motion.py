@@ -171,7 +171,7 @@ def rays_in_sector(
         first: the index of the first ray that may count.
         motion: the old pose relative to the new pose: x and y in m, yaw in rad.
         sector: the bearing of its start in rad, 1.0 (counter-clockwise) or -1.0, its width in rad.
-        limits: as in `move_rays`.
+        limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles, kept_ages: (n,) m, rad, s; the arrays to fill.
     """
     x: cython.double = motion[0]

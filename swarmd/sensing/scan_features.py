@@ -203,12 +203,12 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     first: cython.Py_ssize_t = start
     lowest: cython.double = INFINITY
     for i in range(start, start + ray_count):
-        k = i - ray_count if i >= ray_count else i
+        k = i - ray_count if i >= ray_count else i  # the index wraps around
         if ranges[k] < lowest:
             lowest = ranges[k]
         if is_last[k] or (is_whole and i == start + ray_count - 1):
             if lowest < _UNSEEN:
-                _measure(layout, objects, first, i, lowest)
+                _measure(layout, objects, first, i, lowest)  # stores the object at index `objects`
                 objects += 1
             first, lowest = i + 1, INFINITY
     distances, middles, widths = layout.sizes[:, :objects].copy()
