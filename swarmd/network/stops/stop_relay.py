@@ -87,10 +87,10 @@ class StopRelay:
         """Take a copy of a stop, and relay the stop from now on if it is new.
 
         In each interval of the Trickle algorithm (RFC 6206) this robot sends the stop once, unless
-        REDUNDANCY other members have sent copies. `source`: the sender of this copy, the operator or
-        another robot. `is_member` False: the sender is no member of the swarm, so that its copy does
-        not count for REDUNDANCY. Returns acks of other robots for the operator, if the operator sent
-        this copy again. `wants_ack` decides on this robot's own ack.
+        REDUNDANCY other members have sent copies. `source`: the sender of this copy, the operator
+        or another robot. `is_member` False: the sender is no member of the swarm, so that its copy
+        does not count for REDUNDANCY. Returns acks of other robots for the operator, if the
+        operator sent this copy again. `wants_ack` decides on this robot's own ack.
         """
         # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
