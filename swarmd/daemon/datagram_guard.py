@@ -66,6 +66,7 @@ class DatagramGuard:
         """
         self._identity = identity
         self._tag = tag
+        # The text is the consequence of an unreadable file, for the log.
         self._file = StateFile(counters, StopCounters, "replayed stops may count")
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster

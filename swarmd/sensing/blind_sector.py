@@ -242,9 +242,7 @@ class BlindSectors:
 
         # 1. Is an object seen there, and is it the object of before?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
-        is_seen: cython.bint = (
-            0 < self._rays[d] == self._hits[d]
-        )  # has rays, and all of them return
+        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )

@@ -203,8 +203,8 @@ class RobotServer:
         """Listen on TCP at `endpoint` for the daemons of `robots`.
 
         A daemon connects and sends a hello with its robot's name. `what` names the server in
-        errors. `clock` gives the arrival times of frames, in s. Raises
-        NetworkError if the server cannot listen there, ConfigError if `endpoint` cannot be read.
+        errors. `clock` gives the arrival times of frames, in s. Raises NetworkError if the server
+        cannot listen there, ConfigError if `endpoint` cannot be read.
         """
         address = read_endpoint(endpoint, "endpoint is ")
         self.dropped = 0

@@ -366,7 +366,7 @@ class Membership:
                     instance=instance,
                     presence=PRESENCES.index(presence),
                     age=round(max(now - since, 0.0) * 1000),
-                    host=latest.address[0].partition("%")[0],
+                    host=latest.address[0].partition("%")[0],  # without the scope, known only here
                     port=latest.address[1],
                 )
             )

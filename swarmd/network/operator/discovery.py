@@ -344,8 +344,8 @@ class Discovery:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news_at + self.quiet_time]
-        # A robot found late, without an answer and without another robot's report, does not
-        # prolong the look: an attacker may invent robots.
+        # A robot that was found late does not prolong the look without an answer or another
+        # robot's report: an attacker may invent robots.
         prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
         last_found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
         for robot in lacking:

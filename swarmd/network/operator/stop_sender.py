@@ -88,7 +88,8 @@ class StopSender:
                 # 3. Find more robots, and report progress.
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                # "None is silent" is reported only once no base moves any more either.
+                # All robots may have acked while some bases still move. An empty `silent` is
+                # reported only once all bases rest.
                 is_reportable = bool(silent) or not lacking
                 is_change = silent != reported and is_reportable
                 if until_all and is_change and progress_timer.is_due(now):

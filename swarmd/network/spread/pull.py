@@ -116,8 +116,8 @@ class Puller:
         No pull is begun while another pull is under way, or beyond PULL_RATE: try again later.
         `what`, `name`: the kind of blob, such as a table of patterns, and the name of the blob of
         this kind. `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the
-        digest that the peer states. At the end the loop calls
-        `on_done(blob, reason)`; a blob of None means that the pull failed for this reason.
+        digest that the peer states. At the end the loop calls `on_done(blob, reason)`. A blob of
+        None means that the pull failed for this reason.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
