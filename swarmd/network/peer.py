@@ -266,7 +266,8 @@ class Peer:
                 return effects
             body = admitted
 
-        # `_claim` is None once this robot owns its id.
+        # `_claim` is None once this robot owns its id. Datagrams of this robot itself, which
+        # other robots may repeat, are ignored.
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)

@@ -329,8 +329,9 @@ class UdpCarrier:
     ) -> int:
         """Append the datagrams of a listener to `received`; returns their cost.
 
-        A datagram costs _COST, or _DROP_COST if it is dropped. Reading ends once the cost has
-        reached `budget`; then `_is_full` is set, since more datagrams may wait in the socket.
+        A datagram costs _COST units, or _DROP_COST if it is dropped, which takes less time. Reading
+        ends once the cost has reached `budget`. Then `_is_full` is set, since more datagrams may
+        wait in the socket.
         """
         # A datagram waits at most since the sockets were last empty. Only after a longer time, such
         # as a freeze of the process, is its wait read from the kernel's time stamp.

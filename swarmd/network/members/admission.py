@@ -108,7 +108,7 @@ class Admission:
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
-            case Solicit() | ClockQuery() | Swarm():
+            case Solicit() | ClockQuery() | Swarm():  # questions
                 return body  # a repeated question costs an answer, which is limited
             case MemberList():  # must answer a question of this robot, by its echo
                 is_own_echo = self.freshness.is_own_echo(body.echo, now)

@@ -81,7 +81,8 @@ class Discovery:
         """Begin a look (a query of all members) at `now` in s.
 
         `roster`: robots that are expected in any case. `first_robot_timeout`: s to wait for a first
-        robot. `earlier`: the result of an earlier look. The class explains the rest.
+        robot. `earlier`: the result of an earlier look. `is_local`: all robots are on this machine.
+        `is_secured`: links take longer to open. `needs_status`: only a status counts as an answer.
         """
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
@@ -89,7 +90,7 @@ class Discovery:
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news_at = now  # when anything new was heard or reported of any robot
-        self._prolonging_news_at = now  # when that was of a robot for which the look waits
+        self._prolonging_news_at = now  # the same, counting only robots for which the look waits
         self._roster = set(roster)
         self._programs: set[str] = set()  # Zenoh programs that robots hear
         self._members = Membership("", FRESH_TIME)  # by the beacons heard here

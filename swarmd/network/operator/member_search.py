@@ -43,9 +43,9 @@ class MemberSearch:
         """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
         Threads of the carrier and of Zenoh put the answers into `discovery`. The look ends after
-        `timeout` s at the latest. With `timeout` None it ends once `discovery.is_over`, and after
-        `cap` s at the latest. `needs_status` False: a robot's datagram is an answer, so that its
-        status is asked for only after STATUS_DELAY.
+        `timeout` s at the latest. With `timeout` None the look ends once `discovery.is_over`, and
+        after `cap` s at the latest. `needs_status` False: a robot's datagram counts as its answer,
+        so that statuses are asked for only after STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)

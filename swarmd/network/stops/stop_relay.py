@@ -168,9 +168,10 @@ class StopRelay:
         """Take another robot's ack of a relayed stop; returns copies of it to hand on.
 
         The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. Each ack is handed on to each receiver once. A stop with many
-        targets is relayed in parts, all with one id. An ack that the base rests is not replaced by
-        an ack that the base moves.
+        names this robot as `via`. Each ack is handed on to each receiver once, except a refusal as
+        replayed that comes from the refusing robot itself. A stop with many targets is relayed in
+        parts, all with one id. An ack that the base rests is not replaced by an ack that the base
+        moves.
         """
         parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
         sends: list[Send] = []
@@ -181,9 +182,8 @@ class StopRelay:
             receivers = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
-                # A robot may refuse each new origin, so that a refusal is handed on once for each
-                # origin. The robot's own refusal always goes on. A refusal by way of a third robot
-                # could travel in circles, and is handed on only once.
+                # A refusal that comes from the robot itself is always handed on. A refusal by way of
+                # a third robot could travel in circles: it is handed on once for each origin.
                 origin = relayed.stop.origin
                 if not ack.via:
                     sends += [(handed, address) for address in receivers]
