@@ -292,7 +292,7 @@ class Daemon:
             if self._crash is not None:
                 raise self._crash
         finally:
-            # 2. Leave. Without a join the task must not go on joining.
+            # 2. Leave. A robot that has not joined the network so far must not join any more.
             self._notify("STOPPING=1")
             if not self._has_joined:
                 await _end(life)

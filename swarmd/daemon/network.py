@@ -456,7 +456,7 @@ class Network:
         )
         for stop, sender in effects.stops:
             # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
-            # which may be replayed, counts as relayed.
+            # which an attacker may have replayed, counts as relayed, too.
             hops = max(stop.hops, 1) if effects.is_repeated else stop.hops
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(replace(stop, hops=hops), sender, answer)

@@ -181,7 +181,7 @@ class PatternIntake:
         push that the reply answers; None: the code was pulled from a peer.
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
-        is_rerun = request is not None and request.is_rerun
+        is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
 
         def refuse(code: Code, text: str) -> None:
             """Reply after an error in this method."""
