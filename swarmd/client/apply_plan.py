@@ -54,7 +54,7 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
         if member.status is not None and member.contact is Contact.ANSWERED
     }
 
-    # 1. Labels. `labels`: of the file; `new_labels`: those that differ from the robot's labels.
+    # 1. Labels. `labels`: of the file, by robot; `new_labels`: where the robot has other labels.
     labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
     new_labels = {
         name: wanted for name, wanted in labels.items() if set(wanted) != {*statuses[name].labels}
