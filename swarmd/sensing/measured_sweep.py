@@ -401,7 +401,8 @@ class MeasuredSweep:
         means = rows.mean(axis=0)
         best = int(means.argmin())
         worse_by = rows - rows[:, best : best + 1]
-        # Pairs differ in their errors, so votes are limited: how often a candidate is worse counts.
+        # Pairs differ much in their errors. So a vote is the difference in units of the median
+        # difference, limited to 1: it counts how often a candidate is worse, not by how much.
         usual_difference = np.maximum(np.median(np.abs(worse_by), axis=0), 1e-9)
         votes = np.minimum(np.maximum(worse_by / usual_difference, -1.0), 1.0)
         standard_errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))

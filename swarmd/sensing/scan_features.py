@@ -183,7 +183,8 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     if not is_seen:
         return None
 
-    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle or in range.
+    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle (`is_apart`) or
+    # in range. `start` is the ray behind the first break.
     start: cython.Py_ssize_t = 0
     for i in range(ray_count):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]
