@@ -182,8 +182,8 @@ class StopRelay:
             receivers = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
-                # A refusal that comes from the robot itself is always handed on. A refusal by way of
-                # a third robot could travel in circles: it is handed on once for each origin.
+                # A refusal that comes from the robot itself is always handed on. A refusal by way
+                # of a third robot could travel in circles: it is handed on once for each origin.
                 origin = relayed.stop.origin
                 if not ack.via:
                     sends += [(handed, address) for address in receivers]
