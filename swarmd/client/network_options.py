@@ -89,7 +89,10 @@ class NetworkOptions:
         return self.in_context()._network()
 
     def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
-        """As `network`, from these options alone, without the context in use."""
+        """The settings of the network, the robots that a swarm file names, and the identity.
+
+        Only these options and $SWARM count, not the context in use.
+        """
         from swarmd.network.settings import NetworkSettings, Profile
         from swarmd.security.identity import check_asker, choose_identity
 

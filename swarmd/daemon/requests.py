@@ -275,6 +275,7 @@ class RequestServer:
         except CodecError:
             query.drop()
             return
+        # `targets` should be a map or list of names. A value of any other type names no robot.
         targets = header.targets
         names = targets if isinstance(targets, dict | list) else (targets,)
         is_stop_of_all = targets is None and verb in ("stop", "estop")

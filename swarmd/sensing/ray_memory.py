@@ -538,7 +538,7 @@ class RayMemory:
             last_angle, next_angle: rad, the angles of these rays.
             last_range, next_range: m, the ranges of these rays.
         """
-        if not fabs(next_angle - last_angle) <= self._max_gap:
+        if not fabs(next_angle - last_angle) <= self._max_gap:  # true also for NaN
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, next_known):
