@@ -68,9 +68,9 @@ class OperatorPool:
 
     @contextmanager
     def lend(self) -> Iterator[Operator]:
-        """Lend an operator for one verb; it is closed if the verb raises.
+        """Lend an operator for one verb; the operator is closed if the verb raises.
 
-        SwarmError after `close`.
+        SwarmError after `close` of the pool.
         """
         with self._lock:
             if self._is_closed:

@@ -103,7 +103,8 @@ class ScanConditioner:
         `scan`: the raw scan of the driver. `odometry`: the last reading; None without a reading.
         `now`: s on this machine's clock, the arrival of the scan.
         """
-        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises.
+        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises. The same bearings
+        # object as before was checked before.
         raw_ranges, bearings = scan.ranges, scan.bearings
         stamp: cython.double = scan.stamp
         if raw_ranges.ndim != 1 or not isfinite(stamp):

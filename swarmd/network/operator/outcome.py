@@ -154,7 +154,7 @@ class Acks:
             robot=ack.robot,
             code=code,
             refusal=refusal,
-            text=text[:1000],
+            text=text[:1000],  # the bound of `Reply.text`
             epoch=Epoch(instance, ack.revision),
             is_moving=ack.is_moving,
         )
