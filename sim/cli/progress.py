@@ -48,7 +48,7 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
         def show_lines(now: Progress) -> None:
             nonlocal printed_tenths, has_estimate
             text = failures_and_time_left(now)
-            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES
+            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES  # of 10
             is_first_estimate = not has_estimate and "left" in text
             if tenths > printed_tenths or is_first_estimate:
                 printed_tenths, has_estimate = tenths, has_estimate or is_first_estimate
