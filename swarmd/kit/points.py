@@ -136,7 +136,7 @@ class NearPoints:
         for distance, toward_x, _ in self._farthest_first:
             ahead = sign * toward_x
             if ahead > 0.0:
-                if brake == 0.0:
+                if brake == 0.0:  # compiled code would not raise by itself
                     raise ZeroDivisionError("brake is 0 m")
                 speed_share = min(speed_share, max(distance - spacing, 0.0) / (brake * ahead))
         turn = min(max(_HEADING_GAIN * heading_error, -angular_max), angular_max)
@@ -171,8 +171,10 @@ def robot_centers(
     centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
     for i in candidates:
         away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
-        # A partly hidden object counts as wide as the usual whole object: its center lies farther
-        # to the hidden side than the middle of the visible part.
+        # A partly hidden object counts as wide as the median of the whole objects: its center lies
+        # farther to the hidden side than the middle of the visible part. The visible edge stays: it
+        # is `visible_angle` from that middle, and the tangent of a circle of radius `half` is
+        # asin(half / (away + half)) from the center.
         if not is_free[i]:
             side = _hidden_side(ranges, bearings, widths, i)
             if side == _BOTH:
@@ -189,7 +191,7 @@ def robot_centers(
     for away, bearing in polar_from_base(centers, offset):
         xs.append(away * cos(bearing))
         ys.append(away * sin(bearing))
-    # A robot may appear in several pieces.
+    # A robot may appear in several pieces: merge centers that are too near for two robots.
     _merge(xs, ys, weights, _MERGE_SHARE * width)
     return list(zip(xs, ys))  # noqa: B905
 
