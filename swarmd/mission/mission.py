@@ -214,11 +214,11 @@ def _report_units(document: Document, classes: PatternClasses) -> dict[str, str]
 
 
 def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
-    """The class of the mission's own parameters, and of `recovery`.
+    """The class of the mission's parameters: those of its file, and `recovery`.
 
-    Each parameter of the mission stands for a parameter of a part, and has its type, bounds and
-    default. Adds a fault to `document` for a parameter that the part's pattern does not have.
-    `classes`: the pattern class of each part; a part without a class is skipped.
+    Each parameter of the mission sets a parameter of a part, and has the type, bounds and default
+    of that parameter. Adds a fault to `document` for a parameter that the part's pattern does not
+    have. `classes`: the pattern class of each part; a part without a class is skipped.
     """
     fields: list[Any] = []  # (name, type), or (name, type, default)
     for own_name, (part, part_parameter) in document.parameters.items():
