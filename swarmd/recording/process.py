@@ -64,7 +64,8 @@ class Converter:
             case frames.InputEntry():
                 self._input(entry, stamp_s)
             case frames.MemoryEntry():
-                # Parts of another memory, and repeated parts, are dropped.
+                # Keep the earlier parts of the same memory. Parts of another memory (another time
+                # `at`), and repeated parts, are dropped.
                 earlier = (
                     part for part in self._memory if part.at == entry.at and part.part < entry.part
                 )
