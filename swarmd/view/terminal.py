@@ -67,7 +67,8 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
         if height_below >= min_map_height + FRAME:
             size = map_size(scene.area, width - MARGIN, height_below - FRAME)
             body += map_of(scene, *size)
-    # 3. On a low screen the bottom lines come first, the prompt before all.
+    # 3. A low screen has less of the table, then less of the answers; the prompt, the last line,
+    #    always stays.
     top_height = max(height - len(bottom), 0)
     lines = [title, *body][:top_height] + bottom[-max(height, 1) :]
     for line in lines:
