@@ -453,7 +453,8 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     """
     document = read_document(path)
     # 1. The name of the file, which becomes the name of the pattern: valid, and of no other
-    #    pattern. `same_name`: the patterns of this name, at most two, `value` and `rival`.
+    #    pattern. `same_name`: the patterns of this name, at most two: the file `value` and the file
+    #    `rival`. One of these may be the mission itself.
     origins = pattern_names(plugin_dir)
     same_name = origins.get(path.stem)
     name_fault = ""
@@ -468,8 +469,9 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     elif same_name is not None and (
         same_name.rival or not is_same_file(str(path), same_name.value)
     ):
-        is_rival = is_same_file(str(path), same_name.rival)
-        owner = same_name.source if is_rival else same_name.rival or same_name.source
+        owner = same_name.rival or same_name.source
+        if is_same_file(str(path), same_name.rival):  # the mission itself is the rival
+            owner = same_name.source
         name_fault = f"has the name of another pattern ({owner}); rename one"
     if name_fault:
         document.faults.append(fault_at(("mission",), name_fault))
