@@ -595,7 +595,7 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
 def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_json: bool) -> None:
     """Print the variants of the sweep in `folder` as one table, or as JSON.
 
-    For two swept keys it also prints the mean for each value and the interaction of the keys.
+    For two swept keys, also the mean for each value and the interaction of the keys are printed.
     ConfigError if the experiment has only one variant.
     """
     from swarmd.sim.experiments import sweep

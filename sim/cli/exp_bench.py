@@ -109,6 +109,7 @@ def bench(
         raise ConfigError("a task is given twice, or two files have one name; keep one")
     pattern_names, plugin_dir = _pattern_names(patterns)
     entries, misfits = benchmark.entries_of(loaded, pattern_names, plugin_dir)
+    # The values of the table, by (name of table row, task) and by seed.
     values = _values_of_files(others, loaded, {entry.pattern for entry in entries})
     chosen_seeds = None if seeds is None else parse_seeds(seeds)
     for misfit in misfits:

@@ -93,7 +93,7 @@ def _carry_out(
     """Send the changes of `plan`: labels, then goal or resume, then parameters.
 
     A robot raises its epoch with each change. A request quotes the epoch that the operator has seen
-    of each robot, and a robot refuses an older epoch. The robots are therefore queried again after
+    of each robot, and a robot refuses any other epoch. The robots are therefore queried again after
     each step. Returns an outcome per request.
     """
     outcomes: list[Outcome] = []

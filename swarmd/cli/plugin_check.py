@@ -152,7 +152,7 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                 elif "result" in row and row["result"] not in checked_names:
                     checked_names.append(row["result"])
                     yield _point(row["result"], row, known_faults)
-                    if row.get("is_hang"):
+                    if row.get("is_hang"):  # the child noticed it, and ends
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
                 elif "lost" in row:  # the child has ended, or hangs (`hangs`), in this point
                     is_first = not checked_names

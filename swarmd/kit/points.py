@@ -132,7 +132,9 @@ class NearPoints:
         heading_error = atan2(sign * y, sign * x)
         speed_share: cython.double = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
         speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
-        # `toward_x`: the cosine of a point's bearing, so the share of the speed toward the point.
+        # Slow down before points. `toward_x`: the cosine of a point's bearing, so the share of the
+        # speed toward the point. That speed falls from full speed at the range spacing + brake to
+        # zero at the range spacing.
         for distance, toward_x, _ in self._farthest_first:
             ahead = sign * toward_x
             if ahead > 0.0:

@@ -163,6 +163,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
     ConfigError for the first fault of the file, with file and line.
     """
     document = read_document(path)
+    # Both calls add faults to `document`.
     classes = pattern_classes(document, find)
     params_type = _params_type(document, classes)
     if document.faults or document.root is None:

@@ -102,6 +102,7 @@ def fetch(
             present.rename(_unused(present))
     if path.exists():
         present_size = path.stat().st_size
+        # A recording without a checksum (a daemon that was killed left it unfinished) may grow.
         is_complete = file.crc is not None or present_size >= file.size
         if is_complete:
             return Copy(path, received=0, size=present_size, is_whole=True)

@@ -172,9 +172,9 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
     link.settimeout(CHUNK_TIME)
     try:
         while True:
-            # 1. Write a batch. A wait without a batch ends after CHUNK_TIME.
+            # 1. Write a batch, which is empty if none arrives for CHUNK_TIME.
             frame = _received(link)
-            if not frame:
+            if not frame:  # the daemon has closed the socket
                 return
             for entry in frames.decode_batch(frame):
                 if isinstance(entry, frames.Begin):

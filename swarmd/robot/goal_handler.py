@@ -152,7 +152,7 @@ class GoalHandler:
         is_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if is_active:
-            lifecycle.raise_revision(goal.text)
+            lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
         can_join = (is_active or is_idle) and not keeps_load

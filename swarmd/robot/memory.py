@@ -297,7 +297,9 @@ class _Reader:
                 if len(objects) == MAX_OBJECTS:
                     raise ValueError(f"it has more than {MAX_OBJECTS} objects")
                 empty_object, set_fields = make(node.parts)
-                self._made[place], self._extents[place] = empty_object, (0, 0)
+                self._made[place] = empty_object
+                # (parts, depth): an object adds nothing to the size of a value that refers to it.
+                self._extents[place] = (0, 0)
                 objects.append((empty_object, set_fields, node.parts))
         # 2. Values in the order of their nodes: a value refers only to values before it.
         for place, node in enumerate(nodes):

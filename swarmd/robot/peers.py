@@ -128,6 +128,7 @@ class Peers:
         missed = {finding.robot for finding in present if finding.kind != "faster"}
         self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
         if self._blind_within:
+            # The places of peers that the lidar sees count inside the blind zone only.
             self._seen_beyond = frozenset(radii) - frozenset(self._radii)
             self._radii = radii
         for discs in (self._sensed, self._located):

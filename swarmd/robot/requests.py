@@ -121,7 +121,10 @@ class RequestHandler:
         issued_at = min(now - request.age, self._executed.get(request.id, math.inf))
 
         def is_older_than(wish: Wish) -> bool:
-            """At equal times a first copy counts as newer, and stops; a later copy does not."""
+            """At equal times a first copy stops the run: in doubt the robot stops.
+
+            A run with the time of the execution of the first copy was requested after that copy.
+            """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 
         # 2. A stop that is older than the wish of the load (of the run, if there is no load) is

@@ -106,8 +106,8 @@ class Sensors(InputAges):
         # All else that the driver reports.
         self.hazards = HazardHolds()
         self.readings = {}  # scalar sensors, by name
-        self._forget_option_inputs()
-        self.pose, self.pose_until = None, -math.inf
+        self._forget_option_inputs()  # sets detections and other optional inputs to None
+        self.pose, self.pose_until = None, -math.inf  # in a shared frame; usable until, in s
         self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
         self.gets_zero = False  # a base that counts as lost still takes zero commands

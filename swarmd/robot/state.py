@@ -185,7 +185,7 @@ class Lifecycle:
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()  # limits the messages of the pattern
         self.revision = 0  # part of the epoch: each change makes earlier requests stale
-        self.changed_by = "no one yet"
+        self.changed_by = "no one yet"  # the cause of the last change of `revision`, as text
         self.duplicate: str | None = None  # the daemon instance that uses the same robot id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
         self.report: Mapping[str, Scalar] = {}  # the last report of the pattern

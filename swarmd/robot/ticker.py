@@ -168,6 +168,7 @@ class Ticker:
         is_routine: cython.bint = effects.is_routine
         # 1. The hold of the sensors, and the hazard that ends a run.
         running = run.running
+        # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
         hazard_text = ""

@@ -507,6 +507,7 @@ class DriverContract:
         for before, after in itertools.pairwise(sink.rings):
             assert after.seq > before.seq
             assert after.stamp > before.stamp
+        # No scan of the ring counts as a scan of the lidar, which has another number of rays.
         assert all(len(scan.ranges) != len(ranges) for scan in sink.scans)
         assert sink.threads == {threading.get_ident()}
 

@@ -182,6 +182,7 @@ class ViewServer:
             return
         open_pages = sum(client.role == role for client in self._clients)
         if open_pages >= MAX_PAGES[role]:
+            # A page shows the reason of this code, and does not connect again.
             await connection.close(WRONG_TOKEN, f"{MAX_PAGES[role]} pages are open already.")
             return
         self._waiting.pop(connection, None)  # `_waiting`: the connections without a role

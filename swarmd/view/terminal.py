@@ -52,7 +52,8 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     bottom = [_line(text, style) for text, style in scene.below]
     bottom.append(_line(scene.footer, scene.footer_style))
     min_map_width, min_map_height = MIN_MAP
-    # 1. The room for table and map: lines, columns beside the table, lines below all robots.
+    # 1. The room for table and map: lines, columns beside the table, lines below the table (a
+    #    header, and a line for each robot).
     body_height = max(height - 1 - len(bottom), 2)
     width_beside = width - TABLE_WIDTH - MARGIN
     height_below = body_height - len(scene.order) - 1
