@@ -173,10 +173,10 @@ def robot_centers(
     centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
     for i in candidates:
         away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
-        # A partly hidden object counts as wide as the median of the whole objects: its center lies
-        # farther to the hidden side than the middle of the visible part. The visible edge stays: it
-        # is `visible_angle` from that middle, and the tangent of a circle of radius `half` is
-        # asin(half / (away + half)) from the center.
+        # A partly hidden object counts as wide as the median of the whole objects. Its visible edge
+        # stays, so its center lies farther to the hidden side than the middle of the visible part.
+        # From the lidar, that middle is `visible_angle` from the edge. The center of a circle of
+        # radius `half` is asin(half / (away + half)) from its edge.
         if not is_free[i]:
             side = _hidden_side(ranges, bearings, widths, i)
             if side == _BOTH:
@@ -184,8 +184,8 @@ def robot_centers(
             if side:
                 visible_angle = half / max(away, _MIN_RANGE)
                 half = max(half, usual_half)
-                hidden_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
-                bearing += side * max(hidden_angle, 0.0)
+                shift_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
+                bearing += side * max(shift_angle, 0.0)
         # The center lies half a width behind the visible side.
         centers.append((away + half, bearing))
         weights.append(counts[i])

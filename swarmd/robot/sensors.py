@@ -110,7 +110,7 @@ class Sensors(InputAges):
         self.pose, self.pose_until = None, -math.inf  # in a shared frame; usable until, in s
         self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
-        self.gets_zero = False  # a base that counts as lost still takes zero commands
+        self.gets_zero = False  # True: the driver still sends zero to a base that counts as lost
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a scan of the driver; True if the scan is new and valid."""
