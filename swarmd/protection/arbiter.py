@@ -131,8 +131,9 @@ class Protection:
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._is_avoiding:
-            self._tracker.observe(scan, context)
+            # Right of way reads the tracks of its last command, which the next scan changes.
             self._right_of_way.observe(scan, self._geometry.offset, context)
+            self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
             oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])

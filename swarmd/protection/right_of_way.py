@@ -243,9 +243,9 @@ class RightOfWay:
         self._lead = min(max(lead, shortest), longest)
         self._rng = Random(f"way {seed}")
         self._openings = Openings(clearance.body)
-        # The tracks at the last command, and the pose of the base at that time.
-        self._tracks: tuple[Track, ...] = ()
-        self._tracks_seen_from = Pose()
+        # Of the last command: the tracks in the base frame, and the pose of the base.
+        self._surroundings: Surroundings | None = None
+        self._pose = Pose()
         self._last_odometry: Odometry | None = None
         self._passed_at = -math.inf
         self._lean = 0.0
@@ -311,6 +311,8 @@ class RightOfWay:
         Sets `_lean`, the m to the left of the axis at which the robot drives in a corridor.
         """
         odometry = context.odometry
+        # Read with each scan: the tracker takes in the scan next.
+        tracks = () if self._surroundings is None else self._surroundings.tracks
         ages = scan.ages if self._opening is not None else None
         if ages is not None and len(ages) == len(scan.bearings):
             left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
@@ -323,11 +325,8 @@ class RightOfWay:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
         pose = pose_after(odometry, context.odometry_age - scan_age)
-        tracks = tuple(
-            (x, y, track.radius)
-            for track, x, y in _by_odometry(self._tracks, self._tracks_seen_from)
-        )
-        self._openings.observe(scan, offset, pose, context.now, tracks, self._opening)
+        placed = tuple((x, y, track.radius) for track, x, y in _by_odometry(tracks, self._pose))
+        self._openings.observe(scan, offset, pose, context.now, placed, self._opening)
 
     def command(
         self,
@@ -354,7 +353,7 @@ class RightOfWay:
 
         # 1. The pose of the base, and the direction of the request.
         pose = pose_after(odometry, context.odometry_age)
-        self._tracks, self._tracks_seen_from = surroundings.tracks, pose
+        self._surroundings, self._pose = surroundings, pose
         if requested.is_zero:
             self._release()
             return requested
