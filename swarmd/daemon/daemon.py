@@ -683,8 +683,8 @@ class Daemon:
             self._pushed_runs.on_failed(actions.failed_code)
 
         # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
-        # restart the robot must not join a goal that this request has ended. A robot that runs, or
-        # that holds a latch, needs no wait: a latch is on disk and forbids a run.
+        # restart the robot must not join a goal that this request has ended. No wait while the
+        # robot runs (no goal was ended), or holds a latch (which forbids a run).
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:

@@ -58,7 +58,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
-    # With idle_output silent no zero is sent at rest: the daemon's silence would be no fault.
+    # A base that never stops by itself needs zeros also while its robot is idle.
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"

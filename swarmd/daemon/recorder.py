@@ -165,8 +165,8 @@ class Recorder:
                 limits=limits,
             )
         )
-        # A replay begins with the inputs that still hold, such as labels, then with the robot's
-        # memory (its state at this moment), which the next entry carries.
+        # A replay begins with the inputs that still hold, such as the neighbors, then with the
+        # robot's memory, which is recorded at the next step.
         for input in list(self._lasting.values()):
             self.input(input, began)
         self._is_memory_due = True

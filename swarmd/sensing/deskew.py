@@ -271,7 +271,7 @@ class Deskewer:
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # Begin, direction and width of the sector. It begins half a ray beyond the oldest ray.
+        # Begin, direction and width of the sector. It begins half a ray before the oldest ray.
         self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
         count: cython.Py_ssize_t = rays_in_sector(
