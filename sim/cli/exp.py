@@ -147,8 +147,8 @@ def run(
         from swarmd.sim.experiments.cluster import connect
 
     # 2. The plan of all runs, and the cores for each run: more than one core if there are fewer
-    #    runs than cores. `chosen`: the metrics to show, None without --metrics. `custom`: those of
-    #    the user's own code.
+    #    runs than cores. `chosen`: the metrics to show, None without --metrics. `custom`: those
+    #    that the catalog of metrics lacks.
     chosen = chosen_metrics(metrics)
     custom = beyond_catalog(chosen or ())
     plan = plan_of(

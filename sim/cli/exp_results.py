@@ -171,7 +171,9 @@ def report(
 
         text = recording_report(place)
     else:
-        if place.is_dir() and next(place.rglob("*.mcap"), None) and not (place / NAME).exists():
+        has_recordings = place.is_dir() and any(place.rglob("*.mcap"))
+        has_manifest = (place / NAME).exists()
+        if has_recordings and not has_manifest:
             raise ConfigError(
                 f"{place}: a folder of recordings; expected an experiment or one file, such as"
                 f" that of: swarmctl record merge {place} -o {place.name}.mcap"

@@ -137,7 +137,8 @@ def swarmd(
     if die_with_parent is not None:  # a process id
         tie_to(die_with_parent)
     check_descriptors()
-    # numpy, which both imports below load, would start a BLAS thread per core for small arrays.
+    # The fork and the settings load numpy, which would start a BLAS thread per core for arrays of
+    # 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # 2. Fork the process that will run the pattern. It must not hold the settings and keys of the
     #    daemon, so the fork comes before they are read.

@@ -174,7 +174,8 @@ def bundle(
     authority = open_authority(swarm)
     chosen_names = select_names(names, authority.roster.names)  # all names with --all
     # `target` is a file if a single bundle is written and the path has a suffix; else a folder.
-    if len(chosen_names) == 1 and target is not None and target.suffix and not target.is_dir():
+    is_single = len(chosen_names) == 1
+    if is_single and target is not None and target.suffix and not target.is_dir():
         files = {chosen_names[0]: target}
     else:
         folder = target or Path()

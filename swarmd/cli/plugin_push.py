@@ -122,7 +122,7 @@ def push(
         if len(outcome.applied) < len(canaries):
             _end_early(outcome, remaining)
         result = _await_canary(asked, source, canaries, remaining, canary_time)
-        # 4. Push to all robots, with a greater generation: that of the canaries names them alone.
+        # 4. Push to all robots. The manifest names other robots, so its generation is greater.
         warn(f"canary: {result}; now {', '.join(remaining)}")
         asked.report(pusher.push(push_targets, robots, generation + 1))
 

@@ -193,9 +193,9 @@ class _Writer:
     def _place(self, value: Any) -> tuple[int]:
         """The place of the node of an object or value: its index in `_nodes`, as a 1-tuple.
 
-        (A bare int would mean the number itself.) Adds the node if `value` has none yet. A value is
-        split into its parts now. An object gets an empty node, whose fields `memory` adds later:
-        objects may refer to one another in a circle, values cannot.
+        (In the parts of a node an int is a number, so a place is no int.) Adds the node if `value`
+        has none yet. A value is split into its parts now. An object gets an empty node, whose
+        fields `memory` adds later: objects may refer to one another in a circle, values cannot.
         """
         known_place = self._places.get(id(value))
         if known_place is not None:

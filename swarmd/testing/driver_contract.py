@@ -539,7 +539,7 @@ class DriverContract:
                         number = next(numbers)
                         seq = 1000 + number
                         bearings = _regular(harness, ray_count)
-                        # Ranges change with each scan: a driver may take a repeat for a fault.
+                        # Ranges change from scan to scan, as those of a real lidar do.
                         ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)
                         rig.publish_scan(
                             Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)

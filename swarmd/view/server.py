@@ -384,8 +384,8 @@ def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
     """A class of WebSocket connections that cannot fill the memory of the server.
 
     Each connection adds itself to `waiting`; the server removes it once it has a role. Beyond
-    MAX_WAITING the oldest waiting connection is aborted. A client that leaves more than MAX_UNREAD
-    bytes unread is aborted, too.
+    MAX_WAITING the oldest waiting connection is aborted. A client that sends requests without
+    reading the answers is aborted, too, once more than MAX_UNREAD bytes are unread.
     """
 
     class Limited(ServerConnection):
