@@ -110,7 +110,8 @@ class ContactReader:
         angular = twists[..., 2]
         vx = twists[..., 0] - angular * (point[:, 1:2] - poses[..., 1])
         vy = twists[..., 1] + angular * (point[:, 0:1] - poses[..., 0])
-        # 3. Its component along the normal, which points from the first body to the second.
+        # 3. The component of each velocity along the normal, which points from the first body to
+        # the second. Positive: towards the other body.
         speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
         speeds[:, 1] *= -1.0
         # 4. Each pair in order of rows: robots first.

@@ -43,8 +43,8 @@ class Odometers:
         """
         self._noise = noise
         self._starts = starts.copy()
-        # Cosine and sine of the start headings. numpy's vectorised sine and math's differ in the
-        # last bit.
+        # Cosine and sine of the start headings, by math: numpy's vectorised sine differs in the
+        # last bit, which would change recorded runs.
         self._turns = np.array([(math.cos(yaw), math.sin(yaw)) for yaw in starts[:, 2]])
         self._turns = self._turns.reshape(-1, 2)
         if noise.is_ideal:
