@@ -226,6 +226,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             seats=seats,
             rewards=Rewards(self._reward, self.scenario, self.seed, swarm.world),
             episodes=ContactEpisodes(),
+            # How often each robot has joined; each time the robot is another agent.
             lives={robot: int(there) for robot, there in is_present.items()},
             contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
             present=is_present,

@@ -252,8 +252,9 @@ class Lockstep:
     def exchange(self) -> None:
         """Give the outputs of this process's robots to all processes, and take theirs.
 
-        The outputs since the last exchange: commands, gripper commands, messages, and published
-        latches. Also with a single process: messages and latches take effect only here.
+        The outputs since the last exchange: commands, gripper commands, messages in transit
+        (flights), and published latches (emergency stops that hold until a reset). Also with a
+        single process: messages and latches take effect only here.
         """
         process = self._process
         if process.count == 1 and not (self._flights or self._published):

@@ -98,7 +98,7 @@ class ContactReader:
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
         is_touching = (contact.dist <= 0.0) & (rows.min(axis=1) < self._robots)
-        if self._is_left_out is not None:
+        if self._is_left_out is not None:  # bodies whose contacts are not read
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)

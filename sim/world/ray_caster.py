@@ -125,8 +125,8 @@ class Caster:
         """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
 
         `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
-        (w, 5): start, vector to the end, and the side (_MIN_SIDE) at `range_max`. `poles` (p, 3):
-        x, y, radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
+        (w, 5): start, vector to the end, and -`range_max` times the length. `poles` (p, 3): x, y,
+        radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
         x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
         """
         n = len(spec.bearings)
