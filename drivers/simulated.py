@@ -191,7 +191,8 @@ class SimulatedDriver:
         """Take all messages of patterns in order, and of each sensor the newest frame only.
 
         `frames`: all that one read of the socket gave, in order; a name is a kind of input. After
-        `rest`, odometry waits in the socket for the next scan, and then goes to `_take_late`.
+        `rest(take_late)`, odometry waits in the socket for the next scan. Then `take_late` gets the
+        newest odometry with its age, and older odometry is not counted as dropped.
         """
         newest: dict[str, bytes] = {}
         take_late = self._take_late

@@ -278,6 +278,7 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
     """
     names = {
         "namespace": options.namespace.strip("/") or None,
+        # Without the option `ranges` a robot has a lidar, whose topic has a default name.
         "scan": options.scan if options.ranges else options.scan_topic,
         "odometry": options.odometry,
         "cmd_vel": options.cmd_vel,
@@ -290,7 +291,7 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
     }
     first_options: dict[str, str] = {}  # by topic
-    types = _types(options)
+    types = _types(options)  # the message type of each entry, such as `readings.light`
     for option, name in names.items():
         if name is None:
             continue

@@ -504,7 +504,8 @@ class RosDriver:
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
         zid = str(self._session.info.zid())
-        # The tokens of the ends come last, in the order of the ends.
+        # The tokens of the ends come last, in the order of the ends: so the token of the commands
+        # is the last token, and the tokens of `state_ends` stand before it.
         tokens = self._scheme.tokens(zid, [*subscribed, *state_ends, command])
         *earlier_tokens, self._command_token = tokens
         state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]

@@ -47,6 +47,7 @@ def outcomes(
     left_runs = runs_with({**_EMPTY, **_ALONE})
     right_runs = runs_with({**_EMPTY, **_ALONE, "groups.tb3.parameters.side": "right"})
     room_round_m = 4.0 * (SIDE - 2.0 * DISTANCE)
+    # Rounds and distances are measured after EARLY s, since the robot has to find the wall first.
     rounds = 0.75 * (duration - EARLY) * SPEED / room_round_m
     label = "alone in a room: share of the time within 0.1 m of the distance"
     shares_kept = [share_kept(trace) for trace in left_runs.traces]

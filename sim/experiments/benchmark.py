@@ -201,7 +201,9 @@ def load_task(name: str) -> Task:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
 
-    task.scenario(_STAND_IN)  # raises ConfigError for faults that only a whole scenario shows
+    # With a pattern in place of the judged pattern; raises ConfigError for faults that only a whole
+    # scenario shows.
+    task.scenario(_STAND_IN)
     return task
 
 
@@ -319,8 +321,9 @@ def table_of(
     """The table of a benchmark, with median, interval, place and rank of each cell.
 
     `values`: the metric by (name of the table row, task) and by seed. `better`: the direction of
-    the metric of each task. Rows are sorted by their best place, then by the number of tasks, then
-    by name.
+    the metric of each task. The place follows from the median alone. The rank is the place if the
+    interval of the median overlaps the interval of no other row, else None. Rows are sorted by
+    their best place, then by the number of tasks, then by name.
     """
     cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
     ranked: Table = {}

@@ -172,7 +172,8 @@ class Cluster:
         attempts: dict[str, _Attempt] = {}  # in progress, by key of the call
         last_usable = time.monotonic()  # when a worker last had a run, or was free for one
         while waiting or attempts:
-            # 1. Runs of lost workers wait again; without any worker for `timeout` s, give up.
+            # 1. Runs of lost workers wait again; `_repeat` yields a failure after too many losses.
+            # Without any worker for `timeout` s, give up.
             self._update_workers()
             now = time.monotonic()
             for key, attempt in [*attempts.items()]:
@@ -195,7 +196,7 @@ class Cluster:
                     key, future = self._submit(call, worker)
                     attempts[key] = _Attempt(job, worker, future)
 
-            # 3. Progress, and the next answer of a worker.
+            # 3. Progress, and the next answer of a worker: a result, or an error of the worker.
             running = {attempt.job.run for attempt in attempts.values()}
             yield {run: share for run, share in [*self._shares.items()] if run in running}
             key, answer = self._receive()
@@ -236,7 +237,8 @@ class Cluster:
             return
         # The time since the last update, limited: while this process or the scheduler was
         # suspended, workers were not silent.
-        elapsed = min(now - self._next_update, _UPDATE_PERIOD) + _UPDATE_PERIOD
+        last_update = self._next_update - _UPDATE_PERIOD
+        elapsed = min(now - last_update, 2.0 * _UPDATE_PERIOD)
         self._next_update = now + _UPDATE_PERIOD
         self._check_scheduler()
         descriptions = self._worker_descriptions()

@@ -106,6 +106,7 @@ def mark_pattern(
     jobs = []
     for run in plan.runs:
         effective = _with_pattern(run.variant.effective, lesson.pattern, folder)
+        # `guest`: the process of the run is confined to this folder.
         jobs.append(Job(run.id, effective, run.seed, trace=None, guest=folder))
     rows: list[Row] = []
     for result in _bounded(jobs, processes, timeout):

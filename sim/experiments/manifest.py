@@ -94,6 +94,7 @@ def manifest_of(
     not UTF-8.
     """
     units = _report_units(plan)
+    # A metric of a report or reading gets the unit that the plan's patterns declare.
     custom = [
         metric_of(m.name, report_units=units) if m.name.startswith(PREFIXES) else m for m in metrics
     ]

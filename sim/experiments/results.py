@@ -63,10 +63,9 @@ class Traces:
 class CustomMetrics:
     """The metrics of an experiment that are not in the catalog.
 
-    `errors`: why a metric has no value, by run and metric. `is_trusted`: the files of the metrics
-    may be run, whatever is in the files now. `report_units`: units by the keys of reports.
     `errors`: why a metric has no value, by run and metric. `is_trusted`: the Python files of the
-    metrics may be run also if they are new or have changed since the runs.
+    metrics may be run also if they are new or have changed since the runs. `report_units`: units
+    by the keys of reports.
     """
 
     by_name: Mapping[str, Metric]
@@ -95,7 +94,11 @@ class Results:
         kernels: str = "",
         custom: CustomMetrics | None = None,
     ) -> None:
-        """`rows`: the finished runs. `custom`: metrics beyond the catalog. See the class, too."""
+        """`rows`: the finished runs. `failures`: the reason of each failed run, by run.
+
+        `metrics`: the names of the columns with metrics. `kernels`: a text about the compiled code.
+        `custom`: metrics beyond the catalog.
+        """
         custom = custom or CustomMetrics({}, {})
         self.folder = folder
         self.plan = plan
@@ -208,7 +211,7 @@ class Results:
         if key not in self._measured:
             measured: dict[str, float | None] = {}
             for errors in self.errors.values():
-                errors.pop(metric.name, None)  # of other code
+                errors.pop(metric.name, None)  # from the metric's code at the time of the runs
             for row in self._rows:
                 try:
                     value = measure(self.traces[row.run.id], [metric])[metric.name]
@@ -219,6 +222,7 @@ class Results:
                 except SwarmError as error:
                     text = f"metric {metric.name} was not measured by the runs, and {error}"
                     raise SwarmError(f"{text}; run again with --metrics {metric.name}") from error
+            # Without any value (None or 0): perhaps no robot reports the key of the metric.
             if not any(measured.values()) and (fault := self._unreported(metric)):
                 raise ConfigError(fault[0])
             self._measured[key] = measured
@@ -371,7 +375,8 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 class _Code:
     """The code of a metric that the results in `folder` name, imported when a value is measured.
 
-    `digest`: of the code that the runs used. Raises ConfigError as `check_code` does.
+    `digest`: SHA-256 of the code that the runs used. Raises ConfigError if the code is new, has
+    changed or has never been run by this user.
     """
 
     folder: Path

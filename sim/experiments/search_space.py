@@ -161,7 +161,7 @@ def parameter_space(
         for parameter, exclusion in declared:
             if not exclusion:
                 parameters.append(parameter)
-            elif parameter.param not in Params.__struct_fields__:
+            elif parameter.param not in Params.__struct_fields__:  # else every pattern has it
                 name = parameter.name
                 on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
         if not parameters:

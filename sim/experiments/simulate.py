@@ -135,9 +135,9 @@ def plan_of(
 ) -> Plan:
     """The plan of an experiment: all variants of the scenario with all seeds.
 
-    `set`: overrides by dotted key; `sweep`: lists of values by dotted key, of which each
-    combination is a variant. Each variant is checked, with its start poses; ConfigError if one is
-    invalid. `on_note` is called once with each note of the variants.
+    `set`: overrides by dotted key. `sweep`: lists of values by dotted key; each combination of
+    values is a variant. Each variant and its start poses are checked; ConfigError for an invalid
+    variant. `on_note` is called once with each note of the variants.
     """
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     checked_seeds = check_seeds(seeds)
@@ -173,7 +173,7 @@ def run_experiment(
     in the folder, and a later call does the rest. SwarmError if the folder cannot be used or the
     disk is full.
     """
-    # Python files of patterns and metrics: this user has run them from now on (`exp rerun`).
+    # The user runs these Python files (patterns, metrics), so `exp rerun` may run them later.
     digest_by_file = manifest.plugins.items()
     remember_code(digest for name, digest in digest_by_file if not name.endswith(MISSION))
     custom_metrics = {
@@ -219,7 +219,8 @@ def _gather(
         if on_progress is not None:
             failed = len(store.failures)
             begun_work = sum(work[run] * share for run, share in shares.items())
-            # Workers may have to wait for the longest run.
+            # The work left is at least the longest run's rest on all workers, since workers without
+            # a further run wait for the end of this run.
             longest = max((work[run] * (1.0 - share) for run, share in shares.items()), default=0.0)
             work_left = max(unended_work - begun_work, longest * len(shares))
             done = len(store.rows) + failed

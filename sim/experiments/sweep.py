@@ -60,9 +60,9 @@ class Factors:
 
 
 def first_and_others(results: Results, metrics: Sequence[Metric]) -> list[list[Difference]]:
-    """The differences of each further variant from the first variant, a list for each variant.
+    """The differences of each further variant from the first variant: a list for each variant.
 
-    Holm's correction is made for the differences of all variants together.
+    Holm's correction of p covers the differences of all variants together.
     """
     first, *further = _sides(results)
     by_variant = [compare(first, side, metrics) for side in further]
@@ -171,6 +171,7 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
             values = restricted(values, min(_duration(results, v) for v in results.variants))
         seeds = map(int, results.seeds(variant.name))
         cell = shown(variant.values[row_key]), shown(variant.values[column_key])
+        # `v == v` is false for NaN: a run without a value.
         by_cell[cell] = {s: v for s, v in zip(seeds, values.tolist(), strict=True) if v == v}
     common = sorted(set.intersection(*map(set, by_cell.values())))
     if not common:

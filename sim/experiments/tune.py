@@ -514,11 +514,11 @@ class _Tuner:
         the race, from 0 on. SwarmError if no run of the first block has a value.
         """
         new = [candidate for candidate in racing if not candidate.losses]
-        earlier_best = [candidate for candidate in racing if candidate.losses]  # one, or none
+        earlier_best = [candidate for candidate in racing if candidate.losses]  # none in race 0
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
-        # After each of these numbers of seeds but the last, which is all seeds, candidates are
-        # compared. The level is divided by the number of comparisons (Bonferroni).
+        # Candidates are compared after each of these numbers of seeds, except after all seeds. The
+        # level is divided by the number of comparisons (Bonferroni).
         seed_counts = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(seed_counts) - 1, 1)
         for count in seed_counts:

@@ -49,7 +49,7 @@ def platform_values(space: Space, values: Mapping[str, Any]) -> dict[str, dict[s
 
 
 def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
-    """The sentences about the evidence for tuned values, which stand above the values.
+    """The sentences about the evidence for tuned values, which stand above the values in the file.
 
     Goal, means in the races, held-out difference, difference to pseudo-reality, software.
     """

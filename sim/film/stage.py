@@ -253,7 +253,7 @@ def _paint(model: mujoco.MjModel) -> None:
 
 
 def _enlargement(trace: Trace, extent: Extent, size: tuple[int, int]) -> float:
-    """How many times larger than they are robots are drawn, from 1 to _MOST.
+    """The factor by which robots are drawn larger than they are, from 1 to _MOST.
 
     The smallest robot shall have MIN_PIXELS in a frame of 720 lines.
     """

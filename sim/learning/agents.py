@@ -106,7 +106,7 @@ def new_seat(spec: PolicySpec) -> Seat:
 def _split(event: ScheduledEvent, learners: Collection[str]) -> Iterable[ScheduledEvent]:
     """The event for robots that do not learn, then a run of PATTERN for learners.
 
-    Learners have no param events.
+    Learners get no event `param`: the actions take the place of parameters.
     """
     mine = tuple(robot for robot in event.robots if robot in learners)
     if event.action not in ("run", "param") or not mine:

@@ -226,6 +226,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             seats=seats,
             rewards=Rewards(self._reward, self.scenario, self.seed, swarm.world),
             episodes=ContactEpisodes(),
+            # How often each robot has joined; each time the robot is another agent.
             lives={robot: int(there) for robot, there in is_present.items()},
             contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
             present=is_present,
@@ -267,6 +268,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         episode.contacts[:] = 0
         self._advance(self.spec.period)
         end = episode.swarm.world.time
+        # The end of the scenario, to the nearest whole period.
         episode.is_over = end > self.scenario.duration - 0.5 * self.spec.period
         # 3. The agents after the step, and the results of all agents before or after the step.
         present_robots = [robot for robot, there in episode.present.items() if there]

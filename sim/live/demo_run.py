@@ -86,7 +86,7 @@ class LiveTimeline:
             case "leave" | "kill" | "remove":
                 for robot in robots:
                     self._fleet.end_daemon(robot, in_order=event.action == "leave")
-                if event.action == "remove":  # of robots; without a daemon, too
+                if event.action == "remove":  # also robots whose daemon has ended before
                     for robot in event.robots:
                         self._world.take_out(robot)
             case "stop" | "estop":
@@ -126,8 +126,8 @@ class DemoSettings:
 class WorldWatcher:
     """The newest state of the simulated world, which a Zenoh thread hands over.
 
-    `all_moved_at`: the boot time in s when the last robot made its first move after `begin`; None
-    before.
+    `all_moved_at`: when the last robot made its first move after `begin`, in s on the clock since
+    boot; None before.
     """
 
     def __init__(self, world: WorldView, timeout: float = WORLD_TIMEOUT) -> None:
@@ -196,8 +196,9 @@ class DemoRun:
     ) -> DemoSummary:
         """Run all events from start to end, and return the summary of the demo.
 
-        `trace`: the file that the world writes at the end. `began`: the boot time in s at which the
-        user's command started. `tell` is called with progress lines while robots start.
+        `trace`: the file that the world writes at the end. `began`: when the user's command
+        started, in s on the clock since boot. `tell` is called with progress lines while robots
+        start.
         """
         # 1. Robots are up; the recording starts; the first patterns run.
         view = starting.await_robots(self._operator, self._fleet, tell)
@@ -280,7 +281,7 @@ class DemoRun:
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
 
-        # 2. Problems. Robots of an event may end or stop, so only a fault of theirs is a problem.
+        # 2. Problems. An event may end or stop its robots, so only a fault of these robots counts.
         events = self._timeline.done
         robots_of_events = {robot for event in events for robot in event.robots}
         other_robots = [robot for robot in started.robots if robot not in robots_of_events]

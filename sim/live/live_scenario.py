@@ -69,9 +69,9 @@ def _platform_path(folder: Path, platform: Platform) -> Path:
 
 
 def check_live(scenario: Scenario, most: int, emulator: str | None = None) -> None:
-    """Raise ConfigError, which names the first key, for what a live run cannot do.
+    """Raise ConfigError for the first key of a scenario that a live run cannot carry out.
 
-    `most`: the robots that one machine can run as daemons.
+    `most`: the greatest number of robots whose daemons one machine can run.
     """
     for key, why in _impossible(scenario, most, emulator):
         raise ConfigError(f"scenario {scenario.name}: {key}: {why}")

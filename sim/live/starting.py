@@ -69,11 +69,11 @@ def await_robots(
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """Whether for each two robots, either both list each other as neighbors, or neither does.
+    """Whether each pair of robots agrees: both list each other as neighbors, or neither does.
 
-    `view`: the statuses, one of each of `robots`. `all_hear_all`: all robots must list each other,
-    since robots that have just started list no neighbors. True for more than MAX_NEIGHBORS robots,
-    since a status lists no more neighbors.
+    `view`: has a status of each of `robots`. `all_hear_all`: all robots must list each other, since
+    robots that have just started list no neighbors. True for more than MAX_NEIGHBORS robots, since
+    a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -116,9 +116,12 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
             started_late |= running.intersection(waiting)
             waiting = tuple(name for name in waiting if name not in started_late)
         outcome = operator.request(RunRequest, view.epochs(waiting), **run_fields(run))
-        if not attempt and len(outcome.refused) == len(waiting):
+        if attempt:
+            started_late.update(outcome.applied)
+        elif len(outcome.refused) == len(waiting):
             raise ConfigError(why_not("run", outcome))
-        (started_late if attempt else started_at_once).update(outcome.applied)
+        else:
+            started_at_once.update(outcome.applied)
         waiting = tuple(name for name in waiting if name not in outcome.applied)
         if not waiting:
             break

@@ -158,7 +158,7 @@ def problems_of(
 ) -> tuple[str, ...]:
     """A line for each robot that did not run to the end, and a line if robots touched each other.
 
-    `before`: the statuses right after `run`; `after`: the statuses at the end, both by robot.
+    `before`: the statuses right after the request `run`, by robot. `after`: those at the end.
     """
     problems = [line for robot in robots if (line := _problem(robot, before, after))]
     if contacts:

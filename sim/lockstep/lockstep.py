@@ -151,6 +151,7 @@ class Lockstep:
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
         self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
         self._record_due = Schedules(np.array([scenario.trace_rate]))
+        # By the time of the first scan, so that the scans of one step are shared by the processes.
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
         # 3. What robots know of each other's bodies; needed only if any pair has a finding.
         bodies = [body_of(p) for p in self._platforms]
@@ -166,7 +167,8 @@ class Lockstep:
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
-        # 5. Latches: on disk of ended daemons, of present robots, and new since the last step.
+        # 5. Latches (emergency stops that hold until a reset): stored by ended daemons, of present
+        # robots, and new since the last step.
         self._latches: dict[int, LatchRecord | None] = {}
         self._peer_latches: dict[int, dict[str, Latch]] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -250,8 +252,9 @@ class Lockstep:
     def exchange(self) -> None:
         """Give the outputs of this process's robots to all processes, and take theirs.
 
-        The outputs since the last exchange: commands, gripper commands, messages, and published
-        latches. Also with a single process: messages and latches take effect only here.
+        The outputs since the last exchange: commands, gripper commands, messages in transit
+        (flights), and published latches (emergency stops that hold until a reset). Also with a
+        single process: messages and latches take effect only here.
         """
         process = self._process
         if process.count == 1 and not (self._flights or self._published):

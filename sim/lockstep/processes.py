@@ -129,7 +129,7 @@ class _Member(RunProcess):
         Returns the data by process, empty for this process, and empty for all unless `keeps`.
         """
         self._pid = self._pid or os.getpid()
-        if self._pid != os.getpid():  # this is a fork that a pattern made: no part of the run
+        if self._pid != os.getpid():  # a process that a pattern has forked is no part of the run
             os._exit(0)
         peers = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
@@ -151,7 +151,7 @@ class _Member(RunProcess):
                     end = begin + min(_CHUNK, size - sent)
                     received[process] += self._memory[begin : max(begin, end)]
             sent += _CHUNK
-            self._half = 1 - self._half
+            self._half = 1 - self._half  # peers may still read the half that was just written
         return received
 
     def _write(self, size: int, chunk: bytes) -> None:

@@ -60,7 +60,8 @@ class RobotShell:
     def sense(self, input: SensorInput, now: float) -> None:
         """Hand a measurement to the robot, except repeated inputs without a value.
 
-        Of consecutive OPTION_INPUTS of one kind without a value the robot gets the first alone.
+        If inputs of one kind of OPTION_INPUTS have no value several times in a row, the robot gets
+        only the first of these inputs.
         """
         if not isinstance(input, ScanInput):
             if self._is_new(input):

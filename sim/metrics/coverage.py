@@ -45,7 +45,8 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     from_centre = place - (square + 0.5) * cell
     first_in_square = _firsts(square)
     first_in_tenth = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
-    # 2. For each offset of squares: the squares that lie so from a near position are covered.
+    # 2. For each offset of squares (`right`, `up`) within the margin: the square at this offset
+    # from a position is covered if its centre is within `radius` of the position.
     never = len(trace.t)
     covered_at = np.full(shape, never, dtype=np.int64)
     for right in range(-margin, margin + 1):
@@ -67,7 +68,7 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
 def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
     """The rows of `index` (k, 2) at which each square appears first, in reverse order.
 
-    In reverse order the earliest row writes an array element last.
+    If several of these rows write one element of an array, the earliest row then writes last.
     """
     low, high = index.min(axis=0), index.max(axis=0)
     key = (index[:, 0] - low[0]) * (high[1] - low[1] + 1) + index[:, 1] - low[1]

@@ -26,7 +26,7 @@ def line_offsets(trace: Trace) -> Array:
 
 
 def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
-    """(T,) the rms deviation of the gaps along the best line from `spacing`, as a share of it.
+    """(T,) the rms deviation of the gaps along the best line from `spacing`, over `spacing`.
 
     Without `spacing` the mean gap takes its place.
     """

@@ -115,7 +115,8 @@ def _metric(
     """The metric of a function, whose attributes are set by the decorator `metric`.
 
     `origin`: the text that names the function on the command line. `digest`: the SHA-256 of its
-    file. `source`: the file or package, for tables. ConfigError for a wrong attribute `better`.
+    file. `source`: the file or package, for tables. If the function returns an array over time, the
+    value of a run is the mean of its late part. ConfigError for a wrong attribute `better`.
     """
     better = getattr(function, "better", None)
     if better not in (None, "less", "more"):

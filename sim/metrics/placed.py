@@ -188,7 +188,7 @@ def _share_until(is_so: NDArray[np.bool_]) -> Array:
 def _whole(series: Series, word: str) -> Value:
     """The statistic `word` (of TIMES) of a series, which is computed for the whole run.
 
-    For series that depend on the start of the run.
+    It is for series whose values depend on the start of the run.
     """
 
     def value(trace: Trace) -> float | None:

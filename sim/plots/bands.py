@@ -197,7 +197,7 @@ def finish_series(
 def _smoothed(
     groups: Mapping[str, Sequence[Series]], seconds: float
 ) -> dict[str, Sequence[Series]]:
-    """The runs of each variant of `groups` that has an instant, with their running means.
+    """The running means of the runs of `groups`, by variant; a run without an instant is left out.
 
     `seconds`: the window of the running mean; 0: the values as they are.
     """
@@ -239,8 +239,8 @@ def _explanation(
 ) -> str:
     """The text below a figure that explains lines and bands.
 
-    `runs_of_variants`: the runs of each line. `variants`: the number of variants, on which depends
-    which bands are drawn.
+    `runs_of_variants`: the runs of each line. `variants`: the number of variants, by which the
+    figure draws all, some or no bands.
     """
     counts = [len(runs) for runs in runs_of_variants]
     runs_text = f", n = {counts[0]}" if len(counts) == 1 and counts[0] > 1 else ""

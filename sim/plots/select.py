@@ -64,7 +64,8 @@ def stem_of(metric: str) -> str:
 def smoothing_of(metric: str) -> float:
     """Seconds over which a metric's series is averaged; 0 without averaging.
 
-    Series that count scans or differentiate positions change from instant to instant.
+    Series that count scans or differentiate positions are averaged, since they change from instant
+    to instant.
     """
     return 2.0 if metric.startswith(_FLICKERING) else 0.0
 

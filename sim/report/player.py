@@ -69,7 +69,7 @@ def player_of(source: Source) -> Player:
         playback.seek(k * period)
         _, robot_poses = source.frame()  # rows: index of the robot, x, y, yaw
         poses[k, robot_poses[:, 0].astype(int)] = robot_poses[:, 1:]
-        # Boxes have no names here; a box is a free index with the same outline.
+        # A source gives boxes without names: each box gets a free index with the same outline.
         free_indices = list(range(len(shapes)))
         for shape, pose in source.boxes():
             index = next((i for i in free_indices if np.array_equal(shapes[i], shape)), None)

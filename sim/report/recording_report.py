@@ -207,7 +207,8 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
         is_zero = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
-        # Where is_stopped changes: first instant of a stop, first instant after the stop, ...
+        # The instants at which `is_stopped` changes: by turns the first instant of a stop, and the
+        # first instant after this stop.
         edges = np.flatnonzero(np.diff(np.concatenate(([False], is_stopped, [False])).astype(int)))
         for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
             seconds = float(trace.t[last] - trace.t[first])

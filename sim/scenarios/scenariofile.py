@@ -139,7 +139,8 @@ def _overridden(
     `sources`: name and data of each file, strongest first. `overrides`: values by dotted key, which
     errors call `override_source`. `default_name`: the name of a scenario that gives none.
     """
-    # 1. The data of the file, after the overrides.
+    # 1. The data of the file, after the overrides. `without_stale` drops start keys that do not fit
+    # the layout of a stronger source.
     home, data = sources[0][0], Layered(*sources).data
     if overrides:
         sources = ((override_source, nested(overrides, data, override_source)), *sources)

@@ -33,8 +33,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     """The event of that index; ConfigError if it is invalid by itself.
 
     The action of an event is its key beside `at`: of robots (`run`, `stop` ...), of a movable box
-    (`place`, `remove`), or `fields`. `remove` concerns a box if one has the given name, or if no
-    robot or group has it.
+    (`place`, `remove`), or `fields`. `remove` may name a box, a robot or a group. A movable box of
+    this name comes first. A name that is unknown counts as a box, for the error.
     """
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
@@ -46,8 +46,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
         return _field_event(layers, file, section, (*keys, action))
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     removes_robot = action == "remove" and bool(groups.named(section.remove or ""))
-    is_box = section.remove in movable or not removes_robot
-    if action == "place" or (action == "remove" and is_box):
+    removes_box = action == "remove" and (section.remove in movable or not removes_robot)
+    if action == "place" or removes_box:
         return _box_event(layers, file, section, (*keys, action), movable)
     # 2. Events of robots, which the key `targets` or the action itself names.
     target_key = action if action in OF_ROBOTS or removes_robot else "targets"

@@ -260,7 +260,8 @@ class _ShownRun:
     def _row(self, at: int, i: int) -> dict[str, Any]:
         """The values of robot `i` at instant `at`, as the page takes them (see `Source.rows`).
 
-        Values that the trace does not have are left out or blank.
+        `near` is the gap to the nearest obstacle in m, and `rows` has the strongest speed limit of
+        protection. Values that the trace does not have are left out or blank.
         """
         trace = self._trace
         is_present = bool(self._present[at, i])
@@ -365,6 +366,7 @@ def runs_of(place: Path, seed: int | None = None, variant: str | None = None) ->
 
 
 def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
+    """The runs with a trace of the experiment in `folder`; the first has this seed and variant."""
     results = load_results(folder)
     kept = [run for run in results.runs if trace_path(folder, run).exists()]
     if not kept:
@@ -389,7 +391,8 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
         fields = fields_of(Layered((str(folder), effective)), effective.get("fields", ()))
         return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
 
-    title = f"{results.plan.scenario}, {len(kept)} run{'s' * (len(kept) > 1)}"
+    plural = "s" if len(kept) > 1 else ""
+    title = f"{results.plan.scenario}, {len(kept)} run{plural}"
     return Runs(title, list(runs), load, chosen[0].title)
 
 

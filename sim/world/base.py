@@ -46,8 +46,8 @@ class Bases:
     twice, and inertia in kg m2. `delay_steps`: the delay of commands in steps.
 
     A servo gives the force that reaches the commanded velocity within one step, up to the friction
-    of the tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff one with a
-    force limit chatters by 0.04 m/s at rest, a soft one lags.
+    of the tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff actuator
+    with a force limit chatters by 0.04 m/s at rest, and a soft actuator lags.
     """
 
     before = cython.declare(object, visibility="readonly")
@@ -77,10 +77,10 @@ class Bases:
     def __init__(self, actuation, platforms, memory, dt):
         """Start n robots at rest.
 
-        `actuation`: delay in s, and caps of acceleration (None: no cap). `platforms` (n,) in the
-        order of rows; the robots are the first bodies of `memory`. `memory`: positions, velocities
-        and forces of all bodies, which this class reads and writes. The delay is rounded to whole
-        steps of `dt` s.
+        `actuation`: delay in s, and caps (upper limits) of acceleration; None: no cap. `platforms`
+        (n,) in the order of rows; the robots are the first bodies of `memory`. `memory`: positions,
+        velocities and forces of all bodies, which this class reads and writes. The delay is rounded
+        to whole steps of `dt` s.
         """
         n: cython.Py_ssize_t = len(platforms)
         self._n, self._dt = n, dt
@@ -124,7 +124,7 @@ class Bases:
                 self._command[row, k] = commands[row, k]
 
     def drive(self):
-        """Set the forces for the next step, and keep the state before it; call once a step."""
+        """Set the forces for the next step, and keep the present state; call once a step."""
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t

@@ -98,7 +98,7 @@ class ContactReader:
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
         is_touching = (contact.dist <= 0.0) & (rows.min(axis=1) < self._robots)
-        if self._is_left_out is not None:
+        if self._is_left_out is not None:  # bodies whose contacts are not read
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
@@ -110,7 +110,8 @@ class ContactReader:
         angular = twists[..., 2]
         vx = twists[..., 0] - angular * (point[:, 1:2] - poses[..., 1])
         vy = twists[..., 1] + angular * (point[:, 0:1] - poses[..., 0])
-        # 3. Its component along the normal, which points from the first body to the second.
+        # 3. The component of each velocity along the normal, which points from the first body to
+        # the second. Positive: towards the other body.
         speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
         speeds[:, 1] *= -1.0
         # 4. Each pair in order of rows: robots first.

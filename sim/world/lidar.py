@@ -108,9 +108,9 @@ def _padded(polygons: Sequence[Array]) -> Array:
 class SortedRays:
     """The rays of a scan in order of bearing, repeated over four turns.
 
-    So the rays of any interval of bearings have consecutive indices. By index: `number` of the ray
-    in the scan, `bearings` in rad, and their `cos` and `sin`. `is_even`: bearings differ by equal
-    steps of `step` rad.
+    So the rays of any interval of bearings have consecutive indices. Each array has an element for
+    each index: `number` of the ray in the scan, `bearings` in rad, and their `cos` and `sin`.
+    `is_even`: bearings differ by equal steps of `step` rad.
     """
 
     def __init__(self, bearings: Array) -> None:

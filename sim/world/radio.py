@@ -162,6 +162,7 @@ class Radio:
         random loss. A random rank per sender and instant decides the order of messages that arrive
         at one instant.
         """
+        # The sender's own generator: the messages of other robots do not change the losses.
         settings, rng = self.settings, self._loss_rngs[row]
         receivers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
@@ -182,9 +183,9 @@ class Radio:
     def carry(
         self, flights: Iterable[Flight], own: Callable[[list[int]], list[int]] = lambda rows: rows
     ) -> None:
-        """Put flights in transit, those of one sender in order of sending.
+        """Put flights in transit; the flights of a sender must be in the order of sending.
 
-        `own` selects among the rows of receivers.
+        `own`: the rows of the receivers that this process simulates; None: all.
         """
         for at, rank, hearers, row, name, value in flights:
             self._in_flight.put(at, (own(hearers), row, name, value), rank)

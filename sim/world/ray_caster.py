@@ -125,8 +125,8 @@ class Caster:
         """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
 
         `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
-        (w, 5): start, vector to the end, and the side (_MIN_SIDE) at `range_max`. `poles` (p, 3):
-        x, y, radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
+        (w, 5): start, vector to the end, and -`range_max` times the length. `poles` (p, 3): x, y,
+        radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
         x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
         """
         n = len(spec.bearings)
@@ -204,7 +204,7 @@ class Caster:
             # 1. One over the distance of each ray's nearest return; 0: no return.
             for i in range(self._count):
                 self._inverse[i] = 0.0
-            # All are NaN if one is: `isfinite` of one is enough.
+            # The pose of an absent robot is NaN in all three numbers, so x is enough to check.
             if isfinite(poses[robot, 0]):
                 self._set_sensor(poses[robot, 0], poses[robot, 1], poses[robot, 2])
                 self._set_cone()
@@ -484,8 +484,8 @@ class Caster:
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
         inverse: cython.double
         first: cython.Py_ssize_t = self._ray_index((high - turn) - _BEARING_MARGIN)
-        # `begin` and `end` count from the sector's first ray; the rays of the surface may begin
-        # anew behind the last ray.
+        # `begin` and `end` count from the sector's first ray, around the whole turn. The rays of
+        # the surface may pass the end of the turn: the second pass of the loop takes the rest.
         begin: cython.Py_ssize_t = (first - self._first) % self._rays
         end: cython.Py_ssize_t = begin + self._ray_index(high + _BEARING_MARGIN) - first
         i: cython.Py_ssize_t
@@ -528,7 +528,8 @@ class Caster:
         if self._is_outside(x, y, radius):
             return 0
         # 1. The circle covers the bearings `middle` +- `half` (rad). `begin` and `end` count from
-        # the sector's first ray; the rays of the circle may begin anew behind the last ray.
+        # the sector's first ray, around the whole turn. The rays of the circle may pass the end of
+        # the turn: the second pass of the loop takes the rest.
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
         first = self._ray_index((middle - half) - _BEARING_MARGIN)
         begin = (first - self._first) % self._rays

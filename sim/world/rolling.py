@@ -45,6 +45,7 @@ class RollingScans:
         duration = min(sweep.duration, 1.0 / spec.rate)
         self._steps = max(int(duration / dt + _ROUNDING), 1)
         sector_steps = max(self._steps // sectors, 1)
+        # A sector of rays is measured each `sector_steps`: the time of a ray is rounded to these.
         steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
         steps = np.minimum(steps, self._steps)
         # 2. The number of rays measured by each step since the begin of a scan.

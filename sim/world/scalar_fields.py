@@ -127,9 +127,10 @@ def readings_at(
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform with `reading:<name>` of each field, and `reading:<name>_<i>` of its sensors.
+    """The platform, which also provides `reading:<name>` of each field, and of its sensors.
 
-    The platform also has each of OPTION_INPUTS for which it has sensors.
+    The reading of sensor i of a field is `reading:<name>_<i>`. The platform also provides each of
+    OPTION_INPUTS for which it has sensors.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

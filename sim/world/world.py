@@ -243,8 +243,8 @@ class World:
     def begin_scans(self, robots: Indices) -> None:
         """Begin a scan of each of `robots` (m,) now; call this before `arrived_scans`.
 
-        The rays of a rolling lidar are measured over the following steps, those of other lidars at
-        once.
+        The rays of a rolling lidar are measured over the following steps. All other lidars measure
+        their rays at once.
         """
         at_once = []
         for row in robots.tolist():
