@@ -8,6 +8,7 @@ are m, s, m/s and rad/s in both.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -23,6 +24,7 @@ _SHARED = {"max_translational_velocity": "speed", "max_rotational_velocity": "tu
 _RATE = "a pattern steps at its own rate, mostly 10 Hz"
 _RANGE_MIN = "`scan.range_min` of the platform file takes its place"
 _RANGE_MAX = "`scan.range_max` of the platform file takes its place"
+_COMBINED = "it combines nodes with a magnetometer, which no driver reads"
 _PROTECTION = "protection is a section of the platform file, and never off"
 
 
@@ -158,6 +160,7 @@ COUNTERPARTS: Mapping[str, Counterpart] = MappingProxyType(
                     "the distance follows from `base` and `step`; the rest is as in the paper",
                 ),
                 "dispersion_min_range": _RANGE_MIN,
+                "dispersion_stop_if_alone": _OLD_STOP,
                 "dispersion_allow_dynamic_max_range_setting": "the vote sets the distance",
             },
         ),
@@ -172,20 +175,30 @@ COUNTERPARTS: Mapping[str, Counterpart] = MappingProxyType(
         "voter_model_with_limiter": Counterpart(
             "", note="`voter_model` with `radio.range` limits who hears a vote"
         ),
+        "flocking": Counterpart("", note=_COMBINED),
+        "flocking2": Counterpart("", note=_COMBINED),
+        "beeclust": Counterpart("", note="`cue_aggregation` gathers robots where a field is high"),
+        "line_avoidance": Counterpart("", note="no driver reads sensors of the ground's color"),
         "hardware_protection_layer": Counterpart("", note=_PROTECTION),
         "sensor_specification": Counterpart("", note="sensors are a section of the platform file"),
     }
 )
 """By the prefix of a node's parameters."""
 
-_VOTES = ("majority_rule", "voter_model")
+_VOTES = {
+    "majority_rule": "majority_rule",
+    "voter_model": "voter_model",
+    "discussed_dispersion": "majority_rule",
+}
+"""The prefix of the opinions, by node that votes."""
+_OPINIONS = ("choose_start_value_at_random", "initial_value", "min_opinion", "max_opinion")
 
 
 def read_parameter_file(path: Path) -> Conversion:
     """Convert a parameter file of ROS2swarm, which belongs to one node.
 
-    ConfigError with file and name for any other file, for a node without a counterpart in swarmd,
-    and for a value that our parameter cannot take.
+    ConfigError with file and name for any other file, for a node without a counterpart,
+    and for a value of a wrong type. The pattern's bounds are not checked.
     """
     given = _parameters(path)
     node = _node_of(path, given)
@@ -194,8 +207,7 @@ def read_parameter_file(path: Path) -> Conversion:
         raise ConfigError(f"{path}: {node} has no counterpart: {counterpart.note}")
     parameters: dict[str, Any] = dict(counterpart.fixed)
     left_out: dict[str, str] = {}
-    # The node may be a vote, or have a vote as a part: its names begin with the vote's name.
-    vote = next((name for name in _VOTES if f"{name}_max_opinion" in given), None)
+    vote = _VOTES.get(node)
     opinions = {} if vote is None else _opinions(path, vote, given)
     notes = [counterpart.note] if counterpart.note else []
     for name, value in given.items():
@@ -203,9 +215,9 @@ def read_parameter_file(path: Path) -> Conversion:
             parameters[counterpart.names[name]] = _number(path, name, value)
         elif name in counterpart.without:
             left_out[name] = counterpart.without[name]
-        elif vote is None or not name.startswith(vote):
+        elif vote is None or name not in [f"{vote}_{one}" for one in _OPINIONS]:
             left_out[name] = "ROS2swarm has no such parameter in this node"
-    if (lowest := given.get(f"{vote}_min_opinion", 0)) != 0:
+    if opinions and (lowest := given.get(f"{vote}_min_opinion", 0)) != 0:
         notes.append(f"opinion 0 here is opinion {lowest} of ROS2swarm")
     return Conversion(node, counterpart.pattern, parameters | opinions, left_out, tuple(notes))
 
@@ -241,21 +253,31 @@ def _node_of(path: Path, given: Mapping[str, Any]) -> str:
 
 def _opinions(path: Path, vote: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Number of opinions and first opinion; ours count from 0, and ROS2swarm's from a minimum."""
+    if f"{vote}_max_opinion" not in given:
+        raise ConfigError(f"{path}: no {vote}_max_opinion; expected the number after the last one")
     lowest = _integer(path, f"{vote}_min_opinion", given.get(f"{vote}_min_opinion", 0))
     end = _integer(path, f"{vote}_max_opinion", given[f"{vote}_max_opinion"])
     if end <= lowest:
         raise ConfigError(f"{path}: {vote}_max_opinion is {end}; expected more than {lowest}")
     opinions: dict[str, Any] = {"opinions": end - lowest}
-    if not given.get(f"{vote}_choose_start_value_at_random", True):
+    is_random = given.get(f"{vote}_choose_start_value_at_random", True)
+    if not isinstance(is_random, bool):
+        name, value = f"{vote}_choose_start_value_at_random", yamlfile.brief(is_random)
+        raise ConfigError(f"{path}: {name} is {value}; expected true or false")
+    if not is_random:
         name = f"{vote}_initial_value"
-        opinions["initial"] = _integer(path, name, given.get(name, 0)) - lowest
+        initial = _integer(path, name, given.get(name, 0))
+        if not lowest <= initial < end:
+            raise ConfigError(f"{path}: {name} is {initial}; expected {lowest} to {end - 1}")
+        opinions["initial"] = initial - lowest
     return opinions
 
 
 def _number(path: Path, name: str, value: object) -> float | int:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) < math.inf:  # type: ignore[arg-type]
         raise ConfigError(f"{path}: {name} is {yamlfile.brief(value)}; expected a number")
-    return value
+    return value  # type: ignore[return-value]
 
 
 def _integer(path: Path, name: str, value: object) -> int:

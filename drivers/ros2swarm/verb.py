@@ -10,7 +10,11 @@ import click
 
 from swarmd.cli.options import EXISTING_FILE, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, warn
+from swarmd.cli.plugin_check import check_parameters
+from swarmd.core.errors import ConfigError
 from swarmd.drivers.ros2swarm.parameter_file import Conversion, read_parameter_file
+
+_PLATFORM = "waffle_pi"  # bounds are those of all platforms
 
 
 @click.group(
@@ -30,6 +34,10 @@ def ros2swarm(options: CommonOptions, file: Path) -> None:
     the pattern.
     """
     converted = read_parameter_file(file)
+    try:
+        check_parameters(converted.pattern, converted.parameters, None, _PLATFORM)
+    except ConfigError as error:
+        raise ConfigError(f"{file}: {error}") from error
     if options.is_json:
         content = {
             "file": str(file),

@@ -9,21 +9,25 @@ themselves from commands of an agent as from all others.
 from __future__ import annotations
 
 import asyncio
+import inspect
 import logging
 import re
+import signal
+import threading
 from collections.abc import Callable, Collection, Coroutine, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
-from functools import wraps
+from dataclasses import dataclass, replace
+from functools import partial, wraps
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, get_type_hints
 
 import click
+import msgspec
 
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
 from swarmd.client.connect import Connection
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.network.operator.operator_text import operator_name
 from swarmd.plugins import need
 from swarmd.security.roster import Role
@@ -49,6 +53,8 @@ MAX_RUN = 3600.0  # s
 REHEARSAL = 60.0
 """The longest simulated time of a rehearsal in s; a longer run is rehearsed for this time."""
 MAX_SEEDS, MAX_SIMULATED = 20, 300.0
+MAX_ERROR = 1000
+"""The longest text of an error in characters: an error repeats what the agent wrote."""
 _LISTEN = 1.0  # s in which robots answer with their last events
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _SAFE = {"failed_patterns": 0.0, "robot_contacts": 0.0, "arena_contacts": 0.0}
@@ -57,8 +63,10 @@ _SAFE = {"failed_patterns": 0.0, "robot_contacts": 0.0, "arena_contacts": 0.0}
 Values: TypeAlias = dict[str, bool | int | float | str]
 Answer: TypeAlias = dict[str, Any]
 Robots: TypeAlias = list[str] | None
-Rehearse: TypeAlias = Callable[[str, Mapping[str, Any], float], Answer]
-"""Simulates a run of a pattern with parameters for s, and returns what was measured."""
+Rehearse: TypeAlias = Callable[[str, Mapping[str, Any], float, threading.Event], Answer]
+"""Simulates a run of a pattern with parameters for s, and returns what was measured.
+
+SwarmError soon after the event is set."""
 
 INSTRUCTIONS = """Commands a swarm of ground robots. Each robot has a name such as tb3-03.
 `robots` are names, globs such as 'tb3-*' and ranges such as 'tb3-[01-07]'; without them all robots
@@ -121,6 +129,10 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
 
 
 async def _serve(connection: Connection, allow: Collection[str], rehearse: Rehearse | None) -> None:
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGTERM, signal.SIGHUP):  # the end of a simulation removes its files
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     async with connection as swarm:
         await make_server(SwarmTools(swarm, rehearse), allow).run_stdio_async()
 
@@ -134,23 +146,39 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
+    arguments_of: dict[str, type[msgspec.Struct]] = {}
+
+    class Server(MCPServer):
+        async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
+            # The SDK drops unknown names: `robot` instead of `robots` would command all robots. It
+            # also reads "null" as None, and true as 1.0.
+            if (expected := arguments_of.get(name)) is not None:
+                try:
+                    msgspec.convert(arguments, expected)
+                except msgspec.ValidationError as error:
+                    text = _cut(f"{'nothing was sent: ' * (name in COMMANDS)}{error}")
+                    raise ToolError(f"Error executing tool {name}: {text}") from error
+            return await super().call_tool(name, arguments, context)
+
     def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
         @wraps(method)
         async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
             try:
                 return await method(*args, **kwargs)
             except SwarmError as error:
-                raise ToolError(
-                    f"nothing was sent: {error}" if is_command else str(error)
-                ) from error
+                # Another error may come after a request was sent.
+                is_unsent = is_command and isinstance(error, ConfigError)
+                text = f"nothing was sent: {error}" if is_unsent else str(error)
+                raise ToolError(_cut(text)) from error
 
+        arguments_of[method.__name__] = _arguments(method)
         is_harmless = method.__name__ in ("stop", "estop")
         hints = ToolAnnotations(
             read_only_hint=not is_command, destructive_hint=is_command and not is_harmless
         )
         server.add_tool(call, annotations=hints)
 
-    server = MCPServer(
+    server = Server(
         "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
     )
     for method in (
@@ -184,16 +212,19 @@ class Rehearsal:
 
         return cls(load_scenario(name), name)
 
-    def simulate(self, pattern: str, params: Mapping[str, Any], seconds: float) -> Answer:
+    def simulate(
+        self, pattern: str, params: Mapping[str, Any], seconds: float, cancelled: threading.Event
+    ) -> Answer:
         """Simulate one run of `seconds` s, at most REHEARSAL; returns its metrics.
 
-        SwarmError if a metric is beyond its bound in _SAFE. Blocks until the run has ended.
+        SwarmError if a metric is beyond its bound in _SAFE, and soon after `cancelled` is set.
+        Blocks until the run has ended.
         """
-        values = {"duration": min(seconds, REHEARSAL)}
-        overrides = {**values, **_pattern_of_all(self.scenario, pattern, params)}
-        metrics = _simulated(self.name, overrides, seeds=1, metrics=tuple(_SAFE))
-        (variant,) = metrics["variants"]
-        measured = {name: one["mean"] for name, one in variant["metrics"].items()}
+        duration = min(seconds, REHEARSAL)
+        variant = _variant(self.scenario, duration, pattern, params)
+        document = _simulated(variant, cancelled, seeds=1, metrics=tuple(_SAFE))
+        (results,) = document["variants"]
+        measured = {name: one["mean"] for name, one in results["metrics"].items()}
         faults = [
             f"{name} {measured[name]:g}"
             for name, highest in _SAFE.items()
@@ -201,10 +232,10 @@ class Rehearsal:
         ]
         if faults:
             raise SwarmError(
-                f"the rehearsal of {pattern} in {self.name} has {', '.join(faults)}; change the"
-                " parameters, or choose another pattern"
+                f"the run was not sent: the rehearsal of {pattern} in {self.name} has"
+                f" {', '.join(faults)}; change the parameters, or choose another pattern"
             )
-        return {"scenario": self.name, "seconds": values["duration"], "metrics": measured}
+        return {"scenario": self.name, "seconds": duration, "metrics": measured}
 
 
 class SwarmTools:
@@ -218,6 +249,7 @@ class SwarmTools:
         """`rehearse` simulates each run before it is sent, and raises SwarmError to refuse it."""
         self._swarm, self._rehearse = swarm, rehearse
         self._stops = 0  # asked for by the agent
+        self._simulating = asyncio.Lock()  # a simulation takes two processors
 
     # Look
 
@@ -267,9 +299,13 @@ class SwarmTools:
     async def pattern(self, name: str, platform: str = "waffle_pi") -> Answer:
         """One pattern with its parameters: default, bounds, unit and meaning on a platform."""
         _check_pattern(name)
+        if _NAME.fullmatch(platform) is None:  # else a file
+            raise ConfigError(f"platform {platform!r}; expected a name, such as burger")
         (row,) = await asyncio.to_thread(
             describe_patterns, (name,), None, platform, DESCRIBE_TIMEOUT
         )
+        if "error" in row:
+            raise PluginError(row["error"])
         return dict(row)
 
     async def scenarios(self) -> Answer:
@@ -289,18 +325,20 @@ class SwarmTools:
         """Simulate a scenario by name and measure it; moves no robot.
 
         `pattern` with `params` takes the place of the scenario's patterns. `seeds`: how many runs,
-        at most 20. `seconds`: simulated time of a run, at most 300.
+        at most 20. `seconds`: simulated time of a run, at most 300. Waits for earlier simulations.
         """
         _check_bounds("seconds", seconds, MAX_SIMULATED)
         _check_bounds("seeds", seeds, MAX_SEEDS)
-        overrides: dict[str, Any] = {"duration": seconds}
         if _NAME.fullmatch(scenario) is None:  # a file may name code
             raise ConfigError(f"scenario {scenario!r}; expected a name that `scenarios` lists")
         if pattern is not None:
             _check_pattern(pattern)
-            loaded = await asyncio.to_thread(_load, scenario)
-            overrides |= _pattern_of_all(loaded, pattern, params or {})
-        return await asyncio.to_thread(_simulated, scenario, overrides, seeds=seeds)
+        elif params:
+            raise ConfigError("params without a pattern; expected the pattern that has them")
+        loaded = await asyncio.to_thread(_load, scenario)
+        variant = await asyncio.to_thread(_variant, loaded, seconds, pattern, params or {})
+        async with self._simulating:
+            return await _cancellable(partial(_simulated, variant, seeds=seeds))
 
     # Command
 
@@ -320,7 +358,14 @@ class SwarmTools:
         stops, epochs = self._stops, await self._epochs()
         rehearsal: Answer | None = None
         if self._rehearse is not None:
-            rehearsal = await asyncio.to_thread(self._rehearse, pattern, params or {}, seconds)
+            if self._simulating.locked():  # a run that waits would start motion late
+                raise SwarmError(
+                    "the run was not sent: a simulation is under way; ask again when it has ended"
+                )
+            async with self._simulating:
+                rehearsal = await _cancellable(
+                    partial(self._rehearse, pattern, params or {}, seconds)
+                )
             self._check_unstopped(stops, epochs, await self._epochs())
         outcome = await self._swarm.run(
             pattern, robots, params=params, seconds=seconds, lease=LEASE
@@ -357,11 +402,13 @@ class SwarmTools:
         """SwarmError if a stop, or another request, came during the rehearsal."""
         changed = sorted(name for name in before if before[name] != after.get(name, before[name]))
         if self._stops != stops:
-            raise SwarmError("a stop came during the rehearsal; ask again for the run")
+            raise SwarmError(
+                "the run was not sent: a stop came during the rehearsal; ask again for the run"
+            )
         if changed:
             raise SwarmError(
-                f"{', '.join(changed)} had another request during the rehearsal; look at the"
-                " robots, and ask again for the run"
+                f"the run was not sent: {', '.join(changed)} had another request during the"
+                " rehearsal; look at the robots, and ask again for the run"
             )
 
 
@@ -383,6 +430,22 @@ def _counted(outcome: Outcome) -> Answer:
     }
 
 
+def _arguments(method: Callable[..., object]) -> type[msgspec.Struct]:
+    """The arguments that a tool takes, by name."""
+    types = get_type_hints(method)
+    fields = [
+        (name, types[name])
+        if parameter.default is parameter.empty
+        else (name, types[name], parameter.default)
+        for name, parameter in inspect.signature(method).parameters.items()
+    ]
+    return msgspec.defstruct("Arguments", fields, kw_only=True, forbid_unknown_fields=True)
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MAX_ERROR else f"{text[:MAX_ERROR]}..."
+
+
 def _check_pattern(name: str) -> None:
     """ConfigError unless `name` can be that of an installed pattern; a path could name code."""
     if _NAME.fullmatch(name) is None:
@@ -394,13 +457,22 @@ def _check_bounds(name: str, value: float, highest: float) -> None:
         raise ConfigError(f"{name} is {value:g}; expected more than 0, at most {highest:g}")
 
 
-def _pattern_of_all(scenario: Scenario, pattern: str, params: Mapping[str, Any]) -> dict[str, Any]:
-    """The overrides with which all robots of a scenario run `pattern`."""
-    overrides: dict[str, Any] = {}
-    for group in scenario.groups:
-        overrides[f"groups.{group}.pattern"] = pattern
-        overrides[f"groups.{group}.parameters"] = dict(params)
-    return overrides
+def _variant(
+    scenario: Scenario, seconds: float, pattern: str | None, params: Mapping[str, Any]
+) -> Scenario:
+    """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
+
+    Events after the end are left out. `params` takes the place of all parameters of the scenario,
+    which belong to other patterns, or differ from those of the run.
+    """
+    from swarmd.sim.scenarios.scenariofile import scenario_of
+
+    content = {**scenario.effective, "duration": seconds}
+    content["events"] = [one for one in content.get("events") or () if one["at"] < seconds]
+    if pattern is not None:
+        chosen = {"pattern": pattern, "parameters": dict(params)}
+        content["groups"] = {name: {**group, **chosen} for name, group in content["groups"].items()}
+    return replace(scenario_of(content, home=scenario.name), name=scenario.name)
 
 
 def _load(scenario: str) -> Scenario:
@@ -409,16 +481,33 @@ def _load(scenario: str) -> Scenario:
     return load_scenario(scenario)
 
 
+async def _cancellable(work: Callable[[threading.Event], Answer]) -> Answer:
+    """The result of `work` on a thread; its event is set if the caller is cancelled."""
+    cancelled = threading.Event()
+    try:
+        return await asyncio.to_thread(work, cancelled)
+    except asyncio.CancelledError:
+        cancelled.set()
+        raise
+
+
 def _simulated(
-    scenario: str,
-    overrides: Mapping[str, Any],
+    scenario: Scenario,
+    cancelled: threading.Event,
     *,
     seeds: int,
     metrics: Sequence[str] | None = None,
 ) -> Answer:
-    """The document of an experiment's results, simulated in processes of their own."""
+    """The document of an experiment's results, simulated in processes of their own.
+
+    SwarmError soon after `cancelled` is set.
+    """
     from swarmd.sim.experiments.simulate import simulate
 
+    def check(_: object) -> None:
+        if cancelled.is_set():
+            raise SwarmError("the simulation was cancelled")
+
     # Two workers: with one, this process would do the runs, and answer no stop meanwhile.
-    results = simulate(scenario, seeds, set=overrides, jobs=2, traces=False)
+    results = simulate(scenario, seeds, jobs=2, traces=False, on_progress=check)
     return results.document(metrics)

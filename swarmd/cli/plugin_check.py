@@ -89,7 +89,10 @@ def parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str
         return unknown("parameter", key, specs)
     spec = specs[key]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number != (spec["type"] in ("int", "float")) and not isinstance(value, str | None):
+    is_wrong = is_number != (spec["type"] in ("int", "float"))
+    if spec["type"] == "int" and isinstance(value, float):
+        is_wrong = not value.is_integer()
+    if is_wrong and not isinstance(value, str | None):
         return f"{key} is {value!r}; expected {spec['wanted']}"
     low, high = spec["ge"], spec["le"]
     if isinstance(value, int | float) and not (

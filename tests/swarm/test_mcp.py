@@ -84,10 +84,15 @@ def test_answers_are_counted_audited_and_a_run_ends_with_its_server(two: Swarm) 
                 {"pattern": "drive", "seconds": 5.0, "robots": []},
                 {"pattern": "drive", "seconds": 5.0, "robots": ["r9"]},
                 {"pattern": "drive", "seconds": 5.0, "params": {"speed": [1]}},
+                {"pattern": "drive", "seconds": 5.0, "robot": "r1"},  # not `robots`
+                {"pattern": "drive", "seconds": 5.0, "robots": "null"},
+                {"pattern": "drive", "seconds": True},
+                {"pattern": "x" * 10_000, "seconds": 5.0},
             ):
                 failed, text = await called(client, "run", **cast("Mapping[str, Any]", arguments))
                 assert failed, arguments
-                assert text
+                assert 0 < len(text) <= 1100
+                assert "\n" not in text
             assert {two.status(robot).state for robot in BOTH} == {State.IDLE}
             failed, answer = await called(
                 client, "run", pattern="drive", seconds=600.0, params={"speed": 0.05}
@@ -116,7 +121,9 @@ def test_answers_are_counted_audited_and_a_run_ends_with_its_server(two: Swarm) 
 def test_a_stop_during_the_rehearsal_ends_the_run(two: Swarm, stopped_by: str) -> None:
     has_begun, may_end = threading.Event(), threading.Event()
 
-    def rehearse(pattern: str, params: Mapping[str, Any], seconds: float) -> dict[str, Any]:
+    def rehearse(
+        pattern: str, params: Mapping[str, Any], seconds: float, cancelled: threading.Event
+    ) -> dict[str, Any]:
         has_begun.set()
         assert may_end.wait(CAP)
         return {}
@@ -166,11 +173,65 @@ def test_a_rehearsal_refuses_a_run_in_which_robots_touch(
     file.write_text(HEAD_ON.replace("MODE", mode), encoding="utf-8")
     rehearsal = Rehearsal.of(str(file))
     if is_confirmed:
-        answer = rehearsal.simulate("drive", {"speed": 0.1}, 8.0)
+        answer = rehearsal.simulate("drive", {"speed": 0.1}, 8.0, threading.Event())
         assert (answer["seconds"], answer["metrics"]["robot_contacts"]) == (8.0, 0.0)
     else:
         with pytest.raises(SwarmError, match=r"rehearsal of drive .* robot_contacts 1;"):
-            rehearsal.simulate("drive", {"speed": 0.1}, 8.0)
+            rehearsal.simulate("drive", {"speed": 0.1}, 8.0, threading.Event())
+
+
+def test_a_rehearsal_has_the_parameters_of_the_run(tmp_path: Path) -> None:
+    file = tmp_path / "head_on.yaml"
+    file.write_text(
+        HEAD_ON.replace("MODE", "barrier").replace(
+            "pattern: drive", "pattern: voter_model, parameters: {opinions: 2}"
+        )
+        + "events: [{at: 9, stop: all}]\n",
+        encoding="utf-8",
+    )
+    answer = Rehearsal.of(str(file)).simulate("drive", {}, 4.0, threading.Event())
+    assert answer["metrics"]["failed_patterns"] == 0.0
+
+
+def test_a_cancelled_simulation_ends(tmp_path: Path) -> None:
+    cancelled = threading.Event()
+    cancelled.set()
+    with pytest.raises(SwarmError, match="was cancelled"):
+        Rehearsal.of("aggregation").simulate("attraction", {}, 60.0, cancelled)
+
+
+def test_an_agent_names_no_files_and_simulates_one_scenario_at_a_time() -> None:
+    async def agent() -> None:
+        has_begun, may_end = threading.Event(), threading.Event()
+
+        def rehearse(*_: object) -> dict[str, Any]:
+            has_begun.set()
+            assert may_end.wait(CAP)
+            raise SwarmError("the run was not sent")
+
+        class Nobody:  # a swarm without robots
+            async def members(self) -> dict[str, Any]:
+                return {}
+
+        server = make_server(SwarmTools(cast("Any", Nobody()), rehearse), COMMANDS)
+        async with Client(server) as client:
+            for name, arguments in (
+                ("pattern", {"name": "drive", "platform": "../own.yaml"}),
+                ("pattern", {"name": "nothing"}),
+                ("simulate", {"scenario": "/tmp/own.yaml"}),
+                ("simulate", {"scenario": "aggregation", "params": {"speed": 0.1}}),
+            ):
+                assert (await client.call_tool(name, arguments)).is_error, arguments
+            run = {"pattern": "drive", "seconds": 5.0}
+            first = asyncio.create_task(called(client, "run", **run))
+            assert await asyncio.to_thread(has_begun.wait, CAP)
+            failed, text = await called(client, "run", **run)
+            assert failed
+            assert "a simulation is under way" in text
+            may_end.set()
+            assert (await first)[0]
+
+    asyncio.run(asyncio.wait_for(agent(), CAP))
 
 
 def test_commands_need_an_operator_or_robots_on_this_machine(

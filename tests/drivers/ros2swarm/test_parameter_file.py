@@ -80,6 +80,17 @@ def test_opinions_count_from_0(tmp_path: Path, is_random: str, initial: dict[str
     assert converted.left_out == {}
 
 
+def test_what_belongs_to_another_node_is_left_out(tmp_path: Path) -> None:
+    file = written(tmp_path, HEAD + ATTRACTION + "    voter_model_max_opinion: 5\n")
+    converted = read_parameter_file(file)
+    assert "opinions" not in converted.parameters
+    assert "voter_model_max_opinion" in converted.left_out
+    text = HEAD + VOTE.replace("RANDOM", "true") + "    voter_model_color: 5\n"
+    assert read_parameter_file(written(tmp_path, text, "votes")).left_out.keys() == {
+        "voter_model_color"
+    }
+
+
 @pytest.mark.parametrize(
     ("name", "text", "wanted"),
     [
@@ -93,6 +104,12 @@ def test_opinions_count_from_0(tmp_path: Path, is_random: str, initial: dict[str
         ("attraction_pattern", HEAD + "    attraction_max_range: &x 1.0\n", "attraction_pattern"),
         ("votes", HEAD + VOTE.replace("max_opinion: 5", "max_opinion: 2"), "expected more than 2"),
         ("votes", HEAD + VOTE.replace("max_opinion: 5", "max_opinion: 4.5"), "expected an integer"),
+        ("votes", HEAD + VOTE.replace("RANDOM", "'no'"), "expected true or false"),
+        ("votes", HEAD + VOTE.replace("RANDOM", "false").replace("3", "5"), "expected 2 to 4"),
+        ("votes", HEAD + "    voter_model_timer_period: 2.0\n", "no voter_model_max_opinion"),
+        ("attraction_pattern", HEAD + "    attraction_max_range: .nan\n", "expected a number"),
+        ("flocking_pattern", HEAD + "    magnetometer_front_attraction: 0.0\n", "flocking has no"),
+        ("beeclust_pattern", HEAD + "    beeclust_max_range: 1.5\n", "beeclust has no counterpart"),
         ("aggregation_pattern", HEAD + "    aggregation_max_range: 3.5\n", "has no counterpart"),
         ("nothing", HEAD + "    something: 1\n", "no node of ROS2swarm 'nothing'"),
     ],
@@ -106,3 +123,14 @@ def test_what_cannot_be_converted_is_one_line(
     assert wanted in str(caught.value)
     done = swarmctl("import", "ros2swarm", str(file))
     assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)
+
+
+@pytest.mark.parametrize(
+    ("value", "wanted"),
+    [("max_range: -2.0", "paper_range is -2.0"), ("threshold: 1.5", "rays is 1.5")],
+)
+def test_a_value_out_of_bounds_is_no_run(tmp_path: Path, value: str, wanted: str) -> None:
+    file = written(tmp_path, f"{HEAD}    attraction_{value}\n")
+    done = swarmctl("import", "ros2swarm", str(file))
+    assert (done.code, done.out, done.err.count("\n")) == (2, "", 1), done
+    assert wanted in done.err
