@@ -215,7 +215,7 @@ class _Drone:
         host, port = link.getsockname()
         self.uri = f"udp://{host}:{port}"
         self.firmware = Firmware()
-        self.peer: object = None
+        self.peer: tuple[str, int] | None = None
         self.told: Twist | None = None
         self.stamp = 0.0
         self.odometry = Pose()

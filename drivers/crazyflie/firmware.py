@@ -210,11 +210,12 @@ class Firmware:
         self.twist, self._target, self._commanded_at = ZERO, 0.0, now
 
     def _log_command(self, payload: bytes) -> bytes:
-        command, number = payload[0], payload[1] if len(payload) > 1 else 0
-        status = 0
+        command, status = payload[0], 0
         if command == _RESET:
             self._blocks.clear()
-        elif command in (_CREATE, _APPEND):
+            return bytes([command, 0, status])
+        number = payload[1]
+        if command in (_CREATE, _APPEND):
             names = list(_LOG_VARIABLES)
             added = [
                 (names[ident], _LOG_FORMATS[kind & 0x0F])
