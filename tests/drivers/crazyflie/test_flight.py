@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import pytest
 
@@ -33,16 +34,16 @@ class Drone:
         self.flight, self.now, self.height = Flight(RULES), 0.0, 0.02
         self.last: HoverSetpoint | None = None
 
-    def step(self, wish: Wish, period: float = PERIOD, **seen: object) -> HoverSetpoint | None:
+    def step(self, wish: Wish, period: float = PERIOD, **seen: Any) -> HoverSetpoint | None:
         self.now += period
         is_flying = self.height > LANDED_HEIGHT
         values = {"height": self.height, "is_flying": is_flying, "may_fly": True, "is_clear": True}
-        self.last = self.flight.step(self.now, wish, TWIST, Seen(**{**values, **seen}))  # type: ignore[arg-type]
+        self.last = self.flight.step(self.now, wish, TWIST, Seen(**{**values, **seen}))
         if self.last is not None:
             self.height = max(self.last.height, 0.02)
         return self.last
 
-    def until(self, phase: Phase, wish: Wish, **seen: object) -> float:
+    def until(self, phase: Phase, wish: Wish, **seen: Any) -> float:
         """The s until this phase is reached."""
         begin = self.now
         while self.flight.phase is not phase:
@@ -75,7 +76,7 @@ def test_a_run_takes_off_flies_and_a_stop_hovers_and_lands() -> None:
         (Wish.FLY, {"may_fly": False}, "not ready"),
     ],
 )
-def test_these_land_a_flying_drone_at_once(wish: Wish, seen: dict[str, object], cause: str) -> None:
+def test_these_land_a_flying_drone_at_once(wish: Wish, seen: dict[str, Any], cause: str) -> None:
     drone = Drone()
     drone.fly()
     drone.step(wish, **seen)
@@ -96,7 +97,7 @@ def test_these_land_a_flying_drone_at_once(wish: Wish, seen: dict[str, object], 
         ({"is_battery_low": True}, "battery"),
     ],
 )
-def test_these_keep_a_drone_on_the_ground(seen: dict[str, object], cause: str) -> None:
+def test_these_keep_a_drone_on_the_ground(seen: dict[str, Any], cause: str) -> None:
     drone = Drone()
     drone.step(Wish.HOVER)
     for _ in range(100):
@@ -119,7 +120,7 @@ def test_a_drone_of_unknown_state_gets_no_motors_off() -> None:
 @pytest.mark.parametrize("seed", range(200))
 def test_the_invariants_hold_in_random_histories(seed: int) -> None:
     draw, drone = random.Random(seed), Drone()
-    rested, wish, seen = False, Wish.HOVER, dict[str, object]()
+    rested, wish, seen = False, Wish.HOVER, dict[str, Any]()
     began_landing = 0.0
     for _ in range(600):
         if draw.random() < 0.05:
