@@ -29,7 +29,7 @@ JOBS ?= 5
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel bringup format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
@@ -123,7 +123,7 @@ evidence: $(VENV)/tools
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting tuning safety
 
-check: static docs wheel
+check: static docs wheel bringup
 
 static: $(VENV)/tools
 	$(BIN)/ruff format --check .
@@ -133,6 +133,10 @@ static: $(VENV)/tools
 # Without isolation: the installation of the tools has built swarmd with what pyproject.toml names.
 wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
+
+# The ROS 2 package of drivers/swarmd_bringup.
+bringup: $(VENV)/tools
+	.ci/try-bringup $(BIN)/python
 
 # A warning, such as a link that leads nowhere, is an error. All pages are read again, since a change of
 # one may break links of others.

@@ -80,6 +80,7 @@ class Protection:
     _has_followed: cython.bint  # `following` has had a reading since its reset
     _scan_seq: cython.Py_ssize_t
     _scan: object
+    _scan_points: object  # (k, 2) returns of the scan within the lookahead; None: not computed yet
     _min_gap: object
     _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
     _safe: object
@@ -122,6 +123,7 @@ class Protection:
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
         self._scan_seq, self._scan, self._last_context = scan.seq, scan, None
+        self._scan_points = None
         arbiter, geometry = self._arbiter, self._geometry
         arbiter.observe(scan, geometry, context)
         if is_barrier(arbiter):  # which has looked at all returns
@@ -129,8 +131,9 @@ class Protection:
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._is_avoiding:
-            self._tracker.observe(scan, context)
+            # Right of way reads the tracks of its last command, which the next scan changes.
             self._right_of_way.observe(scan, self._geometry.offset, context)
+            self._tracker.observe(scan, context)
         if self._monitor is not None and self._is_running:
             ages = scan.ages  # numpy's max takes four times as long
             oldest = 0.0 if ages is None or not len(ages) else float(ages[ages.argmax()])
@@ -299,7 +302,10 @@ class Protection:
         """(k, 2) returns in m in the base frame: of the scan within the lookahead, and the ring."""
         if self._scan is None or self._recovery is None:
             return _NO_POINTS
-        points = self._geometry.points(self._scan, self._recovery.lookahead)
+        points = self._scan_points
+        if points is None:  # up to 35 decisions a second ask, between two scans for the same points
+            points = self._geometry.points(self._scan, self._recovery.lookahead)
+            self._scan_points = points
         return points if self._ring_points is None else np.concatenate((points, self._ring_points))
 
     @cython.cfunc

@@ -14,7 +14,7 @@ treat the result as a requested command.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import Enum
 from random import Random
 from typing import TYPE_CHECKING, NamedTuple
@@ -25,7 +25,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import Avoided, DecisionContext, WayState
 from swarmd.protection.recovery import Allows, Clearance, Points
-from swarmd.protection.tracks import Surroundings
+from swarmd.protection.tracks import Surroundings, Track
 
 if TYPE_CHECKING:
     from swarmd.protection.openings import SIGHTINGS, Opening, Openings
@@ -168,7 +168,8 @@ _TRANSITIONS: Mapping[_Rule, WayState] = {
     _Rule.IS_BEFORE_LINE_UP: WayState.APPROACH,
 }
 """The state that each rule leads to. `WayState.NONE` holds while no opening is on the way."""
-_SETTLED = frozenset({WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE})
+# A tuple: the hash of a member of an Enum is a call of Python.
+_SETTLED = (WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE)
 
 
 class _Place(NamedTuple):
@@ -218,6 +219,19 @@ class _Traffic(NamedTuple):
     is_close: bool = False  # another robot that goes in is close ahead
 
 
+def _by_odometry(tracks: Sequence[Track], pose: Pose) -> list[tuple[Track, float, float]]:
+    """The tracks, each with its x and y in m in the frame of the odometry.
+
+    `pose` is the pose of the base in this frame. `command` sees up to 15 tracks in a crowd, 35
+    times a second; they are placed only if an opening is chosen, or for the next scan.
+    """
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    return [
+        (track, pose.x + cos * track.x - sin * track.y, pose.y + sin * track.x + cos * track.y)
+        for track in tracks
+    ]
+
+
 class RightOfWay:
     """Replaces the requested command of a robot before an opening. Times are in s, by argument."""
 
@@ -229,7 +243,9 @@ class RightOfWay:
         self._lead = min(max(lead, shortest), longest)
         self._rng = Random(f"way {seed}")
         self._openings = Openings(clearance.body)
-        self._tracks: tuple[tuple[float, float, float], ...] = ()  # x, y, radius by odometry
+        # Of the last command: the tracks in the base frame, and the pose of the base.
+        self._surroundings: Surroundings | None = None
+        self._pose = Pose()
         self._last_odometry: Odometry | None = None
         self._passed_at = -math.inf
         self._lean = 0.0
@@ -295,6 +311,8 @@ class RightOfWay:
         Sets `_lean`, the m to the left of the axis at which the robot drives in a corridor.
         """
         odometry = context.odometry
+        # Read with each scan: the tracker takes in the scan next.
+        tracks = () if self._surroundings is None else self._surroundings.tracks
         ages = scan.ages if self._opening is not None else None
         if ages is not None and len(ages) == len(scan.bearings):
             left_ages = ages[np.abs(scan.bearings - _ABEAM) < _ABEAM_WIDTH]
@@ -307,7 +325,8 @@ class RightOfWay:
             return
         scan_age = (scan.newest_age or 0.0) + context.scan_delay
         pose = pose_after(odometry, context.odometry_age - scan_age)
-        self._openings.observe(scan, offset, pose, context.now, self._tracks, self._opening)
+        placed = tuple((x, y, track.radius) for track, x, y in _by_odometry(tracks, self._pose))
+        self._openings.observe(scan, offset, pose, context.now, placed, self._opening)
 
     def command(
         self,
@@ -332,14 +351,9 @@ class RightOfWay:
         if self._last_odometry is not odometry:
             self.on_odometry(odometry)
 
-        # 1. The tracks in the frame of the odometry, and the direction of the request.
+        # 1. The pose of the base, and the direction of the request.
         pose = pose_after(odometry, context.odometry_age)
-        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-        placed = [
-            (track, pose.x + cos * track.x - sin * track.y, pose.y + sin * track.x + cos * track.y)
-            for track in surroundings.tracks
-        ]
-        self._tracks = tuple((x, y, track.radius) for track, x, y in placed)
+        self._surroundings, self._pose = surroundings, pose
         if requested.is_zero:
             self._release()
             return requested
@@ -376,7 +390,7 @@ class RightOfWay:
             for id in by_track.keys() - self._seen_since.keys():
                 del by_track[id]
         others = []
-        for track, x, y in placed:
+        for track, x, y in _by_odometry(surroundings.tracks, pose):
             track_along, track_aside = opening.to_local(x, y, self._sign)
             if now - self._seen_since[track.id] >= _PERSISTS:
                 others.append(_PlacedTrack(track.id, track_along - begin, track_aside))

@@ -472,6 +472,18 @@ def test_a_narrow_axis_of_time_has_its_labels_inside(
         assert max(right for _, right in texts.values()) <= width
 
 
+def test_a_column_without_values_is_not_shown(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        page.click("#robots-open")
+        page.until("document.querySelector('th.pattern').offsetWidth > 0", "of running robots")
+        page.click("#estop")
+        page.until("document.querySelector('th.pattern').offsetWidth === 0", "none runs")
+        assert page.evaluate("document.querySelector('th.battery').offsetWidth") > 0
+
+
 def test_the_map_alone_has_a_way_back(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
     with shown(2, capsys) as (_, (address,)):
         ready(page, address, 2)

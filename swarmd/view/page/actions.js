@@ -143,7 +143,7 @@ export class Actions {
   estopped(message) {
     this.isCutOff = false;
     this.isStopping = !message.is_final;
-    if (this.isStopping) this.answers.show(message.id, 'estop ...'); // not the answer before
+    if (this.isStopping) this.answers.show(message.id, 'estop: waits for acknowledgements ...'); // not the answer before
     else this.answers.take(message);
     const applied = message.replies.filter(([, code]) => code === 'applied').map(([name]) => name);
     const others = [...this.model.robots.values()].filter((robot) => this.model.isHeard(robot, performance.now()) && !message.missing.includes(robot.name));

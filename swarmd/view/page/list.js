@@ -106,7 +106,9 @@ export class RobotList {
     const rows = [this.before, ...this.pool.slice(0, last - first), this.after];
     if (rows.length !== this.body.children.length) this.body.replaceChildren(...rows);
     this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
-    this.body.parentElement.classList.toggle('no-battery', [...this.model.robots.values()].every((robot) => robot.row.battery === undefined));
+    const all = [...this.model.robots.values()]; // a column without values leaves its room to the others
+    this.body.parentElement.classList.toggle('no-battery', all.every((robot) => robot.row.battery === undefined));
+    this.body.parentElement.classList.toggle('no-pattern', all.every((robot) => !robot.row.pattern));
   }
 
   fill(row, robot, now, index) {
