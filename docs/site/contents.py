@@ -29,7 +29,9 @@ CONTENTS = {
     "Robots": [
         *_inside("docs", "installation", "field", "security", "ros", "ros_faults", "drivers"),
         *_inside("docs/robots", "burger", "waffle_pi", "turtlebot4", "jackal", "rosbot_xl"),
-        *_inside("docs/robots", "thymio", "epuck2", "new_robot", "calibration", "last_word"),
+        *_inside(
+            "docs/robots", "thymio", "epuck2", "crazyflie", "new_robot", "calibration", "last_word"
+        ),
     ],
     "Safety and evidence": [
         "docs/safety",

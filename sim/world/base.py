@@ -42,7 +42,8 @@ class Bases:
     """The bases of n robots: delay, acceleration caps and servos, on MuJoCo's own memory.
 
     `before`: positions and velocities of all bodies when `drive` was called. `driven` (n, 3): the
-    linear, angular and lateral velocities to which `drive` drives. `inert` (n, 3): mass in kg
+    linear, angular and lateral velocities to which `drive` drives. `drift` (n, 2): m/s along the
+    world's x and y, added to the velocity; a caller may write it. `inert` (n, 3): mass in kg
     twice, and inertia in kg m2. `delay_steps`: the delay of commands in steps.
 
     A servo gives the force that reaches the commanded velocity within one step, up to the friction
@@ -52,6 +53,7 @@ class Bases:
 
     before = cython.declare(object, visibility="readonly")
     driven = cython.declare(object, visibility="readonly")
+    drift = cython.declare(object, visibility="readonly")
     inert = cython.declare(object, visibility="readonly")
     delay_steps = cython.declare(cython.Py_ssize_t, visibility="readonly")
     _n: cython.Py_ssize_t
@@ -73,6 +75,8 @@ class Bases:
     _grip: cython.double[::1]  # N, the friction of the tyres
     _grip_torque: cython.double[::1]  # N m
     _driven: cython.double[:, ::1]
+    _shares: cython.double[::1]  # of the error of the velocity that a base takes off in a step
+    _drift: cython.double[:, ::1]
 
     def __init__(self, actuation, platforms, memory, dt):
         """Start n robots at rest.
@@ -108,8 +112,9 @@ class Bases:
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
         self._grip = memoryview(grip)
         self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
-        self.driven = np.zeros((n, 3))
-        self._driven = memoryview(self.driven)
+        self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
+        self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
+        self._shares = memoryview(np.array([_share(p, dt) for p in platforms], np.float64))
 
     def put(self, twists):
         """Set the commands (n, 3) linear, angular, lateral in each base frame.
@@ -156,15 +161,15 @@ class Bases:
                     self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
                     target = _clipped(self._capped[row, k], self._limits[row, k])
                 self._driven[row, k] += _clipped(
-                    target - self._driven[row, k], self._max_steps[row, k]
+                    (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
                 )
             linear, lateral = self._driven[row, 0], self._driven[row, 2]
             # 2. The error of the velocity (x, y) in the world frame, at the heading half a step
             # ahead: there this step's displacement is a chord.
             yaw = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
             c, s = cos(yaw), sin(yaw)
-            x = c * linear - s * lateral - self._qvel[3 * row]
-            y = s * linear + c * lateral - self._qvel[3 * row + 1]
+            x = c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
+            y = s * linear + c * lateral + self._drift[row, 1] - self._qvel[3 * row + 1]
             # 3. The force (x, y) in N that removes the error within the step, up to the grip of the
             # tyres; and the torque in N m.
             x = x * self._inert[row, 0] / self._dt
@@ -183,6 +188,12 @@ def _accelerations(platform):
     """Of each axis; sideways as ahead, unless `body` has a `lateral_acceleration`."""
     sideways = "lateral_acceleration" if "lateral_acceleration" in platform.body else _AHEAD
     return tuple(value(platform, key) for key in (_AHEAD, "angular_acceleration", sideways))
+
+
+def _share(platform, dt):
+    """1; less for a base that follows commands as a first-order lag of `body.response_time` s."""
+    time = platform.body.get("response_time", 0.0)
+    return 1.0 - math.exp(-dt / time) if time > 0.0 else 1.0
 
 
 @cython.auto_pickle(False)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -40,6 +40,7 @@ _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
 # rad; bearings that differ less from equal steps count as even: indices are computed, not searched.
 _MAX_UNEVENNESS = 1e-13
 _AT_START = 1e-9  # rad
+_RAYS_IN_BEAM = 9  # at a cone of 27 deg a ray each 3.4 deg: 6 cm apart at 1 m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +144,9 @@ class Lidar:
     """Casts the scans of all sensors of one kind at once."""
 
     def __init__(self, spec: ScanSpec, shapes: Shapes) -> None:
+        if spec.cone > 0.0:
+            across = np.linspace(-0.5, 0.5, _RAYS_IN_BEAM) * spec.cone
+            spec = replace(spec, bearings=np.add.outer(spec.bearings, across).ravel())
         self._spec, self._rays = spec, SortedRays(spec.bearings)
         # Surfaces: x and y of the start, x and y from there to the end.
         start, end = shapes.walls[:, 0], shapes.walls[:, 1]
@@ -164,6 +168,7 @@ class Lidar:
     def cast(self, poses: Array, observers: Indices) -> Array:
         """Ranges (m, rays) in m of robots `observers` (m,), with all bodies at `poses` (n, 3).
 
+        The range of a beam with a cone is the least of _RAYS_IN_BEAM rays across the cone.
         A row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
         count, rays = len(observers), len(self._spec.bearings)
@@ -172,6 +177,8 @@ class Lidar:
         whole = np.zeros(count, dtype=np.intp)
         observers = np.ascontiguousarray(observers)
         self._caster.cast(poses, observers, whole, first, counts, np.arange(count), ranges)
+        if self._spec.cone > 0.0:
+            ranges = ranges.reshape(count, -1, _RAYS_IN_BEAM).min(axis=2)
         return ranges
 
     def sectors(self, ends: Indices) -> tuple[Indices, Indices]:

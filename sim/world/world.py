@@ -23,6 +23,7 @@ from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.detector import ObjectsAround
 from swarmd.sim.world.geometry import Indices, radius, transform
+from swarmd.sim.world.hovering import Hovering
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.items import Items
 from swarmd.sim.world.lidar import LidarModel, RangeSensors
@@ -124,6 +125,7 @@ class World:
         memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
         base = load_kernel("swarmd.sim.world.base")
         self._bases = base.Bases(realism.actuation, self.platforms, memory, self.dt)
+        self._hovering = Hovering(self.platforms, self.ids, self._bases.drift, self.dt, seed)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self.posed = frozenset[int]()  # set by the caller
 
@@ -186,6 +188,7 @@ class World:
     def _step(self) -> None:
         data = self.data
         self._roll()
+        self._hovering.step()
         self._bases.drive()
         if self.movable_boxes:
             self._movable_boxes.apply_friction()
@@ -310,12 +313,13 @@ class World:
             is_clear = self._clear_around(robot)
         pose = self.poses()[robot]
         of_fields = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
+        of_fields |= self._hovering.readings(robot)
         return of_fields | self._items.readings(robot, pose) if self._items.names else of_fields
 
     @property
     def has_readings(self) -> bool:
         """Whether robots read anything besides their scans and odometry."""
-        return bool(self.fields or self._items.names)
+        return bool(self.fields or self._items.names or self._hovering)
 
     def shared_pose(self, robot: int, stamp: float) -> SharedPose:
         """The robot's pose in the frame `world`, without an error."""

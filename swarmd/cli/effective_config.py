@@ -75,6 +75,7 @@ def _platform(platform: Platform) -> Mapping[str, Any]:
 def _scan(scan: ScanSpec) -> Mapping[str, Any]:
     return {
         "rays": len(scan.bearings),
+        "cone_deg": round(math.degrees(scan.cone), 6),
         "rate": scan.rate,
         "range_min": scan.range_min,
         "range_max": scan.range_max,

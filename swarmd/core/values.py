@@ -291,6 +291,7 @@ class ScanSpec:
     """The platform's range sensor.
 
     - `bearings`: (n,) nominal directions in rad.
+    - `cone`: the full width of a beam in rad; a range is that of the nearest object in the beam.
     - `rate`: in Hz. `range_min`, `range_max`: in m.
     - `offset`: (x, y) of the sensor in the base frame in m.
     - `max_gap`: the widest unknown sector in rad that conditioning may bridge.
@@ -316,6 +317,7 @@ class ScanSpec:
     latency: float = 0.0
     sweep: Sweep | None = None
     measures_sweep: bool = False
+    cone: float = 0.0
 
     @property
     def stale_after(self) -> float:

@@ -70,6 +70,8 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     - `rays`: the number of rays, spread evenly over 360 degrees.
     - `bearings_deg`: instead of `rays`, the bearing of each ray.
+    - `cone_deg`: the full width of a beam, which returns the nearest object in it. With a smaller
+      value than the true width protection misplaces objects at the edge of a beam.
     - `rate`: scans a second (Hz). If it is too high, scans count as too old and the robot is held.
     - `range_min`, `range_max`: the ranges in m that the sensor measures.
     - `first_bearing_deg`: bearing of the first ray. A wrong value turns every obstacle.
@@ -88,6 +90,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
     bearings_deg: Annotated[list[Bearing], Meta(min_length=1, max_length=10_000)] | None = None
+    cone_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 0.0
     rate: Annotated[float, Meta(gt=0.0, le=200.0)]
     range_min: Annotated[float, Meta(ge=0.0, le=1000.0)]
     range_max: Positive
@@ -365,7 +368,7 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
 
     In mode `barrier` the needed range follows from speed, deceleration and age of scans. The other
     modes need no range. The fault of a short range also names the greatest `limits.linear` with
-    which the range suffices.
+    which the range suffices. `_check_cone` checks wide beams.
     """
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)
@@ -379,6 +382,7 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
         return BindingRange(changed, barrier, TICK).for_sensor()
 
     needed = needed_range(limits.linear)
+    yield from _check_cone(scan, barrier, needed)
     if needed <= scan.range_max:
         return
     rounded_up = math.ceil(100.0 * needed) / 100.0
@@ -396,6 +400,24 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
     if fastest is not None:
         text += f"; or limits.linear of at most {fastest:.2f}"
     yield fault_at(("scan", "range_max"), text)
+
+
+def _check_cone(scan: ScanSpec, barrier: BarrierSettings, needed: float) -> Iterator[Fault]:
+    """Check that `unseen_extent` covers a beam of `scan.cone` up to the `needed` range in m.
+
+    A return counts in the middle of its beam. An object at the edge of the beam is one chord from
+    there, and a greater `unseen_extent` adds to the needed range.
+    """
+    chord = 2.0 * math.sin(scan.cone / 4.0)  # as a share of the range
+    if barrier.unseen_extent >= chord * needed:
+        return
+    least = chord * (needed - barrier.unseen_extent) / (1.0 - chord)
+    text = (
+        f"is {barrier.unseen_extent:g}; expected at least {math.ceil(100.0 * least) / 100.0:g}: a"
+        f" return counts in the middle of a beam of scan.cone_deg {math.degrees(scan.cone):g}, and"
+        f" the robot needs ranges up to {needed:.2f} m"
+    )
+    yield fault_at(("protection", "barrier", "unseen_extent"), text)
 
 
 def _shape_fault(points: list[Point]) -> str:
@@ -453,6 +475,7 @@ def _spec(scan: ScanSection) -> ScanSpec:
         latency=0.5 / scan.rate if scan.latency is None else scan.latency,
         sweep=_sweep(scan.sweep, scan.rate) if isinstance(scan.sweep, SweepSection) else None,
         measures_sweep=scan.sweep == "measured",
+        cone=math.radians(scan.cone_deg),
     )
 
 

@@ -381,3 +381,20 @@ def test_a_platform_without_a_ring_cannot_provide_its_ranges(folder: Path) -> No
     with pytest.raises(ConfigError, match=r"provides names ranges"):
         load_platform(write(folder, data))
     assert "ranges" in load_platform(write(folder, {**data, "ranges": RING})).provides
+
+
+def test_a_wide_beam_needs_an_unseen_extent_that_covers_it(folder: Path) -> None:
+    data: dict[str, Any] = {"extends": "crazyflie", "protection": {"barrier": {}}}
+    barrier = data["protection"]["barrier"]
+    barrier["unseen_extent"] = 0.05
+    with pytest.raises(
+        ConfigError, match=r"unseen_extent is 0\.05; expected at least 0\.1\d"
+    ) as told:
+        load_platform(write(folder, data))
+    assert "scan.cone_deg 27" in str(told.value)
+    least = float(re.findall(r"at least (0\.\d+)", str(told.value))[0])
+    barrier["unseen_extent"] = least - 0.01
+    with pytest.raises(ConfigError, match="cone_deg"):
+        load_platform(write(folder, data))
+    barrier["unseen_extent"] = least
+    load_platform(write(folder, data))

@@ -126,3 +126,20 @@ def test_a_base_turns_around_at_once_after_a_command_beyond_its_limits() -> None
     assert driven(some, 100)[-1, 0, 0] == BURGER.limits.linear
     some.put(np.zeros((2, 3)))
     assert driven(some, 1)[0, 0, 0] == pytest.approx(BURGER.limits.linear - 0.01)
+
+
+def test_a_base_with_a_response_time_follows_as_a_first_order_lag() -> None:
+    lagged = replace(QUICK, body={**QUICK.body, "response_time": 0.2})
+    some = base.Bases(IDEAL.actuation, [lagged], tuple(np.zeros(3) for _ in range(3)), DT)
+    some.put(np.array([[0.2, 0.0, 0.0]]))
+    followed = driven(some, 40)[:, 0, 0]
+    times = DT * np.arange(1, 41)
+    np.testing.assert_allclose(followed, 0.2 * (1.0 - np.exp(-times / 0.2)), atol=1e-12)
+
+
+def test_drift_is_added_to_the_velocity() -> None:
+    memory = _, _, force = tuple(np.zeros(3) for _ in range(3))
+    some = base.Bases(IDEAL.actuation, [QUICK], memory, DT)
+    some.drift[0] = 0.01, -0.02
+    some.drive()
+    np.testing.assert_allclose(force, [*(some.inert[0, 0] / DT * some.drift[0]), 0.0], atol=1e-12)

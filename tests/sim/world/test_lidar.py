@@ -244,5 +244,15 @@ def test_a_ray_at_the_very_end_of_a_surface_meets_it_on_both_sides(bearings: Arr
 def test_the_lidars_of_our_platforms_need_no_search(name: str) -> None:
     bearings = load_platform(name).scan.bearings
     steps = np.diff(np.sort(bearings))
-    is_lidar = len(bearings) > 7 and np.allclose(steps, steps[0])
-    assert SortedRays(bearings).is_even == is_lidar  # of few rays a search is as fast
+    is_even = np.allclose(steps, steps[0])
+    assert SortedRays(bearings).is_even == is_even  # of few rays a search is as fast
+
+
+def test_a_beam_with_a_cone_returns_the_nearest_object_in_it() -> None:
+    bearings = np.radians([0.0, 90.0])
+    arena = Arena(20.0, 20.0, poles=(Pole(1.0, 0.2, 0.05), Pole(0.4, 0.4, 0.05)))
+    line = ScanSpec(bearings, 10.0, 0.05, 2.0)
+    assert np.isposinf(look(line, arena)).all()
+    seen = look(replace(line, cone=math.radians(27.0)), arena)
+    assert 0.96 < seen[0] < 1.03  # the pole at 11 degrees; at 45 degrees no beam sees a pole
+    assert np.isposinf(seen[1])

@@ -365,3 +365,21 @@ def swarm(realism: Realism = IDEAL, seed: int = 0) -> World:
 def ranges_of(world: World) -> Array:
     rows = np.arange(len(world.ids))
     return np.array([scan.ranges for scan in world.scans(rows)])
+
+
+def test_a_hovering_body_drifts_and_holds_its_height_within_bounds() -> None:
+    world, other = alone("crazyflie"), alone("burger")
+    drifts, heights = [], []
+    for _ in range(1000):
+        world.step(5)
+        drifts.append(world.twists()[0, [0, 2]])
+        heights.append(world.readings(0)["height"])
+    body = world.platforms[0].body
+    assert np.abs(drifts).max() <= 2.0 * body["drift"] + 1e-9
+    assert 0.4 * body["drift"] < np.std(drifts) < 1.4 * body["drift"]
+    assert np.abs(np.array(heights) - 0.5).max() <= 2.0 * body["height_error"] + 1e-9
+    assert 0.4 * body["height_error"] < np.std(heights) < 1.4 * body["height_error"]
+    assert world.has_readings
+    assert not other.has_readings
+    other.step(10)
+    assert not other.twists().any()

@@ -1,0 +1,1 @@
+"""Driver `crazyflie`: a quadcopter at one height, by the maker's library cflib."""

@@ -1,0 +1,472 @@
+"""Driver `crazyflie`: a drone at one height, by the maker's cflib over radio, USB or UDP.
+
+The daemon runs on the computer that holds the radio. `flight.py` decides what is sent; this module
+feeds it with the daemon's commands and the drone's log blocks. No parameter of the drone is set,
+and nothing is uploaded.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from swarmd.core.angles import wrap
+from swarmd.core.errors import ConfigError
+from swarmd.core.events import (
+    HazardsInput,
+    OdometryInput,
+    PoseInput,
+    ReadingsInput,
+    ScanInput,
+    tag_of,
+)
+from swarmd.core.finding import Finding
+from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.messages import Motion, ShownPose, State, Status
+from swarmd.core.values import (
+    ZERO,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
+from swarmd.driver_api.command_gate import CommandGate
+from swarmd.driver_api.driver import NullSink, Sink
+from swarmd.drivers.crazyflie.firmware import CAN_FLY, IS_CRASHED, IS_FLYING, IS_LOCKED, IS_TUMBLED
+from swarmd.drivers.crazyflie.flight import (
+    LANDING_RESERVE,
+    Flight,
+    FlightRules,
+    HoverSetpoint,
+    Phase,
+    Seen,
+    Wish,
+)
+from swarmd.drivers.crazyflie.link import MISSING, DroneLink, has_cflib
+from swarmd.drivers.crazyflie.sensors import SENSORS, ranges_of
+from swarmd.settings.layered import Layered
+
+NAME = "crazyflie"
+PERIOD = 0.05  # s between two set-points
+SILENCE_TIMEOUT = 1.0
+"""s without a log block after which the drone is lost."""
+REOPEN_TIMEOUT = 4.0
+"""s without a log block after which the driver connects anew: the drone may have restarted."""
+CONNECT_TIMEOUT = 10.0  # s
+RETRY_PERIOD = 0.5  # s
+COMMAND_TIMEOUT = 0.3
+"""s after which a command of the daemon counts as none."""
+LOW_BATTERY_TIME = 5.0
+"""s for which the voltage must be low, as in the firmware: a climb lowers the voltage."""
+_STAMP_PERIOD = 1 << 24  # ms, after which the stamps of the drone start again
+_HAZARDS = {
+    IS_TUMBLED: Hazard(HazardKind.LIFTED, "tumbled"),
+    IS_CRASHED: Hazard(HazardKind.LIFTED, "crashed"),
+    IS_LOCKED: Hazard(HazardKind.STALL, "locked"),
+}
+_NOT_HEARD = Hazard(HazardKind.NOT_HEARD, "supervisor.info")
+_DEFAULT_HEIGHT = 0.5  # m, of a platform without `heights`
+
+Rate = Annotated[float, Meta(ge=0.05, le=1.0)]
+Volts = Annotated[float, Meta(ge=1.0, le=60.0)]
+
+
+class CrazyflieOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The options of the driver.
+
+    - `uri`: the drone's address for cflib, such as radio://0/80/2M/E7E7E7E7E7, or the addresses of
+      all drones by robot.
+    - `height`: m above the floor; None: `heights.scan_plane` of the platform.
+    - `take_off_rate`, `land_rate`: m/s.
+    - `land_after`: s of hovering after the end of a run until the drone lands.
+    - `clear`: m that all ranges must have for a take-off.
+    - `battery_volts`: the voltages of an empty and a full battery.
+    - `low_battery`: the voltage below which the drone lands.
+    - `pose_frame`: the name of the shared frame in which the drone's state estimate is (Lighthouse,
+      motion capture); empty: the estimate has an origin of its own. `pose_error` in m and
+      `pose_yaw_error_deg` bound the errors of the estimate.
+    """
+
+    uri: str | dict[str, str]
+    height: Annotated[float, Meta(ge=0.2, le=3.0)] | None = None
+    take_off_rate: Rate = 0.3
+    land_rate: Rate = 0.3
+    land_after: Annotated[float, Meta(ge=0.0, le=600.0)] = 5.0
+    clear: Annotated[float, Meta(ge=0.1, le=4.0)] = 0.4
+    battery_volts: tuple[Volts, Volts] = (3.0, 4.2)
+    low_battery: Volts = 3.2
+    pose_frame: Annotated[str, Meta(max_length=63)] = ""
+    pose_error: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
+    pose_yaw_error_deg: Annotated[float, Meta(ge=0.0, le=180.0)] = 5.0
+
+
+def make_driver(
+    *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
+) -> CrazyflieDriver:
+    """A driver that has not connected yet; ConfigError for unknown options."""
+    read = Layered((f"driver {NAME}", {"uri": {}, **options})).build(CrazyflieOptions)
+    if len(platform.scan.bearings) != len(SENSORS):
+        raise ConfigError(
+            f"driver {NAME}: platform {platform.name} has {len(platform.scan.bearings)} rays;"
+            f" expected {len(SENSORS)}: {', '.join(SENSORS)}"
+        )
+    uri = read.uri if isinstance(read.uri, str) else read.uri.get(robot, "")
+    return CrazyflieDriver(robot, uri, platform, read)
+
+
+class CrazyflieDriver:
+    """Talks to the drone at `uri`. It implements `StateDisplay`, to know an estop from a stop."""
+
+    is_simulated = False
+    shows_state = True
+
+    def __init__(self, robot: str, uri: str, platform: Platform, options: CrazyflieOptions) -> None:
+        """Not connected yet."""
+        self._robot, self._uri, self._platform, self._options = robot, uri, platform, options
+        height = options.height
+        if height is None:
+            heights = platform.heights
+            height = _DEFAULT_HEIGHT if heights is None else heights.scan_plane
+        self._rules = FlightRules(
+            height, options.take_off_rate, options.land_rate, options.land_after
+        )
+        self._flight = Flight(self._rules)
+        self._gate = CommandGate()
+        self._sink: Sink = NullSink()
+        self._link: DroneLink | None = None
+        self._state: State | None = None  # by the daemon
+        self._command = ZERO, False, -math.inf  # twist, is_stopped, when
+        self._seq = 0
+        self._told = ""
+        self._sending: asyncio.Future[None] | None = None
+        self._waiting: HoverSetpoint | None = None
+        self._forget()
+
+    async def run(self, sink: Sink) -> None:
+        """Feed the sink until cancelled; a drone that was commanded lands on the way out."""
+        if not has_cflib():
+            raise ConfigError(MISSING)
+        if not self._uri:
+            raise ConfigError(
+                f"driver {NAME}: uri has no address of robot {self._robot}; expected a value such"
+                " as radio://0/80/2M/E7E7E7E7E7"
+            )
+        self._sink = sink
+        self._flight = Flight(self._rules)
+        sink.state(False, f"nothing heard yet from {self._uri}")
+        self._threads = ThreadPoolExecutor(1, thread_name_prefix=f"crazyflie-{self._robot}")
+        try:
+            while True:
+                text = await self._connection()
+                self._lose(text)
+                await asyncio.sleep(RETRY_PERIOD)
+        finally:
+            self._threads.shutdown(wait=False)
+
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
+        """Take a safe command; it is sent at once as a set-point, and repeated each PERIOD."""
+        command = self._gate.filter(twist)
+        if command is None:
+            return
+        self._command = command, is_stopped, time.monotonic()
+        self._step()
+
+    def show(self, status: Status | None, motion: Motion | None, pose: ShownPose | None) -> None:
+        """Take the state of the robot."""
+        if status is not None:
+            self._state = status.state
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """Whether the drone answers, and what it reports; sends no set-point."""
+        if not has_cflib():
+            return (Finding("library", False, "cflib is not installed", MISSING),)
+        seen = _LastInputs()
+        task = asyncio.create_task(self.run(seen))
+        try:
+            async with asyncio.timeout(seconds):
+                while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
+                    await asyncio.sleep(PERIOD)
+                while not task.done() and self._info is None:
+                    await asyncio.sleep(PERIOD)
+        except TimeoutError:
+            pass  # the findings name what is missing
+        info, volts = self._info, self._volts
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        nothing = f"none from {self._uri}: {seen.text}"
+        remedy = "switch the drone on, and check the radio and driver_options.uri"
+        found = [
+            Finding(kind, kind in seen.last, "heard" if kind in seen.last else nothing, remedy)
+            for kind in ("scan", "odometry")
+        ]
+        if info is None:
+            return (*found, Finding("supervisor", False, nothing, remedy))
+        hazards = ", ".join(one.text for one in _hazards(info)) or "ready to fly"
+        is_well = not _hazards(info) and bool(info & CAN_FLY)
+        found.append(Finding("supervisor", is_well, hazards, "turn the drone upright, restart it"))
+        is_charged = volts >= self._options.low_battery
+        found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
+        return tuple(found)
+
+    # The connection
+
+    async def _connection(self) -> str:
+        """Connect, and serve the drone until the connection ends; returns why it ended.
+
+        When cancelled, land a drone that was commanded.
+        """
+        loop = asyncio.get_running_loop()
+        opened, lost = loop.create_future(), loop.create_future()
+        self._forget()
+
+        def post(take: object, *values: object) -> None:
+            with contextlib.suppress(RuntimeError):  # the loop is closed
+                loop.call_soon_threadsafe(take, *values)  # type: ignore[arg-type]
+
+        def settle(future: asyncio.Future[str], text: str) -> None:
+            if not future.done():
+                future.set_result(text)
+
+        link = DroneLink(
+            self._uri,
+            lambda: post(settle, opened, ""),
+            lambda text: post(settle, lost, text),
+            lambda name, stamp, values: post(self._take, link, name, stamp, values),
+        )
+        self._link = link
+        try:
+            opening = loop.run_in_executor(self._threads, link.open)
+            await asyncio.wait(
+                {opened, lost}, timeout=CONNECT_TIMEOUT, return_when=asyncio.FIRST_COMPLETED
+            )
+            await opening
+            if not opened.done():
+                return lost.result() if lost.done() else f"{self._uri} does not answer"
+            self._heard = time.monotonic()
+            while not lost.done():
+                await asyncio.wait({lost}, timeout=PERIOD)
+                now = time.monotonic()
+                if self._gate.is_open and now - self._heard > SILENCE_TIMEOUT:
+                    self._lose(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
+                if now - self._heard > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
+                    return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
+                self._tell_status(now)
+                self._step()
+            return str(lost.result())
+        except asyncio.CancelledError:
+            if self._gate.end():
+                await self._land(lost)
+            raise
+        finally:
+            self._gate.end()
+            self._link = None
+            await asyncio.shield(loop.run_in_executor(self._threads, link.close))
+
+    async def _land(self, lost: asyncio.Future[str]) -> None:
+        """Land the drone, and send the last set-point: motors off."""
+        rules = self._rules
+        limit = rules.height / rules.land_rate + 2.0 * LANDING_RESERVE
+        deadline = time.monotonic() + limit
+        while not lost.done() and time.monotonic() < deadline:
+            setpoint = self._put_step(Wish.LAND, ZERO)
+            is_told = setpoint is not None or self._seen().is_flying is None
+            if self._flight.phase is Phase.GROUND and is_told:
+                break
+            await asyncio.sleep(PERIOD)
+        while self._sending is not None and not self._sending.done():
+            await asyncio.wait({self._sending})
+            await asyncio.sleep(0)
+
+    def _lose(self, text: str) -> None:
+        self._gate.close(time.monotonic())
+        self._sink.state(False, text)
+        self._told = text
+
+    def _forget(self) -> None:
+        """Forget what the drone reported."""
+        self._info: int | None = None
+        self._volts = math.nan
+        self._info_at = self._ranges_at = self._height_at = self._heard = -math.inf
+        self._volts_low_since = math.inf
+        self._height, self._is_clear = 0.0, False
+        self._hazards: tuple[Hazard, ...] = (_NOT_HEARD,)
+        self._stamps: dict[str, int] = {}
+        self._laps = 0
+        self._newest = 0
+
+    # Inputs
+
+    def _take(self, link: DroneLink, name: str, stamp_ms: int, values: Mapping[str, float]) -> None:
+        if link is not self._link:  # of an earlier connection
+            return
+        if not all(math.isfinite(value) for value in values.values()):
+            self._sink.dropped(name)
+            return
+        now = time.monotonic()
+        self._heard = now
+        if not self._gate.is_open:
+            self._gate.open()
+            self._sink.state(True, self._text())
+            self._hazards = (_NOT_HEARD,)
+            self._sink.take(HazardsInput(self._hazards))
+        stamp = self._stamp(stamp_ms)
+        if name == "ranges":
+            self._take_ranges(stamp, values, now)
+        elif name == "state":
+            self._take_state(stamp, values, now)
+        else:
+            self._take_status(values, now)
+
+    def _stamp(self, stamp_ms: int) -> float:
+        """The stamp in s; the drone's counter starts again after 4.7 hours."""
+        if stamp_ms < self._newest - _STAMP_PERIOD // 2:
+            self._laps += 1
+            self._newest = stamp_ms
+        self._newest = max(self._newest, stamp_ms)
+        return 1e-3 * (self._laps * _STAMP_PERIOD + stamp_ms)
+
+    def _take_ranges(self, stamp: float, values: Mapping[str, float], now: float) -> None:
+        spec = self._platform.scan
+        ranges = ranges_of(values, spec.range_min, spec.range_max)
+        self._is_clear = bool((ranges >= self._options.clear).all())
+        self._ranges_at = now
+        self._seq += 1
+        scan = Scan(self._seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+        self._sink.take(ScanInput(scan))
+
+    def _take_state(self, stamp: float, values: Mapping[str, float], now: float) -> None:
+        x, y, z, vx, vy, yaw_deg = (
+            values[f"stateEstimate.{name}"] for name in ("x", "y", "z", "vx", "vy", "yaw")
+        )
+        yaw = wrap(math.radians(yaw_deg))
+        c, s = math.cos(yaw), math.sin(yaw)
+        turn_rate = 1e-3 * values["stateEstimateZ.rateYaw"]
+        twist = Twist(c * vx + s * vy, turn_rate, c * vy - s * vx)
+        pose = Pose(x, y, yaw)
+        self._height, self._height_at = z, now
+        self._sink.take(OdometryInput(Odometry(stamp, pose, twist)))
+        options = self._options
+        if options.pose_frame:
+            yaw_error = math.radians(options.pose_yaw_error_deg)
+            shared = SharedPose(stamp, pose, options.pose_error, yaw_error, options.pose_frame)
+            self._sink.take(PoseInput(shared))
+
+    def _take_status(self, values: Mapping[str, float], now: float) -> None:
+        self._info, self._info_at = int(values["supervisor.info"]), now
+        self._volts = values["pm.vbat"]
+        if self._volts >= self._options.low_battery:
+            self._volts_low_since = math.inf
+        elif self._volts_low_since == math.inf:
+            self._volts_low_since = now
+        empty, full = self._options.battery_volts
+        battery = min(max((self._volts - empty) / (full - empty), 0.0), 1.0)
+        self._sink.take(ReadingsInput({"battery": battery, "height": self._height}))
+        self._tell_hazards(_hazards(self._info))
+
+    def _tell_hazards(self, hazards: tuple[Hazard, ...]) -> None:
+        if hazards != self._hazards:
+            self._hazards = hazards
+            self._sink.take(HazardsInput(hazards))
+
+    # Outputs
+
+    def _text(self) -> str:
+        flight = self._flight
+        text = f"{self._uri}: {flight.phase}"
+        return f"{text}; {flight.text}" if flight.text else text
+
+    def _tell_status(self, now: float) -> None:
+        """Tell the phase of the flight if it has changed, and a silent supervisor."""
+        if not self._gate.is_open:
+            return
+        if now - self._info_at > SILENCE_TIMEOUT:
+            self._tell_hazards((_NOT_HEARD,))
+        text = self._text()
+        if text != self._told:
+            self._told = text
+            self._sink.state(True, text)
+
+    def _seen(self) -> Seen:
+        now = time.monotonic()
+        info = self._info if now - self._info_at <= SILENCE_TIMEOUT else None
+        return Seen(
+            height=self._height if now - self._height_at <= SILENCE_TIMEOUT else None,
+            is_flying=None if info is None else bool(info & IS_FLYING),
+            may_fly=info is not None and bool(info & CAN_FLY) and not _hazards(info),
+            is_clear=self._is_clear and now - self._ranges_at <= SILENCE_TIMEOUT,
+            is_battery_low=now - self._volts_low_since >= LOW_BATTERY_TIME,
+        )
+
+    def _wish(self) -> tuple[Wish, Twist]:
+        twist, is_stopped, since = self._command
+        if self._state is State.ESTOPPED:
+            return Wish.LAND, ZERO
+        is_late = time.monotonic() - since > COMMAND_TIMEOUT
+        if is_stopped or is_late or not self._gate.is_open:
+            return Wish.HOVER, ZERO
+        wants = self._state is State.RUNNING or not twist.is_zero
+        return (Wish.FLY, twist) if wants else (Wish.HOVER, ZERO)
+
+    def _step(self) -> None:
+        if self._gate.has_sent:  # a check sends nothing
+            self._put_step(*self._wish())
+
+    def _put_step(self, wish: Wish, twist: Twist) -> HoverSetpoint | None:
+        """Step the flight, and send its set-point; returns the set-point."""
+        setpoint = self._flight.step(time.monotonic(), wish, twist, self._seen())
+        if setpoint is not None:
+            self._put(setpoint)
+        return setpoint
+
+    def _put(self, setpoint: HoverSetpoint) -> None:
+        """Send a set-point on the executor's thread: the newest replaces one that waits."""
+        link = self._link
+        if link is None:
+            return
+        if self._sending is not None and not self._sending.done():
+            self._waiting = setpoint
+            return
+        self._waiting = None
+        loop = asyncio.get_running_loop()
+        self._sending = loop.run_in_executor(self._threads, partial(link.send, setpoint))
+        self._sending.add_done_callback(self._on_sent)
+
+    def _on_sent(self, sending: asyncio.Future[None]) -> None:
+        if not sending.cancelled():
+            sending.exception()  # a lost link is told by its own callback
+        waiting, self._waiting = self._waiting, None
+        if waiting is not None:
+            self._sending = None
+            self._put(waiting)
+
+
+def _hazards(info: int) -> tuple[Hazard, ...]:
+    """The hazards of `supervisor.info`."""
+    return tuple(hazard for bit, hazard in _HAZARDS.items() if info & bit)
+
+
+class _LastInputs(NullSink):
+    """A sink that keeps the newest input of each kind, and the last state."""
+
+    def __init__(self) -> None:
+        self.last: dict[str, object] = {}
+        self.text = ""
+
+    def take(self, input: object) -> None:
+        self.last[tag_of(input)] = input  # type: ignore[arg-type]
+
+    def state(self, is_up: bool, text: str, **_: object) -> None:
+        self.text = text

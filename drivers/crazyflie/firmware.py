@@ -1,0 +1,252 @@
+"""The firmware's side of CRTP for one emulated drone. Pure: bytes and times in, bytes out.
+
+Ports, commands and encodings follow cflib 0.1.34 (crtp/crtpstack.py, crazyflie/log.py, toc.py,
+commander.py, supervisor.py, platformservice.py). The time-outs of the commander are those of
+src/modules/src/commander.c (bitcraze/crazyflie-firmware), which was not run here: without a
+set-point the drone levels after 0.5 s, and its motors stop after 2 s.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from swarmd.core.values import ZERO, Pose, Twist
+
+LEVEL_TIMEOUT, OFF_TIMEOUT = 0.5, 2.0
+"""s without a set-point until the drone levels, and until its motors stop."""
+NO_RETURN = 32767
+"""mm: the range of a sensor without a return; cflib takes 8000 and more for none."""
+PROTOCOL_VERSION = 12
+CLIMB_SPEED = 1.0
+"""m/s: the emulated drone follows the set-point of its height this fast, and falls twice so."""
+FLYING_HEIGHT = 0.1
+"""m above which the emulated drone counts as flying."""
+MAX_COMMAND = 100.0
+"""m/s or rad/s; a faster command is dropped as unreadable."""
+
+_LOG = 5  # a port
+_LOG_TYPES = {"B": 1, "H": 2, "I": 3, "b": 4, "h": 5, "i": 6, "f": 7, "e": 8}
+_LOG_FORMATS = {number: letter for letter, number in _LOG_TYPES.items()}
+_LOG_VARIABLES = {
+    "range.front": "H",
+    "range.back": "H",
+    "range.left": "H",
+    "range.right": "H",
+    "range.up": "H",
+    "stateEstimate.x": "f",
+    "stateEstimate.y": "f",
+    "stateEstimate.z": "f",
+    "stateEstimate.vx": "f",
+    "stateEstimate.vy": "f",
+    "stateEstimate.yaw": "f",
+    "stateEstimateZ.rateYaw": "h",
+    "pm.vbat": "f",
+    "supervisor.info": "H",
+}
+_PARAMETERS = {"deck.bcFlow2": 1, "deck.bcMultiranger": 1}
+_TOC_INFO, _TOC_ITEM = 3, 2
+_CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
+_HOVER, _MOTORS_STOP = 10, 0
+_GET_STATE = 0x0C
+_NO_SUCH_BLOCK = 2  # ENOENT
+CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
+"""Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
+
+
+@dataclass(slots=True)
+class _Block:
+    """A log block: its variables with the format of each, and its period in s (0: stopped)."""
+
+    variables: list[tuple[str, str]]
+    period: float = 0.0
+    sent_at: float = -math.inf
+
+
+class Firmware:
+    """One emulated drone. `twist`: the command in force; `height` in m."""
+
+    def __init__(self) -> None:
+        self.twist, self.height = ZERO, 0.0
+        self.dropped = 0
+        self.command_count = 0  # set-points that were read
+        self.faults = 0  # bits of IS_TUMBLED, IS_LOCKED, IS_CRASHED
+        self._target = 0.0  # m; 0: the motors are off
+        self._commanded_at = self._now = -math.inf
+        self._blocks: dict[int, _Block] = {}
+        self._values: dict[str, float] = dict.fromkeys(_LOG_VARIABLES, 0.0)
+        self._values |= {name: NO_RETURN for name in _LOG_VARIABLES if name.startswith("range.")}
+        self._values["pm.vbat"] = 4.0
+
+    @property
+    def has_motors_on(self) -> bool:
+        """True while the motors turn."""
+        return self._target > 0.0
+
+    def set_ranges(self, ranges: Mapping[str, float]) -> None:
+        """Set measured ranges in m by the name of the sensor; infinite: no return."""
+        for name, distance in ranges.items():
+            near_or_far = 0 if distance == -math.inf else NO_RETURN
+            is_measured = math.isfinite(distance)
+            self._values[f"range.{name}"] = round(1e3 * distance) if is_measured else near_or_far
+
+    def set_state(self, pose: Pose, twist: Twist) -> None:
+        """Set the state estimate: pose in m and rad, velocities in the drone's frame."""
+        c, s = math.cos(pose.yaw), math.sin(pose.yaw)
+        self._values |= {
+            "stateEstimate.x": pose.x,
+            "stateEstimate.y": pose.y,
+            "stateEstimate.yaw": math.degrees(pose.yaw),
+            "stateEstimate.vx": c * twist.linear - s * twist.lateral,
+            "stateEstimate.vy": s * twist.linear + c * twist.lateral,
+            "stateEstimateZ.rateYaw": min(max(round(1e3 * twist.angular), -32768), 32767),
+        }
+
+    def set_battery(self, volts: float) -> None:
+        """Set the voltage of the battery."""
+        self._values["pm.vbat"] = volts
+
+    def tick(self, now: float) -> None:
+        """Advance the drone to `now` in s: time-outs of the commander, and the height."""
+        passed = min(max(now - self._now, 0.0), 0.1)
+        self._now = now
+        silence = now - self._commanded_at
+        if silence > LEVEL_TIMEOUT:
+            self.twist = ZERO
+        if silence > OFF_TIMEOUT or self.faults:
+            self._target, self.twist = 0.0, ZERO
+        if self.has_motors_on:
+            step = CLIMB_SPEED * passed
+            self.height += min(max(self._target - self.height, -step), step)
+        else:
+            self.height = max(self.height - 2.0 * CLIMB_SPEED * passed, 0.0)
+
+    def receive(self, data: bytes, now: float) -> list[bytes]:
+        """The answers to a packet; malformed packets are counted in `dropped`."""
+        if not data:
+            return []
+        port, channel, payload = data[0] >> 4, data[0] & 3, data[1:]
+        if data[0] == 0xFF:  # the null packet
+            return [data]
+        try:
+            return [
+                bytes([port << 4 | 0x0C | channel]) + answer
+                for answer in self._answers(port, channel, payload, now)
+            ]
+        except (IndexError, struct.error, ValueError, KeyError):
+            self.dropped += 1
+            return []
+
+    def log_packets(self, prefixes: tuple[str, ...], stamp: float, now: float) -> Iterator[bytes]:
+        """The packets of the started blocks with a variable of these groups.
+
+        `stamp` in s of the drone's clock. A block is sent at most once in its period.
+        """
+        values = self._values | {"stateEstimate.z": self.height, "supervisor.info": self._info()}
+        for number, block in self._blocks.items():
+            names = [name for name, _ in block.variables]
+            if not block.period or not any(name.startswith(prefixes) for name in names):
+                continue
+            if now - block.sent_at < 0.5 * block.period:
+                continue
+            block.sent_at = now
+            packed = b"".join(
+                struct.pack(f"<{form}", values[name] if form in "fe" else int(values[name]))
+                for name, form in block.variables
+            )
+            stamp_ms = int(1e3 * stamp) & 0xFFFFFF
+            yield bytes([_LOG << 4 | 0x0C | 2, number]) + stamp_ms.to_bytes(3, "little") + packed
+
+    def _info(self) -> int:
+        info = self.faults | (0 if self.faults else CAN_FLY)
+        return info | (IS_FLYING if self.height > FLYING_HEIGHT else 0)
+
+    def _answers(self, port: int, channel: int, payload: bytes, now: float) -> Iterator[bytes]:
+        match port, channel:  # link, platform, log, memory, parameters, supervisor, commanders
+            case 15, 0:
+                yield payload
+            case 15, 1:
+                yield b"Bitcraze Crazyflie".ljust(30, b"\0")
+            case 13, 1 if payload[0] == 0:
+                yield bytes([0, PROTOCOL_VERSION])
+            case 5, 0:
+                yield from _toc(payload, [_log_item(name) for name in _LOG_VARIABLES], 0x10C)
+            case 5, 1:
+                yield self._log_command(payload)
+            case 4, 0 if payload[0] == 1:
+                yield bytes([1, 0])  # no memories
+            case 2, 0:
+                yield from _toc(payload, [_item(0x48, name) for name in _PARAMETERS], 0x9A6)
+            case 2, 1:
+                yield payload[:2] + bytes([0, list(_PARAMETERS.values())[payload[0]]])
+            case 9, 0 if payload[0] == _GET_STATE:
+                yield bytes([0x80 | _GET_STATE]) + self._info().to_bytes(2, "little")
+            case 7, 0:
+                self._command(payload, now)
+            case 3, 0:
+                (*_, thrust) = struct.unpack("<fffH", payload)
+                if thrust == 0:
+                    self._stop_motors(now)
+            case _:
+                return
+
+    def _command(self, payload: bytes, now: float) -> None:
+        if payload[0] == _MOTORS_STOP:
+            self._stop_motors(now)
+        elif payload[0] == _HOVER:
+            vx, vy, yaw_rate, height = struct.unpack("<ffff", payload[1:17])
+            twist = Twist(vx, math.radians(yaw_rate), vy)
+            speeds = abs(twist.linear), abs(twist.angular), abs(twist.lateral)
+            if not (math.isfinite(sum(speeds) + height) and max(speeds) <= MAX_COMMAND):
+                raise ValueError("a set-point that is not finite")
+            self.command_count += 1
+            if not self.faults:
+                self.twist, self._target, self._commanded_at = twist, height, now
+
+    def _stop_motors(self, now: float) -> None:
+        self.command_count += 1
+        self.twist, self._target, self._commanded_at = ZERO, 0.0, now
+
+    def _log_command(self, payload: bytes) -> bytes:
+        command, status = payload[0], 0
+        if command == _RESET:
+            self._blocks.clear()
+            return bytes([command, 0, status])
+        number = payload[1]
+        if command in (_CREATE, _APPEND):
+            names = list(_LOG_VARIABLES)
+            added = [
+                (names[ident], _LOG_FORMATS[kind & 0x0F])
+                for kind, ident in struct.iter_unpack("<BH", payload[2:])
+            ]
+            if command == _CREATE:
+                self._blocks[number] = _Block([])
+            self._blocks[number].variables.extend(added)
+        elif number not in self._blocks:
+            status = _NO_SUCH_BLOCK
+        elif command == _START:
+            self._blocks[number].period = 0.01 * payload[2]
+        elif command == _STOP:
+            self._blocks[number].period = 0.0
+        elif command == _DELETE:
+            del self._blocks[number]
+        return bytes([command, number, status])
+
+
+def _toc(payload: bytes, items: list[bytes], crc: int) -> Iterator[bytes]:
+    """The answers to a question for a table of contents."""
+    if payload[0] == _TOC_INFO:
+        yield struct.pack("<BHIBB", _TOC_INFO, len(items), crc, 16, 128)
+    elif payload[0] == _TOC_ITEM:
+        (ident,) = struct.unpack("<H", payload[1:3])
+        yield payload[:3] + items[ident]
+
+
+def _log_item(name: str) -> bytes:
+    return _item(_LOG_TYPES[_LOG_VARIABLES[name]], name)
+
+
+def _item(kind: int, name: str) -> bytes:
+    return bytes([kind]) + name.replace(".", "\0").encode() + b"\0"

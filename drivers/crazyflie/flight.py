@@ -1,0 +1,198 @@
+"""The flight of one drone at one height: take-off, flight, landing. Pure.
+
+Each step takes the time, what the robot's daemon wants, and what the drone reports, and gives the
+set-point to send. Units: s, m, m/s, rad/s.
+
+- A drone takes off only if the daemon wants a flight, after a step in which the daemon wanted none:
+  a wish that outlived a landing starts nothing.
+- The drone moves sideways or turns only in FLIGHT, at the height of flight.
+- A landing that has begun is completed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from swarmd.core.values import ZERO, Twist
+
+TOUCH_HEIGHT = 0.05
+"""m: the lowest set-point of a landing."""
+LANDED_HEIGHT = 0.12
+"""m: a drone below this height has landed."""
+LANDING_RESERVE = 2.0
+"""s after the lowest set-point until the motors stop although the height is not known."""
+CLIMB_RESERVE = 5.0
+"""s after the highest set-point of a take-off until a drone that is still low lands."""
+MAX_STEP = 0.1
+"""s: a longer pause between two steps changes the set-point of the height by no more."""
+_REACHED = 0.8  # share of the height at which a take-off is over
+
+
+class Phase(StrEnum):
+    """Where in its flight a drone is."""
+
+    GROUND = "on the ground"
+    TAKE_OFF = "takes off"
+    FLIGHT = "flies"
+    LANDING = "lands"
+
+
+class Wish(StrEnum):
+    """What the daemon wants."""
+
+    FLY = "fly"
+    HOVER = "hover"
+    LAND = "land"
+
+
+@dataclass(frozen=True, slots=True)
+class FlightRules:
+    """The declared numbers of a flight.
+
+    `height` in m; `take_off_rate` and `land_rate` in m/s; `land_after`: s of hovering without a
+    wish to fly until the drone lands.
+    """
+
+    height: float
+    take_off_rate: float
+    land_rate: float
+    land_after: float
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """What the drone reports; None for what is not fresh.
+
+    `height` in m above the floor. `is_flying`: by the firmware. `may_fly`: the firmware is ready,
+    and neither tumbled, crashed nor locked. `is_clear`: all ranges are. `is_battery_low`: for long.
+    """
+
+    height: float | None = None
+    is_flying: bool | None = None
+    may_fly: bool = False
+    is_clear: bool = False
+    is_battery_low: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class HoverSetpoint:
+    """Velocity in the drone's frame, and height; `height` 0: the motors are off."""
+
+    twist: Twist
+    height: float
+
+
+MOTORS_OFF = HoverSetpoint(ZERO, 0.0)
+
+
+class Flight:
+    """The state of a flight; `text` explains the last decision."""
+
+    def __init__(self, rules: FlightRules) -> None:
+        self._rules = rules
+        self.phase = Phase.GROUND
+        self.text = ""
+        self._has_rested = False  # since the last landing
+        self._target = 0.0  # set-point of the height
+        self._now = self._wanted_at = self._deadline = -math.inf
+
+    def step(self, now: float, wish: Wish, twist: Twist, seen: Seen) -> HoverSetpoint | None:
+        """The set-point to send at `now`; None: none, since the state of the motors is not known.
+
+        `twist`: the safe command, which the drone follows while `wish` is FLY.
+        """
+        passed = min(max(now - self._now, 0.0), MAX_STEP)
+        self._now = now
+        if self.phase is Phase.GROUND:
+            self._on_ground(wish, seen)
+        elif self.phase is Phase.TAKE_OFF:
+            self._in_take_off(wish, seen, passed)
+        elif self.phase is Phase.FLIGHT:
+            self._in_flight(wish, seen)
+        else:
+            self._in_landing(seen, passed)
+        if self.phase is Phase.GROUND:
+            return MOTORS_OFF if seen.is_flying is False else None
+        if self.phase is Phase.FLIGHT and wish is Wish.FLY:
+            return HoverSetpoint(twist, self._target)
+        return HoverSetpoint(ZERO, self._target)
+
+    def _on_ground(self, wish: Wish, seen: Seen) -> None:
+        if seen.is_flying and seen.height is not None and seen.height > LANDED_HEIGHT:
+            self._land("the drone was in the air when it was found", seen.height)
+            return
+        if wish is not Wish.FLY:
+            self._has_rested = True
+            self.text = ""
+            return
+        obstacle = _take_off_obstacle(seen) if self._has_rested else "waits for the next run"
+        self.text = obstacle and f"does not take off: {obstacle}"
+        if not obstacle:
+            self.phase, self._target, self._has_rested = Phase.TAKE_OFF, TOUCH_HEIGHT, False
+
+    def _in_take_off(self, wish: Wish, seen: Seen, passed: float) -> None:
+        cause = _landing_cause(wish, seen)
+        if wish is not Wish.FLY:
+            cause = cause or "the run ended during the take-off"
+        if not seen.is_clear:
+            cause = cause or "an obstacle is near during the take-off"
+        if cause:
+            self._land(cause, self._target)
+            return
+        if self._target < self._rules.height:
+            rise = self._rules.take_off_rate * passed
+            self._target = min(self._target + rise, self._rules.height)
+            self._deadline = self._now + CLIMB_RESERVE
+        elif seen.height is not None and seen.height >= _REACHED * self._rules.height:
+            self.phase, self._wanted_at = Phase.FLIGHT, self._now
+        elif self._now >= self._deadline:
+            self._land("the drone did not reach its height", self._target)
+
+    def _in_flight(self, wish: Wish, seen: Seen) -> None:
+        if seen.is_flying is False and seen.height is not None and seen.height <= LANDED_HEIGHT:
+            self._end("the firmware has stopped the motors")
+            return
+        if wish is Wish.FLY:
+            self._wanted_at = self._now
+        cause = _landing_cause(wish, seen)
+        if self._now - self._wanted_at >= self._rules.land_after:
+            cause = cause or f"nothing to do for {self._rules.land_after:g} s"
+        if cause:
+            self._land(cause, self._target)
+
+    def _in_landing(self, seen: Seen, passed: float) -> None:
+        if self._target > TOUCH_HEIGHT:
+            self._target = max(self._target - self._rules.land_rate * passed, TOUCH_HEIGHT)
+            self._deadline = self._now + LANDING_RESERVE
+            return
+        is_low = seen.height is not None and seen.height <= LANDED_HEIGHT
+        if is_low or self._now >= self._deadline:
+            self._end(self.text)
+
+    def _land(self, cause: str, height: float) -> None:
+        self.phase, self.text = Phase.LANDING, cause
+        self._target = min(max(height, TOUCH_HEIGHT), self._rules.height)
+        self._deadline = self._now + LANDING_RESERVE
+
+    def _end(self, text: str) -> None:
+        self.phase, self.text, self._has_rested, self._target = Phase.GROUND, text, False, 0.0
+
+
+def _take_off_obstacle(seen: Seen) -> str:
+    """Why a drone on the ground must not take off; empty if it may."""
+    if not seen.may_fly:
+        return "the firmware is not ready to fly"
+    if seen.is_battery_low:
+        return "the battery is low"
+    return "" if seen.is_clear else "a range is not clear"
+
+
+def _landing_cause(wish: Wish, seen: Seen) -> str:
+    """Why a drone in the air must land now; empty if it need not."""
+    if wish is Wish.LAND:
+        return "landing is asked for"
+    if seen.is_battery_low:
+        return "the battery is low"
+    return "" if seen.may_fly else "the firmware is not ready to fly"

@@ -1,0 +1,106 @@
+"""The connection to one drone by cflib, whose threads call back.
+
+cflib (a Crazyflie object) has threads of its own, and its calls may block: all calls here are made
+on the one thread of an executor. `close_link` of cflib sends thrust 0, which stops the motors of a
+flying drone; the link is therefore taken away before, and the driver lands the drone first.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from typing import Any
+
+from swarmd.drivers.crazyflie.flight import HoverSetpoint
+
+MISSING = "driver crazyflie needs cflib; expected: pip install 'swarmd[crazyflie]'"
+LOG_BLOCKS = {
+    "ranges": (100, ("range.front", "range.left", "range.back", "range.right")),
+    "state": (
+        50,
+        (
+            *(f"stateEstimate.{name}" for name in ("x", "y", "z", "vx", "vy", "yaw")),
+            "stateEstimateZ.rateYaw",
+        ),
+    ),
+    "status": (100, ("pm.vbat", "supervisor.info")),
+}
+"""The log blocks by name: the period in ms and the variables."""
+_HALF_SIZE = {"stateEstimate.z": "FP16"}  # a block has 26 bytes
+
+OnData = Callable[[str, int, Mapping[str, float]], None]
+"""Takes the values of a log block: its name, the drone's stamp in ms (24 bits), the values."""
+
+
+def has_cflib() -> bool:
+    """True if the library is installed."""
+    return find_spec("cflib") is not None
+
+
+class DroneLink:
+    """A connection to the drone at `uri`; the callbacks come on threads of cflib."""
+
+    def __init__(
+        self, uri: str, on_open: Callable[[], None], on_lost: Callable[[str], None], on_data: OnData
+    ) -> None:
+        import cflib.crtp
+        from cflib.crazyflie import Crazyflie
+
+        logging.getLogger("cflib").setLevel(logging.CRITICAL)  # the driver tells what matters
+        if not cflib.crtp.CLASSES:
+            cflib.crtp.init_drivers()
+        self._uri, self._on_lost, self._on_data = uri, on_lost, on_data
+        self._drone: Any = Crazyflie()
+        self._drone.connected.add_callback(lambda uri: self._begin_logs(on_open))
+        self._drone.connection_failed.add_callback(lambda uri, text: on_lost(_first_line(text)))
+        self._drone.connection_lost.add_callback(lambda uri, text: on_lost(_first_line(text)))
+
+    def open(self) -> None:
+        """Begin to connect; `on_open` or `on_lost` follows."""
+        self._drone.open_link(self._uri)
+
+    def send(self, setpoint: HoverSetpoint) -> None:
+        """Send a set-point; may block while the radio is busy."""
+        if self._drone.link is None:
+            return
+        if setpoint.height <= 0.0:
+            self._drone.commander.send_stop_setpoint()
+            return
+        twist = setpoint.twist
+        self._drone.commander.send_hover_setpoint(
+            twist.linear, twist.lateral, math.degrees(twist.angular), setpoint.height
+        )
+
+    def close(self) -> None:
+        """End the connection and its threads; sends nothing."""
+        link, self._drone.link = self._drone.link, None
+        if link is not None:
+            link.close()
+        for timer in list(self._drone._answer_patterns.values()):  # else sent again
+            timer.cancel()
+        self._drone.close_link()
+
+    def _begin_logs(self, on_open: Callable[[], None]) -> None:
+        from cflib.crazyflie.log import LogConfig
+
+        try:
+            for name, (period, variables) in LOG_BLOCKS.items():
+                block = LogConfig(name, period)
+                for variable in variables:
+                    block.add_variable(variable, _HALF_SIZE.get(variable))
+                block.data_received_cb.add_callback(self._take)
+                self._drone.log.add_config(block)
+                block.start()
+        except (KeyError, AttributeError) as error:
+            self._on_lost(f"the firmware has no such log variable: {error}")
+            return
+        on_open()
+
+    def _take(self, stamp: int, values: Mapping[str, float], block: Any) -> None:
+        self._on_data(block.name, stamp, dict(values))
+
+
+def _first_line(text: object) -> str:
+    return str(text).strip().splitlines()[0][:200] if str(text).strip() else "the link has ended"

@@ -1,0 +1,31 @@
+"""The four horizontal sensors of the Multi-ranger, in the order of the platform's rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from swarmd.core.values import Array
+
+SENSORS = ("front", "left", "back", "right")
+"""By bearing: 0, 90, 180, -90 degrees."""
+NO_RETURN = 8000
+"""mm: cflib takes this and more for no return (utils/multiranger.py)."""
+
+
+def ranges_of(values: Mapping[str, float], range_min: float, range_max: float) -> Array:
+    """(4,) ranges in m from logged mm: infinite for no return, minus infinite for too near."""
+    ranges = np.empty(len(SENSORS))
+    for index, name in enumerate(SENSORS):
+        distance = values[f"range.{name}"]
+        ranges[index] = 1e-3 * distance if distance < NO_RETURN else math.inf
+    ranges[ranges > range_max] = math.inf
+    ranges[ranges < range_min] = -math.inf
+    return ranges
+
+
+def sensor_rays(ranges: Array) -> Mapping[str, float]:
+    """The ranges (4,) in m by the name of the sensor."""
+    return dict(zip(SENSORS, ranges.tolist(), strict=True))

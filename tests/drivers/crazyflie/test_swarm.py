@@ -1,0 +1,124 @@
+"""Seven emulated drones with daemons: the unchanged patterns, a killed daemon, and the landing."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Collection, Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from swarmd.core.messages import Reason, State, Status
+from swarmd.core.values import Value
+from swarmd.core.verbs import RunRequest
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
+from swarmd.network.settings import NetworkSettings
+from swarmd.sim.live.demo_run import WorldWatcher
+from swarmd.sim.live.fleet import Fleet, FleetSpec, robot_ids
+from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.testing.driver_contract import is_running
+from tests.support.processes import children, unique_swarm, wait_until
+from tests.support.swarmctl import await_applied
+
+pytest.importorskip("cflib", reason="extra crazyflie")
+
+POSED = {"extends": "crazyflie", "provides": ["scan", "odometry", "reading:height", "pose"]}
+DISTANCE = 1.3  # m
+CAP = 120.0  # s
+
+
+def stop(operator: Operator, robots: Collection[str]) -> None:
+    """Stop these robots."""
+    outcome = operator.send_stop("stop", select=lambda known: frozenset(robots), names=robots)
+    assert set(outcome.replies) >= set(robots)
+
+
+@pytest.mark.integration
+@pytest.mark.timeout(600)
+def test_seven_drones_disperse_vote_survive_a_killed_daemon_and_land(tmp_path: Path) -> None:
+    platform = tmp_path / "posed.yaml"
+    platform.write_text(yaml.safe_dump(POSED))
+    robots = robot_ids("crazyflie", 7)
+    spec = FleetSpec(
+        swarm=unique_swarm(),
+        robots=dict.fromkeys(robots, str(platform)),
+        folder=tmp_path / "fleet",
+        arena="6x6",
+        layout="grid:1.0",
+        lidar_visibility="real",
+        shared_frame=True,
+        emulator="crazyflie",
+    )
+    pids = set[int]()
+    with (
+        Operator(NetworkSettings(swarm=spec.swarm)) as operator,
+        Fleet(spec) as fleet,
+        WorldView(spec.swarm, fleet.endpoint) as view,
+    ):
+        watch = WorldWatcher(view)
+
+        def statuses() -> Mapping[str, Status]:
+            return statuses_of(operator.members())
+
+        def run(pattern: str, chosen: Collection[str] = robots, **params: Value) -> None:
+            def ask() -> Outcome:
+                epochs = operator.members().epochs(tuple(chosen))
+                return operator.request(RunRequest, epochs, pattern=pattern, params=params)
+
+            await_applied(ask, f"they run {pattern}")
+
+        def do_all_fly() -> bool:
+            """Whether all fly; a drone that landed during its take-off gets a new run."""
+            told = {robot: one.health.driver for robot, one in statuses().items()}
+            again = [robot for robot, text in told.items() if "waits for the next run" in text]
+            if again:
+                stop(operator, again)
+                run("dispersion", again, distance=DISTANCE)
+            return len(told) == len(robots) and all(": flies" in text for text in told.values())
+
+        def nearest() -> float:
+            places = np.array(watch.wait().poses)[:, :2]
+            gaps = np.linalg.norm(places[:, None] - places[None, :], axis=-1)
+            return float((gaps + 9.0 * np.eye(len(gaps))).min(axis=1).mean())
+
+        await_robots(operator, fleet)
+        pids |= {pid for own in fleet.pids.values() for pid in (own, *children(own))}
+        # 1. A run takes off, and the drones spread.
+        before = nearest()
+        run("dispersion", distance=DISTANCE)
+        wait_until(do_all_fly, "all fly", CAP)
+        wait_until(lambda: nearest() > before + 0.02, "the drones spread", CAP)
+        # 2. The drones vote in the air: a new run takes nobody down.
+        run("majority_rule", opinions=2)
+        wait_until(
+            lambda: len({str(one.report.get("opinion")) for one in statuses().values()}) == 1,
+            "the drones agree",
+            CAP,
+        )
+        # A drone whose reports a stall of the machine held back for 1 s lands: not all need to fly.
+        assert any(": flies" in one.health.driver for one in statuses().values())
+        # 3. A daemon is killed. Its drone falls, unseen and without a told place: the runs of the
+        # others end, and these drones land.
+        victim, *others = robots
+        os.kill(fleet.pids[victim], signal.SIGKILL)
+        wait_until(lambda: not is_running(fleet.pids[victim]), "the daemon is dead", CAP)
+        wait_until(lambda: not np.any(np.abs(watch.wait().twists[0]) > 0.02), "it stands", CAP)
+        wait_until(
+            lambda: all(
+                one.state is State.STOPPED and ": on the ground" in one.health.driver
+                for one in (statuses()[robot] for robot in others)
+            ),
+            "the others have landed",
+            CAP,
+        )
+        reasons = {statuses()[robot].reason for robot in others}
+        assert Reason.INCOMPATIBLE_PEER in reasons
+        stop(operator, others)
+        state = watch.wait()
+        assert state.contacts == state.arena_contacts == 0
+    wait_until(lambda: not any(map(is_running, pids)), "no process is left")
