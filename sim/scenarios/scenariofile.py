@@ -211,7 +211,7 @@ def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:
     if file.fence is None:
         return
     for keys, text in file.fence.faults():
-        raise layers.error(("fence", *keys), f"fence: {dotted(keys)} {text}")
+        raise layers.error(("fence", *keys), f"{dotted(('fence', *keys))} {text}")
     for platform in {platform.name: platform for platform in groups.robots.values()}.values():
         if text := fence_fault(file.fence, platform):
             raise layers.error(("fence",), f"fence {text}")

@@ -2,7 +2,7 @@
 
 Each run has four robots of one platform and mode among random polygons, convex or not, with and
 without areas to keep out of. Robots drive random commands. The pose in the shared frame has random
-errors up to the told bound, comes up to 0.1 s late, is lost for up to 2 s, and sometimes jumps by
+errors up to the told bound, comes up to 0.1 s late, is lost for up to 1.2 s, and sometimes jumps by
 metres. A crossing: a place of the true outline is outside. In one run of four the robots start
 outside; then the study measures how much the distance to the fence grows.
 """
@@ -87,7 +87,7 @@ class Localisation:
         if known is not None and rng.random() < LATE:  # that of the reading before
             pose = known
         if rng.random() < LOST:
-            self._lost_until[robot] = stamp + rng.uniform(0.0, 2.0)
+            self._lost_until[robot] = stamp + rng.uniform(0.0, 1.2)
         at = 0.0 if stamp < self._lost_until.get(robot, 0.0) else pose.stamp
         way, far = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, ERROR)
         if rng.random() < JUMPED:

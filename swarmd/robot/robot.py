@@ -83,7 +83,7 @@ class Robot(Ticker):
     ) -> None:
         super().__init__()
         self.id = id
-        self.platform = platform
+        self.platform, self.fence = platform, settings.fence
         self._last_tick, self._handlers = now, HANDLERS
         self._sensors = Sensors(
             platform, settings.accepts, tells_pose=settings.tells_pose, fence=settings.fence
