@@ -1,6 +1,6 @@
 """`python -m studies.safety.fence --robot-hours 50`: crossings of the fence by MuJoCo's poses.
 
-Each run has four robots of one platform and mode among random polygons, convex or not, with and
+Each run has robots of one platform and mode within random polygons, convex or not, with and
 without areas to keep out of. Robots drive random commands. The pose in the shared frame has random
 errors up to the told bound, comes up to 0.1 s late, is lost for up to 1.2 s, and sometimes jumps by
 metres. A crossing: a place of the true outline is outside. In one run of four the robots start
@@ -30,7 +30,8 @@ from swarmd.sim.world.world import World
 
 PLATFORMS = ("burger", "waffle_pi", "turtlebot4", "jackal")
 MODES = ("barrier", "stop_zone", "off")
-ROBOTS = 4
+ROBOTS = {"barrier": 4, "stop_zone": 1, "off": 1}
+"""Robots of a run by mode: without the barrier other robots push a robot across its fence."""
 ERROR, YAW_ERROR = 0.03, 0.03  # m and rad: the told bounds of the errors
 LATE, LOST, JUMPED = 0.2, 0.02, 0.01  # shares of poses that are late, begin a loss, or jump
 _PARTS = np.linspace(0.0, 1.0, 5)[:, None, None]  # of an edge of the outline
@@ -86,7 +87,7 @@ class Localisation:
         self._last[robot] = pose
         if known is not None and rng.random() < LATE:  # that of the reading before
             pose = known
-        if rng.random() < LOST:
+        if rng.random() < LOST and stamp > self._lost_until.get(robot, 1.0):
             self._lost_until[robot] = stamp + rng.uniform(0.0, 1.2)
         at = 0.0 if stamp < self._lost_until.get(robot, 0.0) else pose.stamp
         way, far = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, ERROR)
@@ -98,7 +99,7 @@ class Localisation:
 
 
 def scene(platform: str, mode: str, seed: int, duration: float, *, is_outside: bool) -> Scenario:
-    """Four robots and a random fence of about 6 m."""
+    """Robots and a random fence of about 6 m."""
     rng = np.random.default_rng(seed)
     for _ in count():
         n = int(rng.integers(3, 10))
@@ -118,7 +119,11 @@ def scene(platform: str, mode: str, seed: int, duration: float, *, is_outside: b
             "platforms": {platform: {"protection": {"mode": mode}}},
             "fence": {"frame": "world", "polygon": corners, "keep_out": keep_out},
         }
-        group = {"platform": platform, "count": ROBOTS, "pattern": "random_twists"}
+        # A hold of 2 s ends a run: each robot begins anew every 10 s.
+        data["events"] = [
+            {"at": at, "run": "random_twists"} for at in np.arange(10.0, duration, 10.0).tolist()
+        ]
+        group = {"platform": platform, "count": ROBOTS[mode], "pattern": "random_twists"}
         places = _starts(data, group, rng, is_outside=is_outside)
         if places is not None:
             start = {"layout": "list", "poses": places}
@@ -139,7 +144,7 @@ def _starts(
         is_good = clearance < -2.0 * fence.radius if is_outside else clearance > 0.15
         if is_good and all(math.dist(place, other[:2]) > 1.0 for other in places):
             places.append([*place.tolist(), float(rng.uniform(-180.0, 180.0))])
-        if len(places) == ROBOTS:
+        if len(places) == group["count"]:
             return places
     return None
 
@@ -154,8 +159,8 @@ def measure(task: tuple[str, str, int, float, bool]) -> Result:
     assert made.fence is not None
     fence = Fence(made.fence, world.platforms[0])
     judge = Judge(fence, [one.footprint for one in world.platforms])
-    was_out = np.zeros(ROBOTS, dtype=bool)
-    least = np.full(ROBOTS, np.inf)  # m outside so far
+    was_out = np.zeros(len(world.ids), dtype=bool)
+    least = np.full(len(world.ids), np.inf)  # m outside so far
     crossings, worst, nearest, moving = 0, 0.0, math.inf, 0.0
 
     def look(_: float) -> None:
@@ -174,16 +179,19 @@ def measure(task: tuple[str, str, int, float, bool]) -> Result:
         was_out, worst = is_out, max(worst, -float(clearance.min()))
 
     run.advance(duration, look)
-    seconds = ROBOTS * duration
+    seconds = len(world.ids) * duration
     return Result(platform, mode, is_outside, seconds, moving, crossings, worst, nearest)
 
 
 def tasks(robot_hours: float, duration: float, first_seed: int) -> Iterator[tuple[Any, ...]]:
     """Runs of all platforms and modes in turn, one of four with a start outside."""
-    runs = math.ceil(3600.0 * robot_hours / (ROBOTS * duration))
-    for number in range(runs):
+    left = 3600.0 * robot_hours
+    for number in count():
+        if left <= 0.0:
+            return
         platform = PLATFORMS[number % len(PLATFORMS)]
         mode = MODES[number // len(PLATFORMS) % len(MODES)]
+        left -= ROBOTS[mode] * duration
         is_outside = number // (len(PLATFORMS) * len(MODES)) % 4 == 3
         yield platform, mode, first_seed + number, duration, is_outside
 

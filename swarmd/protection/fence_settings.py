@@ -13,7 +13,7 @@ from msgspec import Meta, Struct
 
 _Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Corner = tuple[_Coordinate, _Coordinate]
-Corners = Annotated[list[Corner], Meta(min_length=3, max_length=64)]
+Corners = Annotated[list[Corner], Meta(max_length=64)]
 MIN_EDGE = 0.01
 """m: a shorter edge is taken for two equal corners."""
 
@@ -54,6 +54,8 @@ class FenceSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def polygon_fault(corners: Sequence[Corner]) -> str:
     """Why the corners are no simple polygon: a short edge, or two edges that meet; "" if simple."""
     n = len(corners)
+    if n < 3:
+        return f"has {n} corners; expected at least 3"
     edges = [(corners[i], corners[(i + 1) % n]) for i in range(n)]
     for a, b in edges:
         if not math.dist(a, b) >= MIN_EDGE:

@@ -93,7 +93,10 @@ PUSH = {"half_width_deg": 20, "speed": 0.1}
         ({"touch": {"push": {**PUSH, "half_width_deg": 61}}}, ["push.half_width_deg is 61", "60"]),
         ({"fence": {**FENCE, "polygn": []}}, ["no key 'polygn'", "'polygon'"]),
         ({"fence": {"polygon": FENCE["polygon"]}}, ["fence.frame is missing"]),
-        ({"fence": {**FENCE, "polygon": [[0, 0], [1, 0]]}}, ["fence.polygon", "3"]),
+        (
+            {"fence": {**FENCE, "polygon": [[0, 0], [1, 0]]}},
+            ["fence.polygon has 2 corners; expected at least 3"],
+        ),
         ({"fence": {**FENCE, "without_pose": "stop"}}, ["without_pose is 'stop'", "hold", "drive"]),
         (
             {"fence": {**FENCE, "polygon": [[0, 0], [2, 2], [2, 0], [0, 2]]}},

@@ -18,7 +18,7 @@ from swarmd.protection.fence import Fence
     ],
 )
 def test_no_robot_crosses_its_fence(platform: str, mode: str, seed: int, is_outside: bool) -> None:
-    result = measure((platform, mode, seed, 10.0, is_outside))
+    result = measure((platform, mode, seed, 20.0, is_outside))
     assert result.crossings == 0
     assert result.worst < 0.005
     assert result.moving > 0.0
@@ -27,5 +27,5 @@ def test_no_robot_crosses_its_fence(platform: str, mode: str, seed: int, is_outs
 
 def test_the_judge_sees_crossings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Fence, "limit", lambda self, requested, *_, **__: requested)
-    assert measure((PLATFORMS[3], "off", 4, 10.0, False)).crossings > 0
+    assert measure((PLATFORMS[3], "barrier", 4, 20.0, False)).crossings > 0
     assert fence.main(["--robot-hours", "0", "--jobs", "1"]) == 0
