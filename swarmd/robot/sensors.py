@@ -104,8 +104,8 @@ class Sensors(InputAges):
         self._given: tuple[Neighbor, ...] = ()  # as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
-        if fence is not None:
-            self._fence = FencePose(fence, POSE_TIMEOUT)
+        self._fence = None if fence is None else FencePose(fence, POSE_TIMEOUT)
+        if self._fence is not None:
             self._fence_due = self._fence.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
