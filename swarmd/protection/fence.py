@@ -283,8 +283,8 @@ class Fence:
         before = np.concatenate((np.full((4 * n, 1), present), clearance[:, :-1]), axis=1)
         rises = clearance >= present + turn_error * travel - _ROUNDING
         rises &= clearance >= before - _ROUNDING
-        permitted: NDArray[np.bool_] = (is_clear | rises).all(axis=1).reshape(4, n).all(axis=0)
-        return permitted
+        is_permitted = (is_clear | rises).reshape(4, n, _STEPS)
+        return np.asarray(is_permitted.all(axis=(0, 2)))
 
     def _stops(
         self, begins: Array, commands: Array, braking: Array, pose: Pose

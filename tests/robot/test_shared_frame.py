@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
@@ -181,14 +182,14 @@ def test_a_pattern_gets_the_own_pose_until_it_is_too_old() -> None:
 FENCE = FenceSettings(frame="mocap", polygon=[(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])
 
 
-def told(harness: RobotHarness, seconds: float, **changes: object) -> None:
+def told(harness: RobotHarness, seconds: float, **changes: Any) -> None:
     """Let time pass with a pose each 0.1 s."""
     for _ in range(round(seconds / 0.1)):
         harness.robot.step(PoseInput(shared(stamp=harness.now, **changes)), harness.now)
         harness.advance(0.1)
 
 
-def statuses(harness: RobotHarness, count: int, **changes: object) -> list[Status]:
+def statuses(harness: RobotHarness, count: int, **changes: Any) -> list[Status]:
     """The statuses of so many steps of `told`."""
     seen = []
     for _ in range(count):
