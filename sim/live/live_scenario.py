@@ -49,6 +49,7 @@ class LiveScenario:
             "touch": section["touch"],
             "accepts_unseen": dict(accepts.unseen),
             "accepts_faster": dict(accepts.faster),
+            **({} if scenario.fence is None else {"fence": scenario.effective["fence"]}),
         }
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:

@@ -134,7 +134,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         gc.freeze()
         # Without a radio no neighbors are published; daemons then assume that all hear each other.
         radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
-        if options.shared_frame:
+        if options.shared_frame or scenario.fence is not None:
             world.posed = frozenset(range(len(world.ids)))
         live = RealTimeWorld(
             world,

@@ -132,7 +132,9 @@ class Lockstep:
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
         self.world.posed = frozenset(
-            row for row, platform in enumerate(self._platforms) if "pose" in platform.provides
+            row
+            for row, platform in enumerate(self._platforms)
+            if scenario.fence is not None or "pose" in platform.provides
         )
         # 2. The schedules. Each robot has a random phase 0..1, a share of each period.
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
@@ -216,6 +218,7 @@ class Lockstep:
             labels=labels,
             touch=self.scenario.touch.get(robot_id, {}),
             accepts=self.scenario.accepts,
+            fence=self.scenario.fence,
         )
         robot = Robot(
             robot_id,

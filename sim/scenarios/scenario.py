@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from swarmd.core.host_messages import Layers
 from swarmd.core.values import Array, Platform, Scalar, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
@@ -84,6 +85,7 @@ class Scenario:
     absent: frozenset[str] = frozenset()
     touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)  # by robot, pattern
     accepts: Accepts = ACCEPTS_NONE  # the peers that robots accept
+    fence: FenceSettings | None = None  # the area that robots do not leave
     notes: tuple[str, ...] = ()  # a line for each pair of platforms that fits only by exceptions
     trace_rate: float = 10.0
     plugin_dir: Path | None = None

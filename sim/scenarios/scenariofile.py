@@ -19,7 +19,8 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
 from swarmd.kit.touch import granted_zones
 from swarmd.plugins import pattern_folders
-from swarmd.settings.layered import Layered
+from swarmd.protection.fence import fence_fault
+from swarmd.settings.layered import Layered, dotted
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
@@ -158,6 +159,7 @@ def _overridden(
         check_radio(file.radio)
     groups = groups_of(layers, file, fields)
     accepts, notes = check_compatibility(layers, file, groups)
+    _check_fence(layers, file, groups)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
@@ -196,12 +198,24 @@ def _overridden(
         absent=schedule.absent,
         touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
         accepts=accepts,
+        fence=file.fence,
         notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
         pseudo_reality=pseudo_reality,
         effective=effective,
     )
+
+
+def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:
+    """ConfigError for a fence that is faulty, or too small for a platform."""
+    if file.fence is None:
+        return
+    for keys, text in file.fence.faults():
+        raise layers.error(("fence", *keys), f"{dotted(('fence', *keys))} {text}")
+    for platform in {platform.name: platform for platform in groups.robots.values()}.values():
+        if text := fence_fault(file.fence, platform):
+            raise layers.error(("fence",), f"fence {text}")
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

@@ -8,6 +8,7 @@ from msgspec import Meta, Struct, field
 
 from swarmd.core.bounds import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.settings.swarmfile import PlatformGrants
 from swarmd.sim.world.item_kind import ItemKind
 from swarmd.sim.world.radio import RadioSettings
@@ -125,8 +126,8 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     `platforms` overrides values of a platform's own file, or describes a new platform. `start`
     applies to all groups together that have no `start` of their own. `parameters`, by pattern,
-    apply to all robots; the parameters of a group prevail. `accepts_unseen` and `accepts_faster`
-    are as in swarm.yaml. `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys
+    apply to all robots; the parameters of a group prevail. `accepts_unseen`, `accepts_faster` and
+    `fence` are as in swarm.yaml; the frame of the world is `world`. `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys
     of `realism` and `radio`, within which each seed draws values, such as
     `{realism.lidar.dropout: [0, 0.1]}`, or true for the bounds of `pseudo_reality.BOUNDS`.
     """
@@ -149,5 +150,6 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     events: list[EventSection] = []
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
+    fence: FenceSettings | None = None
     plugin_dir: str | None = None
     pseudo_reality: bool | dict[str, Any] = False

@@ -37,6 +37,7 @@ def effective_config(settings: DaemonSettings) -> str:
         "touch": to_builtins(settings.touch),
         "accepts_unseen": dict(settings.accepts.unseen),
         "accepts_faster": dict(settings.accepts.faster),
+        "fence": to_builtins(settings.fence),
         "state_dir": str(settings.state_dir.absolute()),
         "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
         "recording": to_builtins(settings.recording),

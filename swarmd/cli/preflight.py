@@ -22,6 +22,7 @@ from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.modes import make_arbiter, narrowest_passage
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
@@ -41,6 +42,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         Finding("platform", True, _platform_text(settings)),
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
+        *_check_fence(settings),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -79,6 +81,22 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
     """The narrowest passages of mode `barrier`; other modes have none."""
     passage = narrowest_passage(make_arbiter(settings.platform))
     return [] if passage is None else [Finding("passes", True, passage_text(passage))]
+
+
+def _check_fence(settings: DaemonSettings) -> list[Finding]:
+    """The fence as configured; its polygons were checked with the settings."""
+    fence = settings.fence
+    return [] if fence is None else [Finding("fence", True, fence_settings_text(fence))]
+
+
+def fence_settings_text(fence: FenceSettings) -> str:
+    """The fence in one line."""
+    areas = f", {len(fence.keep_out)} areas to keep out of" if fence.keep_out else ""
+    without = "stands" if fence.without_pose == "hold" else "drives on without the fence"
+    return (
+        f"{len(fence.polygon)} corners in frame {fence.frame!r}{areas}; keeps {fence.margin:g} m of"
+        f" margin; without a fresh pose the robot {without}"
+    )
 
 
 def peers_text(settings: DaemonSettings) -> str:

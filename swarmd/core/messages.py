@@ -81,6 +81,7 @@ class Reason(StrEnum):
     COMMAND_EXPIRED = "command_expired"
     DRIVER_LOST = "driver_lost"
     INCOMPATIBLE_PEER = "incompatible_peer"
+    NO_POSE = "no_pose"  # the robot has a fence, and no usable pose in its frame
     PATTERN_RESTARTING = "pattern_restarting"
     # running, with a command of zero
     NO_REQUESTED_COMMAND = "no_requested_command"
@@ -285,6 +286,24 @@ class NarrowestPassage(Struct, frozen=True):
     meeting: Metres
 
 
+class FenceSummary(Struct, frozen=True, kw_only=True):
+    """The fence of a robot, in the shared frame `frame`.
+
+    `polygons`: corners in m, the outer polygon first, then those to keep out of. `clearance`: m
+    from the robot to the fence, or minus the m by which the robot is outside; None without a usable
+    pose, for the reason in `text`. `error`: m, bound of the error of `clearance`. `limits`: the
+    fence changed the last command. `holds`: the robot stands without a pose.
+    """
+
+    frame: Name
+    polygons: tuple[tuple[tuple[Coordinate, Coordinate], ...], ...] = ()
+    clearance: Metres | None = None
+    error: Metres = 0.0
+    limits: bool = False
+    holds: bool = True
+    text: Line = ""
+
+
 class ProcessUsage(Struct, frozen=True, kw_only=True):
     """Usage of a process: `cpu`, the share of a core over the last second; `memory` in bytes."""
 
@@ -392,10 +411,11 @@ class Status(Struct, frozen=True, kw_only=True):
     `kernels`: which code decides, see `describe_kernels`. `body`: the body that the robot's beacons
     report. `peers`: the peers that the robot may not see, or that are faster than the robot
     assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
-    protection mode has no such width. `findings`: the violated assumptions for which the robot
-    drives slower, each with its evidence. `not_following`: how the base does not follow its
-    commands, or follows late. `goal`: None before the robot has seen a goal. `keys`: None in an
-    insecure swarm. `programs`: the Zenoh programs whose liveliness tokens the robot sees.
+    protection mode has no such width. `fence`: None without a fence. `findings`: the violated
+    assumptions for which the robot drives slower, each with its evidence. `not_following`: how the
+    base does not follow its commands, or follows late. `goal`: None before the robot has seen a
+    goal. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness tokens
+    the robot sees.
     """
 
     robot: Name
@@ -429,6 +449,7 @@ class Status(Struct, frozen=True, kw_only=True):
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
+    fence: FenceSummary | None = None
     findings: tuple[Line, ...] = ()
     not_following: Line = ""
     neighbors: tuple[Name, ...] = ()

@@ -19,7 +19,16 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, Twist
 from swarmd.protection.avoidance import Avoidance
-from swarmd.protection.decision import NO_PERMIT, Avoided, Decision, DecisionContext, Permit
+from swarmd.protection.decision import (
+    NO_PERMIT,
+    Avoided,
+    Decision,
+    DecisionContext,
+    ModeDecision,
+    Permit,
+)
+from swarmd.protection.fence import Fence, FenceView
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
 from swarmd.protection.recovery import NO_OTHERS, Allows, Others, Recovery
@@ -65,6 +74,7 @@ class Protection:
     _limits: object
     _arbiter = cython.declare(object, visibility="public")
     _monitor = cython.declare(object, visibility="public")
+    _fence: object  # None without a fence
     _footprint: object
     _geometry: object
     _recovery: object
@@ -82,6 +92,7 @@ class Protection:
     _scan: object
     _scan_points: object  # (k, 2) returns of the scan within the lookahead; None: not computed yet
     _min_gap: object
+    _points_context: object  # the context of the present decision
     _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
     _safe: object
     _mode_command: object  # the safe command before `speed_share`
@@ -93,8 +104,11 @@ class Protection:
     _last_case: tuple
     _last_decision: object
 
-    def __init__(self, platform: Platform, seed: str = "") -> None:
+    def __init__(
+        self, platform: Platform, seed: str = "", fence: FenceSettings | None = None
+    ) -> None:
         self._limits = platform.limits
+        self._fence = None if fence is None else Fence(fence, platform)
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
@@ -214,6 +228,7 @@ class Protection:
                 self._clipped_request = self._limits.clip(requested)
         clipped = candidate = self._clipped_request
         self._ring_points = context.near_points if context.near else None
+        self._points_context = context
 
         # 3. Decides zero outside `running` and under a hold.
         if is_running and hold is None and context.scan_age is None:
@@ -247,7 +262,11 @@ class Protection:
 
         # 6. The mode limits the candidate.
         mode_request = candidate if candidate is clipped else self._limits.clip(candidate)
-        decision = self._arbiter.decide(mode_request, context, self._safe, touch)
+        is_fenced: cython.bint = False
+        if self._fence is not None:
+            decision, is_fenced = self._fenced(mode_request, context, touch)
+        else:
+            decision = self._arbiter.decide(mode_request, context, self._safe, touch)
         twist = decision.twist
         is_active: cython.bint = candidate is not clipped or decision.is_active
         linear: cython.double = twist.linear
@@ -264,7 +283,7 @@ class Protection:
         ):
             reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
         last = self._last_decision = self._decision(
-            clipped, twist, is_active, decision.rows, reason, context
+            clipped, twist, is_active, decision.rows, reason, context, is_fenced
         )
         self._last_context = context
         self._last_case = clipped, candidate, candidate is clipped, self._is_recovering, touch
@@ -272,7 +291,31 @@ class Protection:
 
     def _safe_for(self, context, touch, requested):
         """The command of the mode for any requested command in the present situation."""
+        if self._fence is not None:
+            decision, _ = self._fenced(self._limits.clip(requested), context, touch)
+            return decision.twist
         return self._arbiter.decide(self._limits.clip(requested), context, self._safe, touch).twist
+
+    def _fenced(self, request, context, touch):
+        """The decision of the mode within the fence, and whether the fence changed a command.
+
+        The fence limits the request, and then the command of a mode that changed the request. The
+        second time all speeds get one share: the constraints of the mode are convex and permit
+        zero.
+        """
+        fence, command = self._fence, self._safe
+        asked = fence.limit(request, context, command)
+        decision = self._arbiter.decide(asked, context, command, touch)
+        twist = decision.twist
+        if twist is not asked:
+            twist = fence.limit(twist, context, command, is_even=True)
+        if asked is request and twist is decision.twist:
+            return decision, False
+        return ModeDecision(twist, True, decision.rows), True
+
+    def fence_view(self, context: DecisionContext) -> FenceView | None:
+        """The place of the robot against its fence; None without a fence or a usable pose."""
+        return None if self._fence is None else self._fence.view(context)
 
     def _pass_others(
         self, requested: Twist, context: DecisionContext, safe_for: Allows
@@ -306,7 +349,12 @@ class Protection:
         if points is None:  # up to 35 decisions a second ask, between two scans for the same points
             points = self._geometry.points(self._scan, self._recovery.lookahead)
             self._scan_points = points
-        return points if self._ring_points is None else np.concatenate((points, self._ring_points))
+        if self._ring_points is not None:
+            points = np.concatenate((points, self._ring_points))
+        if self._fence is not None:  # recovery takes the fence for a wall
+            fence = self._fence.points(self._points_context, self._recovery.lookahead)
+            points = np.concatenate((points, fence))
+        return points
 
     @cython.cfunc
     def _decision(
@@ -317,6 +365,7 @@ class Protection:
         rows: tuple,
         reason: object,
         context: object,
+        is_fenced: cython.bint = False,
     ):
         """The Decision for the command `twist` of the mode; tells the monitors the safe command.
 
@@ -326,6 +375,7 @@ class Protection:
             clipped_request: the request within the limits, for the report.
             is_active: the mode or a replacement changed the request.
             rows: the limiting obstacles.
+            is_fenced: the fence changed the command.
             reason: why the command is zero; None if the robot moves.
         """
         monitor, safe = self._monitor, twist
@@ -365,6 +415,7 @@ class Protection:
             self._is_recovering,
             share,
             self._avoided(context) if self._is_avoiding else None,
+            is_fenced != 0,
         )
 
     def _avoided(self, context: DecisionContext) -> Avoided | None:

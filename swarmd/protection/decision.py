@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.messages import LimitingObstacle, Reason
-from swarmd.core.values import Array, Odometry, TouchZone, Twist
+from swarmd.core.values import Array, Odometry, Pose, TouchZone, Twist
 
 
 class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
@@ -26,6 +26,23 @@ class ToldObstacle(Struct, frozen=True, array_like=True, gc=False):
     """m, the error of the place included"""
     age: float
     """s from the measurement to the decision"""
+
+
+class Anchor(Struct, frozen=True, array_like=True, gc=False):
+    """The pose of the robot in the frame of its fence, at the time of a measured pose."""
+
+    pose: Pose
+    """in the shared frame"""
+    odometry: Pose
+    """by odometry at the same time"""
+    error: float
+    """m, bound of the error of the place"""
+    yaw_error: float
+    """rad, bound of the error of the yaw"""
+    way: float
+    """m driven since then by odometry"""
+    turned: float
+    """rad turned since then, in both directions"""
 
 
 class DecisionContext(Struct, frozen=True, gc=False):
@@ -45,6 +62,8 @@ class DecisionContext(Struct, frozen=True, gc=False):
     """places that peers shared"""
     near: tuple[ToldObstacle, ...] = ()
     """returns of the platform's ring of range sensors"""
+    anchor: Anchor | None = None
+    """the pose in the frame of the fence; None without a fence or without a usable pose"""
 
     @property
     def near_points(self) -> Array:
@@ -149,3 +168,5 @@ class Decision(Struct, frozen=True, gc=False):
     """the share of the mode's command that the driver gets; below 1 after a violated assumption"""
     avoided: Avoided | None = None
     """why avoidance or right of way changed the command; None if neither did"""
+    is_fenced: bool = False
+    """the fence changed the command"""

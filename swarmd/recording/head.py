@@ -16,6 +16,7 @@ from swarmd.core.host_messages import Layers
 from swarmd.core.messages import Latch
 from swarmd.core.values import Array, Platform, TouchZone
 from swarmd.protection.compatibility import Accepts
+from swarmd.protection.fence_settings import FenceSettings
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
@@ -45,6 +46,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     latches: Mapping[str, Latch]
     cleared: tuple[str, ...] = ()
     goals: GoalRecord = GoalRecord()
+    fence: FenceSettings | None = None
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""

@@ -293,6 +293,7 @@ def settings_of(head: RecordingHead) -> RobotSettings:
         labels=head.labels,
         touch=head.touch,
         accepts=head.accepts,
+        fence=head.fence,
     )
 
 

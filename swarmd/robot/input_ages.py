@@ -40,7 +40,8 @@ class InputAges:
     `_problem`: why the last scan is not usable, None if it is. `_peers_due`: the time until which
     no peer holds the robot. `_hazards_until`: the time until which a hazard holds the robot.
     `_teller`: the `Peers` object while it knows the place of any peer, else None. `_ring`: the ring
-    of range sensors, None without a ring.
+    of range sensors, None without a ring. `_fence`: the `FencePose`, None without a fence.
+    `_fence_due`: the time until which the fence permits motion.
     """
 
     odometry = cython.declare(object, visibility="public")
@@ -64,6 +65,8 @@ class InputAges:
     _problem = cython.declare(object, visibility="public")
     _ring = cython.declare(object, visibility="public")
     _peers_due = cython.declare(cython.double, visibility="public")
+    _fence = cython.declare(object, visibility="public")
+    _fence_due = cython.declare(cython.double, visibility="public")
     _teller = cython.declare(object, visibility="public")
     _hazards_until = cython.declare(cython.double, visibility="public")
     _ends_run = cython.declare(cython.bint, visibility="public")
@@ -80,7 +83,7 @@ class InputAges:
 
     def __init__(self) -> None:
         self._scan_at = self._odometry_at = self._hazards_until = -INFINITY
-        self._peers_due = INFINITY
+        self._peers_due = self._fence_due = INFINITY
         self._neighbors = self._aged = ()
 
     @cython.ccall
@@ -95,6 +98,9 @@ class InputAges:
         self._context, self.odometry = None, odometry
         if is_new:
             self._odometry_at = now
+            if self._fence is not None:
+                self._fence.on_odometry(odometry)
+                self._fence_due = self._fence.until
 
     @cython.ccall
     def neighbors(self, now: cython.double) -> tuple:
@@ -148,6 +154,7 @@ class InputAges:
                 self._added,
                 () if self._teller is None else self._teller.told(now),
                 () if self._ring is None else self._ring.obstacles(now),
+                None if self._fence is None else self._fence.anchor(now),
             )
         return self._context
 
@@ -173,12 +180,14 @@ class InputAges:
                 return reason
         if self._needs_odometry and now - self._odometry_at > _ODOMETRY_TIMEOUT:
             return Reason.STALE_ODOMETRY
-        return Reason.INCOMPATIBLE_PEER if now > self._peers_due else None
+        if now > self._peers_due:
+            return Reason.INCOMPATIBLE_PEER
+        return Reason.NO_POSE if now > self._fence_due else None
 
     @cython.ccall
     def hold_due_at(self) -> float:
         """A time until which `hold` stays None, if `hold` is None now and no input arrives."""
-        due: cython.double = self._peers_due
+        due: cython.double = min(self._peers_due, self._fence_due)
         if self._scan_at > -INFINITY:
             due = min(due, self._scan_at + self._stale_after - self._added)
         if self._needs_odometry and self._odometry_at > -INFINITY:

@@ -199,6 +199,13 @@ class Peers:
         self._own_pose = _OwnPose(pose, at, shift, half * abs(twist.angular))
         return at
 
+    @property
+    def pose_errors(self) -> tuple[float, float]:
+        """m and rad: bounds of the errors of the last own pose, with those of its time."""
+        own = self._own_pose
+        assert own is not None
+        return own.shared.error + own.shift, own.shared.yaw_error + own.turn
+
     def shared_pose(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose in a shared frame and its age in s; None without a fresh pose."""
         own = self._own_pose

@@ -88,10 +88,12 @@ class Robot(Ticker):
         """
         super().__init__()
         self.id = id
-        self.platform = platform
+        self.platform, self.fence = platform, settings.fence
         self._last_tick, self._handlers = now, HANDLERS
-        self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
-        self._protection = Protection(platform, f"{seed}/{id}")
+        self._sensors = Sensors(
+            platform, settings.accepts, tells_pose=settings.tells_pose, fence=settings.fence
+        )
+        self._protection = Protection(platform, f"{seed}/{id}", settings.fence)
         # The lifecycle (state, runs, requests) continues the counts of earlier daemon processes, so
         # that no old request or answer seems new.
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)

@@ -36,7 +36,9 @@ from swarmd.core.values import (
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, barrier_settings, fastest_corner
 from swarmd.protection.decision import ToldObstacle
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.footprint import Footprint
+from swarmd.robot.fence_pose import FencePose
 from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
@@ -77,7 +79,12 @@ class Sensors(InputAges):
     pose: Pose | None
 
     def __init__(
-        self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
+        self,
+        platform: Platform,
+        accepts: Accepts = ACCEPTS_NONE,
+        *,
+        tells_pose: bool = False,
+        fence: FenceSettings | None = None,
     ) -> None:
         super().__init__()
         # The lidar: validity of a scan, its delay, and its correction by the motion of the base.
@@ -98,6 +105,9 @@ class Sensors(InputAges):
         self._given: tuple[Neighbor, ...] = ()  # as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
+        self._fence = None if fence is None else FencePose(fence, POSE_TIMEOUT)
+        if self._fence is not None:
+            self._fence_due = self._fence.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
         self._inbox_bytes = 0
@@ -163,6 +173,13 @@ class Sensors(InputAges):
         at = self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
         if at is not None:
             self.pose, self.pose_until = pose.pose, at + POSE_TIMEOUT
+            if self._fence is not None:
+                self._fence.on_pose(pose, at, self.peers.pose_errors, self._odometry_at)
+                self._context, self._fence_due = None, self._fence.until
+
+    def fence_text(self, now: float) -> str:
+        """Why the fence has no usable pose; empty with a pose, and without a fence."""
+        return "" if self._fence is None else self._fence.text(now)
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in the place that a peer reports in a shared frame."""

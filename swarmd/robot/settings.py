@@ -10,6 +10,7 @@ from swarmd.core.host_messages import Layers
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import Platform, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.latches import LatchRecord
 
 
@@ -20,7 +21,8 @@ class RobotSettings:
     `layers` returns the configured parameters of a pattern by layer, weakest first. `touch`: by
     pattern the part of the outline that may touch objects. `accepts`: the platforms beside which
     the robot may drive although its lidar misses them. `tells_pose`: send the pose in a shared
-    frame to all peers, which compute range and bearing of their neighbors from it.
+    frame to all peers, which compute range and bearing of their neighbors from it. `fence`: the
+    area that the robot does not leave.
     """
 
     driver: str
@@ -34,6 +36,7 @@ class RobotSettings:
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
     accepts: Accepts = ACCEPTS_NONE
     tells_pose: bool = False
+    fence: FenceSettings | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from swarmd.core.bounds import BoundedScalar
-from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
+from swarmd.core.messages import DecisionSummary, FenceSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision, WayState
 from swarmd.protection.protection import Protection
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
+from swarmd.robot.settings import RobotSettings
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
@@ -55,6 +56,8 @@ def make_status(
     reason, detail = status_reason(lifecycle, decision), machine.detail
     if loading is not None:
         detail = _loading_text(loading, now)
+    elif reason is Reason.NO_POSE and lifecycle.is_running:
+        detail = sensors.fence_text(now)[:MAX_VALUE]
     elif reason is Reason.HAZARD and lifecycle.is_running:
         detail = sensors.hazard_text(now)[:MAX_VALUE]
     param_sources = {} if running is None else running.values
@@ -103,10 +106,34 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
+        fence=_fence(settings, sensors, decision, protection, now),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
+    )
+
+
+def _fence(
+    settings: RobotSettings,
+    sensors: Sensors,
+    decision: Decision,
+    protection: Protection,
+    now: float,
+) -> FenceSummary | None:
+    """The fence and the place of the robot against it; None without a fence."""
+    fence = settings.fence
+    if fence is None:
+        return None
+    view = protection.fence_view(sensors.context(now))
+    return FenceSummary(
+        frame=fence.frame,
+        polygons=tuple(tuple(corners) for corners in fence.polygons),
+        clearance=None if view is None else view.clearance,
+        error=0.0 if view is None else view.error,
+        limits=decision.is_fenced,
+        holds=fence.without_pose == "hold",
+        text=sensors.fence_text(now)[:MAX_VALUE],
     )
 
 

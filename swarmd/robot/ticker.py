@@ -142,6 +142,8 @@ class Ticker:
         if now >= self._quiet_until:
             self._look_ahead()
         is_quiet: cython.bint = now < self._quiet_until and now - self._last_tick <= _STALL_TIMEOUT
+        if now > self._sensors._fence_due:  # a jump of pose or odometry ends no quiet time
+            is_quiet = False
         effects = None if is_quiet else Ticker._begin(self, now)
         self._last_tick = now
         if self._machine.state is _RUNNING:

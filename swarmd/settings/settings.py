@@ -26,6 +26,8 @@ from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
 from swarmd.protection.compatibility import Accepts
+from swarmd.protection.fence import fence_fault
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import is_revoked
@@ -64,6 +66,7 @@ class DaemonSettings:
     touch: TouchGrants
     accepts: Accepts
     neighbors: NeighborSettings
+    fence: FenceSettings | None
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
@@ -119,6 +122,9 @@ def load_daemon_settings(
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
 
+    if file.fence is not None and (text := fence_fault(file.fence, platform)):
+        raise layers.error(("fence",), f"fence {text}")
+
     # 3. Folders, and the inputs that the driver's options add.
     state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
     state_dir = state_dir or state_folder(environ)
@@ -139,6 +145,7 @@ def load_daemon_settings(
         touch=file.touch,
         accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
         neighbors=file.neighbors,
+        fence=file.fence,
         roster=file.robots if identity is None else identity.roster.robots,
         state_dir=state_dir,
         plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),

@@ -22,6 +22,7 @@ from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording.limits import FileLimits
 from swarmd.security.identity import Identity, choose_identity
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
@@ -96,6 +97,7 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `accepts_unseen`, `accepts_faster`: platforms whose robots may drive beside a robot that does
       not see them (`accepts_unseen`), or that assumes a lower speed (`accepts_faster`). A list of
       platforms, or reasons by platform. Robots may collide with robots of these platforms.
+    - `fence`: the area in a shared frame that robots do not leave.
     """
 
     identity: str | None = None
@@ -108,6 +110,7 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     touch: TouchGrants = {}
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
+    fence: FenceSettings | None = None
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -216,6 +219,9 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
         yield from _check_names(file)
         for key, text in file.neighbors.faults():
             yield fault_at(("neighbors", key), text)
+        if file.fence is not None:
+            for keys, text in file.fence.faults():
+                yield fault_at(("fence", *keys), text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)

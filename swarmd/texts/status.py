@@ -9,6 +9,7 @@ from typing import Any
 
 from swarmd.core.messages import (
     Body,
+    FenceSummary,
     Member,
     NarrowestPassage,
     Presence,
@@ -146,11 +147,27 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
+        *_fence(status.fence),
         *_scan_delay(status.scan_delay),
         *_titled("slowed by", status.findings),
         *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
+
+
+def _fence(fence: FenceSummary | None) -> list[tuple[str, str]]:
+    return [] if fence is None else [("fence", fence_text(fence))]
+
+
+def fence_text(fence: FenceSummary) -> str:
+    """The place of the robot against its fence in one line."""
+    frame = f"in frame {fence.frame}"
+    if fence.clearance is None:
+        effect = "the robot stands" if fence.holds else "it does not limit"
+        return f"{frame}; {effect}: {fence.text}"
+    side = "inside" if fence.clearance >= 0.0 else "outside"
+    limits = "; limits the command" if fence.limits else ""
+    return f"{abs(fence.clearance):.2f} m {side} (+- {fence.error:.2f} m), {frame}{limits}"
 
 
 def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:

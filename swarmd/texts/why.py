@@ -47,6 +47,7 @@ SENTENCES = {
     Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
     Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
     Reason.INCOMPATIBLE_PEER: "{peer}{detail}",
+    Reason.NO_POSE: "it has a fence and no usable pose{detail}; check the localisation{driver}",
     Reason.PATTERN_RESTARTING: "the pattern failed and is being loaded again{detail}",
     Reason.NO_REQUESTED_COMMAND: "the pattern requests no motion",
     Reason.PROTECTION: "protection holds it{gap}",
@@ -69,6 +70,7 @@ _LASTING_HOLDS = {
     Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",
     Reason.DRIVER_LOST: "its base did not answer",
     Reason.INCOMPATIBLE_PEER: "it did not see a peer, or a peer was faster than it assumes",
+    Reason.NO_POSE: "it has a fence and had no usable pose",
     Reason.PATTERN_RESTARTING: "the pattern failed and could not be loaded again",
 }
 

@@ -202,6 +202,7 @@ def row_of(status: Status) -> dict[str, Any]:
     `why`: the reason in words why the robot does not move. Commands are linear (m/s), angular
     (rad/s), lateral (m/s). `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the
     highest speed towards it that protection permits (m/s). `near` (m) and `battery` only if known.
+    `fence`: the corners of its polygons in m, the outer polygon first; missing without a fence.
     """
     decision = status.decision
     protection = protection_word_of(decision)
@@ -227,6 +228,8 @@ def row_of(status: Status) -> dict[str, Any]:
         row["near"] = decision.min_gap
     if (battery := status.readings.get("battery")) is not None:
         row["battery"] = battery
+    if status.fence is not None:
+        row["fence"] = status.fence.polygons
     return row
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli.preflight import (
+    _check_fence,
     _platform_text,
     check_daemon,
     check_patterns,
@@ -18,6 +20,7 @@ from swarmd.cli.preflight import (
     print_findings,
     protection_text,
 )
+from swarmd.core.errors import ConfigError
 from swarmd.core.finding import Finding
 from swarmd.core.values import Value
 from swarmd.daemon.driver import make_driver
@@ -205,6 +208,21 @@ def test_a_wrong_option_of_the_driver_is_one_line(
 )
 def test_the_limits_of_the_platform_are_named(tmp_path: Path, platform: str, limits: str) -> None:
     assert limits in _platform_text(settings_of(tmp_path, platform=platform))
+
+
+def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> None:
+    def given(side: float) -> DaemonSettings:
+        corners = [[0, 0], [side, 0], [side, side], [0, side]]
+        fence = {"frame": "mocap", "polygon": corners, "without_pose": "drive"}
+        return settings_of(tmp_path, json.dumps({"fence": fence}), platform="jackal")
+
+    (finding,) = _check_fence(given(4.0))
+    assert finding.text == (
+        "4 corners in frame 'mocap'; keeps 0.05 m of margin; without a fresh pose the robot drives"
+        " on without the fence"
+    )
+    with pytest.raises(ConfigError, match=r"r\.yaml: fence is too small for platform jackal: its"):
+        given(0.6)
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:

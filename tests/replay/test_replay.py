@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import CodeInput, HazardsInput
+from swarmd.core.events import CodeInput, HazardsInput, PoseInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.messages import State
+from swarmd.core.values import Pose, SharedPose
 from swarmd.mission.mission import mission_class
 from swarmd.pattern_host.loader import PatternLoader
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.replay.replay import Parity, recordings_of, repeat, total
 from tests.support.recorded_stories import ORIGINS, PATTERNS, Busy, Story
@@ -50,6 +53,22 @@ def test_a_run_of_a_robot_with_a_ring_is_repeated(tmp_path: Path) -> None:
     story.run("drive", 6.0, speed=0.15)
     assert {True, False} == {twist.is_zero for _, twist in story.robot.commands}
     assert_equal(story.replayed(), 150)
+
+
+def test_a_run_within_a_fence_is_repeated(tmp_path: Path) -> None:
+    corners = [(-0.3, -2.0), (0.45, -2.0), (0.45, 2.0), (-0.3, 2.0)]
+    story = Story(tmp_path, fence=FenceSettings(frame="w", polygon=corners))
+    story.recorder.begin(story.robot)
+    story.robot.ask("run", pattern="drive", params={"speed": 0.15})
+    is_fenced = set()
+    for number in range(60):
+        x = 0.3 if 15 < number < 30 else 0.0
+        pose = SharedPose(story.robot.now, Pose(x, 0.0, 0.1 * math.sin(number)), 0.02, 0.2, "w")
+        story.robot.step(PoseInput(pose))
+        story.robot.advance(0.1)
+        is_fenced.add(story.robot.robot.decision.is_fenced)
+    assert is_fenced == {False, True}
+    assert_equal(story.replayed(), 100)
 
 
 DRAWN = """\

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from swarmd.core.events import PeersInput, PlaceInput, PoseInput
-from swarmd.core.messages import Body, Reason
+from swarmd.core.messages import Body, Reason, State, Status
 from swarmd.core.values import PeerPlace, Pose, SharedPose, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
@@ -175,3 +177,78 @@ def test_a_pattern_gets_the_own_pose_until_it_is_too_old() -> None:
     sensors.on_pose(shared(3.0, 2.0, stamp=10.7), 11.1)  # 0.4 s late
     assert sensors.inputs(11.15, 0.1).pose == Pose(3.0, 2.0)
     assert sensors.inputs(11.25, 0.1).pose is None
+
+
+FENCE = FenceSettings(frame="mocap", polygon=[(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])
+
+
+def told(harness: RobotHarness, seconds: float, **changes: Any) -> None:
+    """Let time pass with a pose each 0.1 s."""
+    for _ in range(round(seconds / 0.1)):
+        harness.robot.step(PoseInput(shared(stamp=harness.now, **changes)), harness.now)
+        harness.advance(0.1)
+
+
+def statuses(harness: RobotHarness, count: int, **changes: Any) -> list[Status]:
+    """The statuses of so many steps of `told`."""
+    seen = []
+    for _ in range(count):
+        told(harness, 0.1, **changes)
+        seen.append(harness.status)
+    return seen
+
+
+def test_a_fenced_robot_runs_while_it_has_a_pose_and_no_longer() -> None:
+    harness = RobotHarness("burger", PATTERNS, fence=FENCE)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(0.5)
+    assert harness.status.reason is Reason.NO_POSE
+    assert harness.status.detail == "no pose in the frame 'mocap' has arrived"
+    told(harness, 1.2, yaw=1.0)
+    assert harness.twist.linear > 0.0
+    told(harness, 0.1, x=3.0)  # a jump
+    assert harness.twist.is_zero
+    assert harness.status.detail.startswith("the pose jumped by 2.00 m")
+    told(harness, 0.5, x=3.0)
+    assert harness.twist.linear > 0.0
+    told(harness, 0.1, x=3.0, frame="map")
+    assert harness.twist.is_zero
+    assert harness.status.detail == "the fence is in the frame 'mocap', the pose in 'map'"
+    told(harness, 0.6, x=3.0)
+    assert harness.twist.linear > 0.0
+    harness.advance(POSE_TIMEOUT + 0.1)
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.NO_POSE
+    harness.advance(2.0)
+    assert harness.status.state is State.STOPPED
+    assert harness.status.reason is Reason.NO_POSE
+
+
+def test_a_fence_stops_a_robot_and_the_status_tells_it() -> None:
+    harness = RobotHarness("burger", PATTERNS, fence=FENCE)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    seen = [status.fence for status in statuses(harness, 30, x=3.8)]
+    assert harness.twist.linear <= 0.0  # recovery backs off, as before a wall
+    assert all(fence is not None for fence in seen)
+    assert any(fence.limits for fence in seen if fence is not None)
+    fence = seen[-1]
+    assert fence is not None
+    assert fence.polygons == (tuple(FENCE.polygon),)
+    assert fence.clearance == pytest.approx(0.2 - BURGER.radius, abs=0.01)
+    told(harness, 4.0, x=2.0)
+    assert harness.twist.linear > 0.0
+
+
+def test_a_fence_without_pose_may_let_the_robot_drive() -> None:
+    made = replace(FENCE, without_pose="drive")
+    harness = RobotHarness("burger", PATTERNS, fence=made)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(1.0)
+    assert harness.twist.linear > 0.0
+    assert harness.status.fence is not None
+    assert harness.status.fence.clearance is None
+    told(harness, 1.2, x=3.8)
+    assert harness.twist.linear <= 0.0

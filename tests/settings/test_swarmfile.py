@@ -58,6 +58,7 @@ def test_takes_the_file_of_a_daemon_as_well(file: Path) -> None:
     assert load(file, {"swarm": "lab", "id": "r1", "platform": "burger"}).swarm == "lab"
 
 
+FENCE = {"frame": "mocap", "polygon": [[0, 0], [4, 0], [4, 4], [0, 4]]}
 PUSH = {"half_width_deg": 20, "speed": 0.1}
 
 
@@ -90,6 +91,21 @@ PUSH = {"half_width_deg": 20, "speed": 0.1}
         ),
         ({"touch": {"push": {**PUSH, "speed": 0.31}}}, ["touch.push.speed is 0.31", "0.3"]),
         ({"touch": {"push": {**PUSH, "half_width_deg": 61}}}, ["push.half_width_deg is 61", "60"]),
+        ({"fence": {**FENCE, "polygn": []}}, ["no key 'polygn'", "'polygon'"]),
+        ({"fence": {"polygon": FENCE["polygon"]}}, ["fence.frame is missing"]),
+        (
+            {"fence": {**FENCE, "polygon": [[0, 0], [1, 0]]}},
+            ["fence.polygon has 2 corners; expected at least 3"],
+        ),
+        ({"fence": {**FENCE, "without_pose": "stop"}}, ["without_pose is 'stop'", "hold", "drive"]),
+        (
+            {"fence": {**FENCE, "polygon": [[0, 0], [2, 2], [2, 0], [0, 2]]}},
+            ["fence.polygon crosses itself", "[0, 0] to [2, 2]", "[2, 0] to [0, 2]"],
+        ),
+        (
+            {"fence": {**FENCE, "keep_out": [[[0, 0], [1, 0], [1, 0]]]}},
+            ["fence.keep_out[0] has two equal corners: [1, 0]"],
+        ),
     ],
 )
 def test_a_wrong_value_is_refused_in_one_line(

@@ -23,6 +23,7 @@ from swarmd.patterns.drive.pattern import Drive
 from swarmd.patterns.random_walk.pattern import RandomWalk
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import ACCEPTS_NONE
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.limits import FileLimits
@@ -97,6 +98,7 @@ def head_at(robot: RobotHarness) -> RecordingHead:
         generation=robot.robot.generation,
         latches=robot.robot.latches,
         cleared=tuple(robot.robot.cleared),
+        fence=robot.robot.fence,
     )
 
 
@@ -109,6 +111,7 @@ class Story:
         latches: Mapping[str, Latch] | None = None,
         *,
         has_ring: bool = False,
+        fence: FenceSettings | None = None,
         patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
     ) -> None:
         self.recorder = FileRecorder(folder)
@@ -120,6 +123,7 @@ class Story:
             make=make,
             take=self.recorder.step,
             latches=record,
+            fence=fence,
             is_provisional=lambda generation: generation in self.provisional,
         )
         self.robot.scans = self._scan

@@ -43,6 +43,7 @@ from swarmd.core.verbs import (
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions, FailedCode
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -78,6 +79,7 @@ class RobotHarness:
         goals: GoalRecord | None = None,
         instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
+        fence: FenceSettings | None = None,
         make: Callable[..., Robot] = Robot,
         take: Callable[[Robot, Input, float], Actions | None] = Robot.step,
         is_provisional: Callable[[int], bool] = lambda generation: False,
@@ -108,6 +110,7 @@ class RobotHarness:
                 driver="story",
                 layers=lambda name: (),
                 touch=touch or {},
+                fence=fence,
             ),
             seed=1,
             instance=instance,

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from typing import Any
 
 import msgspec
+import pytest
 
 from swarmd.core.messages import (
     DecisionSummary,
     DelayFigure,
+    FenceSummary,
     LimitingObstacle,
     Member,
     NarrowestPassage,
@@ -133,6 +136,24 @@ def test_shows_how_late_scans_arrive_and_what_is_used() -> None:
     first = rows.index(("scan delay", "declared 100 ms, used 182 ms, hold beyond 500 ms"))
     assert "0.180 s +- 0.004 s, 20 samples" in rows[first + 1][1]
     assert "turns: not known: it has not turned" in rows[first + 2][1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"clearance": 0.5, "error": 0.02}, "0.50 m inside (+- 0.02 m), in frame mocap"),
+        (
+            {"clearance": -0.5, "error": 0.02, "limits": True},
+            "0.50 m outside (+- 0.02 m), in frame mocap; limits the command",
+        ),
+        ({"text": "too old"}, "in frame mocap; the robot stands: too old"),
+        ({"text": "too old", "holds": False}, "in frame mocap; it does not limit: too old"),
+    ],
+)
+def test_the_place_against_the_fence_is_told(changes: dict[str, Any], text: str) -> None:
+    member = make_member(fence=FenceSummary(frame="mocap", **changes))
+    assert member.status is not None
+    assert ("fence", text) in dict(sections(member, member.status))["Protection"]
 
 
 def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:

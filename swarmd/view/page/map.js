@@ -177,6 +177,7 @@ export class SwarmMap {
       this.canvas.width / 2 - this.centre[0] * zoom, this.canvas.height / 2 + this.centre[1] * zoom);
     this.grid(line, zoom);
     this.walls(text, dim, zoom);
+    this.fences(text, zoom);
     if (this.shows.links) this.drawLinks(dim, zoom);
     if (this.shows.trails) this.drawTrails(robots, zoom);
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan && now - robot.scanned < OLD) this.drawScan(robot, zoom);
@@ -252,6 +253,26 @@ export class SwarmMap {
       ctx.arc(x, y, radius, 0, 2 * Math.PI);
       ctx.fill();
     }
+  }
+
+  // The fences of robots, dashed; equal fences are drawn once.
+  fences(text, zoom) {
+    const { ctx } = this, drawn = new Set();
+    ctx.strokeStyle = text;
+    ctx.lineWidth = 2 * this.ratio / zoom;
+    ctx.setLineDash([8 * this.ratio / zoom, 6 * this.ratio / zoom]);
+    for (const robot of this.model.robots.values()) {
+      const polygons = robot.row.fence, key = polygons && JSON.stringify(polygons);
+      if (!key || drawn.has(key)) continue;
+      drawn.add(key);
+      for (const points of polygons) {
+        ctx.beginPath();
+        points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+        ctx.closePath();
+        ctx.stroke();
+      }
+    }
+    ctx.setLineDash([]);
   }
 
   drawLinks(dim, zoom) {

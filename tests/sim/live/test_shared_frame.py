@@ -12,7 +12,9 @@ from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec
+from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.swarmctl import await_applied
 
@@ -49,3 +51,48 @@ def test_a_jackal_drives_beside_a_burger_that_tells_its_place(tmp_path: Path) ->
         assert status().state is State.RUNNING
         assert status().reason is not Reason.INCOMPATIBLE_PEER
         assert status().peers[0].text.endswith("told")
+
+
+@pytest.mark.integration
+def test_a_live_robot_knows_its_place_in_its_fence(tmp_path: Path) -> None:
+    scenario = scenario_of(
+        {
+            "arena": {"size": [8.0, 8.0]},
+            "groups": {"tb3": {"platform": "burger", "count": 1}},
+            "start": {"layout": "list", "poses": [[0.0, 0.0, 0.0]]},
+            "fence": {"frame": "world", "polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]},
+        }
+    )
+    spec = FleetSpec(
+        swarm=unique_swarm(),
+        robots={BURGER: "burger"},
+        folder=tmp_path,
+        arena="",
+        layout="",
+        scenario=LiveScenario(scenario),
+    )
+    with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
+
+        def status() -> Status:
+            return statuses_of(operator.members())[BURGER]
+
+        def clearance() -> float | None:
+            fence = status().fence
+            return None if fence is None else fence.clearance
+
+        await_robots(operator, fleet)
+        wait_until(lambda: clearance() is not None, "the pose is used")
+        found = clearance()
+        assert found is not None
+        assert 0.8 < found < 1.0
+
+        def run() -> Outcome:
+            return operator.request(
+                RunRequest, {BURGER: status().epoch}, pattern="drive", params={"speed": 0.2}
+            )
+
+        await_applied(run, "the Burger runs")
+        wait_until(lambda: (clearance() or 1.0) < 0.3, "the Burger has come near its fence")
+        for _ in range(20):
+            now = clearance()
+            assert now is None or now > 0.0

@@ -1,0 +1,244 @@
+"""`python -m studies.safety.fence --robot-hours 50`: crossings of the fence by MuJoCo's poses.
+
+Each run has robots of one platform and mode within random polygons, convex or not, with and
+without areas to keep out of. Robots drive random commands. The pose in the shared frame has random
+errors up to the told bound, comes up to 0.1 s late, is lost for up to 1.2 s, and sometimes jumps by
+metres. A crossing: a place of the true outline is outside. In one run of four the robots start
+outside; then the study measures how much the distance to the fence grows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from studies.safety.scenes import PLUGINS
+from swarmd.core.values import Array, Pose, SharedPose
+from swarmd.protection.fence import Fence
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.world.world import World
+
+PLATFORMS = ("burger", "waffle_pi", "turtlebot4", "jackal")
+MODES = ("barrier", "stop_zone", "off")
+ROBOTS = {"barrier": 4, "stop_zone": 1, "off": 1}
+"""Robots of a run by mode: without the barrier other robots push a robot across its fence."""
+ERROR, YAW_ERROR = 0.03, 0.03  # m and rad: the told bounds of the errors
+LATE, LOST, JUMPED = 0.2, 0.02, 0.01  # shares of poses that are late, begin a loss, or jump
+_PARTS = np.linspace(0.0, 1.0, 5)[:, None, None]  # of an edge of the outline
+
+
+class Result(NamedTuple):
+    """Of one run: robot-seconds, those in motion, crossings, and distances in m."""
+
+    platform: str
+    mode: str
+    is_outside: bool
+    seconds: float
+    moving: float
+    crossings: int
+    worst: float
+    """m that a place was outside at most; for a start outside: by how much the distance grew."""
+    nearest: float
+    """m, the least distance of the outline from the fence, of robots inside."""
+
+
+class Judge:
+    """Distances of the outlines of robots to their fence, by true poses."""
+
+    def __init__(self, fence: Fence, outlines: Sequence[Array]) -> None:
+        self._fence, self._radius = fence, fence.radius
+        self._points = [
+            (one + _PARTS * (np.roll(one, -1, axis=0) - one)).reshape(-1, 2) for one in outlines
+        ]
+
+    def clearances(self, poses: Array) -> Array:
+        """(n,) m from each outline to the fence; minus the m by which a place is outside."""
+        circles = self._fence.clearances(poses[:, :2])
+        for row in np.flatnonzero(circles < self._radius):
+            x, y, yaw = poses[row]
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            placed = self._points[row] @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+            circles[row] = self._fence.clearances(placed).min() + self._radius
+        return circles
+
+
+class Localisation:
+    """Poses with errors, delays, losses and jumps, in place of those of the world."""
+
+    def __init__(self, world: World, seed: int) -> None:
+        self._true, self._rng = world.shared_pose, np.random.default_rng(seed)
+        self._last: dict[int, SharedPose] = {}
+        self._lost_until: dict[int, float] = {}
+
+    def shared_pose(self, robot: int, stamp: float) -> SharedPose:
+        """The pose of a robot; a stamp that does not advance while the pose is lost."""
+        rng, known = self._rng, self._last.get(robot)
+        pose = self._true(robot, stamp)
+        self._last[robot] = pose
+        if known is not None and rng.random() < LATE:  # that of the reading before
+            pose = known
+        if rng.random() < LOST and stamp > self._lost_until.get(robot, 1.0):
+            self._lost_until[robot] = stamp + rng.uniform(0.0, 1.2)
+        at = 0.0 if stamp < self._lost_until.get(robot, 0.0) else pose.stamp
+        way, far = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, ERROR)
+        if rng.random() < JUMPED:
+            far = rng.uniform(0.0, 5.0)
+        x, y = pose.pose.x + far * math.cos(way), pose.pose.y + far * math.sin(way)
+        yaw = pose.pose.yaw + rng.uniform(-YAW_ERROR, YAW_ERROR)
+        return SharedPose(at, Pose(x, y, yaw), ERROR, YAW_ERROR, "world")
+
+
+def scene(platform: str, mode: str, seed: int, duration: float, *, is_outside: bool) -> Scenario:
+    """Robots and a random fence of about 6 m."""
+    rng = np.random.default_rng(seed)
+    for _ in count():
+        n = int(rng.integers(3, 10))
+        angles = 2.0 * math.pi * (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / n
+        radii = rng.uniform(1.5, 4.0, n) if rng.random() < 0.7 else np.full(n, 3.5)
+        corners = np.stack((radii * np.cos(angles), radii * np.sin(angles)), axis=1).tolist()
+        keep_out = []
+        if rng.random() < 0.5:
+            at, side = rng.uniform(-1.5, 1.5, 2), rng.uniform(0.02, 1.0)
+            shape = np.array([[0.0, 0.0], [1.0, 0.1], [0.9, 1.0], [0.4, 0.3]])
+            keep_out = [(at + side * shape).tolist()]
+        data: dict[str, Any] = {
+            "name": f"fence-{platform}-{mode}-{seed}",
+            "duration": duration,
+            "arena": {"size": [16.0, 16.0]},
+            "plugin_dir": str(PLUGINS),
+            "platforms": {platform: {"protection": {"mode": mode}}},
+            "fence": {"frame": "world", "polygon": corners, "keep_out": keep_out},
+        }
+        # A hold of 2 s ends a run: each robot begins anew every 10 s.
+        data["events"] = [
+            {"at": at, "run": "random_twists"} for at in np.arange(10.0, duration, 10.0).tolist()
+        ]
+        group = {"platform": platform, "count": ROBOTS[mode], "pattern": "random_twists"}
+        places = _starts(data, group, rng, is_outside=is_outside)
+        if places is not None:
+            start = {"layout": "list", "poses": places}
+            return scenario_of({**data, "groups": {"all": {**group, "start": start}}})
+    raise AssertionError
+
+
+def _starts(
+    data: dict[str, Any], group: dict[str, Any], rng: np.random.Generator, *, is_outside: bool
+) -> list[list[float]] | None:
+    """Start poses inside (or outside) that keep 1 m from each other; None without room."""
+    made = scenario_of({**data, "groups": {"all": group}})
+    assert made.fence is not None
+    fence = Fence(made.fence, next(iter(made.robots.values())))
+    places: list[list[float]] = []
+    for place in rng.uniform(-6.0, 6.0, (2000, 2)):
+        clearance = float(fence.clearances(place[None])[0])
+        is_good = clearance < -2.0 * fence.radius if is_outside else clearance > 0.15
+        if is_good and all(math.dist(place, other[:2]) > 1.0 for other in places):
+            places.append([*place.tolist(), float(rng.uniform(-180.0, 180.0))])
+        if len(places) == group["count"]:
+            return places
+    return None
+
+
+def measure(task: tuple[str, str, int, float, bool]) -> Result:
+    """Simulate one run and judge it at each step of the world."""
+    platform, mode, seed, duration, is_outside = task
+    made = scene(platform, mode, seed, duration, is_outside=is_outside)
+    run = Lockstep(made, seed)
+    world = run.world
+    world.shared_pose = Localisation(world, seed).shared_pose  # type: ignore[method-assign]
+    assert made.fence is not None
+    fence = Fence(made.fence, world.platforms[0])
+    judge = Judge(fence, [one.footprint for one in world.platforms])
+    was_out = np.zeros(len(world.ids), dtype=bool)
+    least = np.full(len(world.ids), np.inf)  # m outside so far
+    crossings, worst, nearest, moving = 0, 0.0, math.inf, 0.0
+
+    def look(_: float) -> None:
+        nonlocal crossings, worst, nearest, moving, was_out, least
+        poses = world.poses()
+        moving += world.dt * float((np.abs(world.twists()[:, :2]) > 0.01).any(axis=1).sum())
+        if is_outside:
+            away = -fence.clearances(poses[:, :2])
+            least = np.minimum(least, np.maximum(away, 0.0))
+            worst = max(worst, float((away - least).max()))
+            return
+        clearance = judge.clearances(poses)
+        nearest = min(nearest, float(clearance.min()))
+        is_out = clearance < 0.0
+        crossings += int((is_out & ~was_out).sum())
+        was_out, worst = is_out, max(worst, -float(clearance.min()))
+
+    run.advance(duration, look)
+    seconds = len(world.ids) * duration
+    return Result(platform, mode, is_outside, seconds, moving, crossings, worst, nearest)
+
+
+def tasks(robot_hours: float, duration: float, first_seed: int) -> Iterator[tuple[Any, ...]]:
+    """Runs of all platforms and modes in turn, one of four with a start outside."""
+    left = 3600.0 * robot_hours
+    for number in count():
+        if left <= 0.0:
+            return
+        platform = PLATFORMS[number % len(PLATFORMS)]
+        mode = MODES[number // len(PLATFORMS) % len(MODES)]
+        left -= ROBOTS[mode] * duration
+        is_outside = number // (len(PLATFORMS) * len(MODES)) % 4 == 3
+        yield platform, mode, first_seed + number, duration, is_outside
+
+
+def table(results: Sequence[Result]) -> str:
+    """The sum of each platform and mode, as lines of a table."""
+    lines = ["| platform | mode | start | robot-hours | in motion | crossings | worst | nearest |"]
+    lines.append("|---|---|---|---|---|---|---|---|")
+    cells = sorted({(one.platform, one.mode, one.is_outside) for one in results})
+    for platform, mode, is_outside in cells:
+        cell = [one for one in results if one[:3] == (platform, mode, is_outside)]
+        hours = sum(one.seconds for one in cell) / 3600.0
+        moving = sum(one.moving for one in cell) / sum(one.seconds for one in cell)
+        worst, nearest = max(one.worst for one in cell), min(one.nearest for one in cell)
+        inside = "-" if is_outside else f"{100.0 * nearest:.1f} cm"
+        crossed = "-" if is_outside else str(sum(one.crossings for one in cell))
+        start = "outside" if is_outside else "inside"
+        lines.append(
+            f"| {platform} | {mode} | {start} | {hours:.2f} | {moving:.0%} | {crossed} |"
+            f" {1000.0 * worst:.1f} mm | {inside} |"
+        )
+    return "\n".join(lines)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Carry out the runs and print the table; 1 if there was a crossing."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robot-hours", type=float, default=50.0)
+    parser.add_argument("--duration", type=float, default=120.0, help="s of each run")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--until", type=float, default=math.inf, help="s after which no run begins")
+    options = parser.parse_args(arguments)
+    results: list[Result] = []
+    end = time.monotonic() + options.until
+    planned = list(tasks(options.robot_hours, options.duration, options.seed))
+    with ProcessPoolExecutor(options.jobs) as pool:
+        for first in range(0, len(planned), options.jobs):
+            if time.monotonic() > end:
+                break
+            results += pool.map(measure, planned[first : first + options.jobs])
+            print(results[-1], flush=True)
+    hours = sum(one.seconds for one in results) / 3600.0
+    crossings = sum(one.crossings for one in results)
+    print(f"{table(results)}\n\n{hours:.2f} robot-hours, {crossings} crossings")
+    return 1 if crossings else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

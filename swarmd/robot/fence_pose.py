@@ -1,0 +1,191 @@
+"""Decides which poses in a shared frame the fence of a robot may use, and when the robot is held.
+
+A pose is used once CONFIRMATIONS poses in a row agree by odometry, over at least CONFIRM_TIME. Two
+poses agree if they differ by no more than their errors, and the errors of odometry, explain. A pose
+that does not agree with the pose in use is a jump: nothing is known until new poses agree with each
+other, or poses agree with the pose in use again. Pure. Units: m, rad, s on the robot's clock.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from msgspec import Struct
+
+from swarmd.core.values import Odometry, Pose, SharedPose
+from swarmd.protection.decision import Anchor
+from swarmd.protection.fence import ODOMETRY_SHARE
+from swarmd.protection.fence_settings import FenceSettings
+from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+
+CONFIRMATIONS = 3
+"""Poses in a row that agree with the first one of a new place."""
+CONFIRM_TIME = 0.2
+"""Seconds between the first and the last of them at least."""
+FORGET_TIME = 5.0
+"""Seconds after which a pose in use is no longer compared with new poses."""
+_SLACK = 0.02, 0.02  # m and rad that two poses may differ by, beside their errors
+
+
+class _Fix(Struct, frozen=True):
+    """A measured pose with the odometry at its time `at`; `way` and `turned` so far."""
+
+    shared: SharedPose
+    odometry: Pose
+    error: float
+    yaw_error: float
+    at: float
+    way: float
+    turned: float
+
+
+class FencePose:
+    """The pose of one robot in the frame of its fence."""
+
+    def __init__(self, settings: FenceSettings, timeout: float) -> None:
+        """`timeout`: the age in s beyond which a pose is not used."""
+        self._frame, self._timeout = settings.frame, timeout
+        self._holds = settings.without_pose == "hold"
+        self._readings: deque[Odometry] = deque(maxlen=HISTORY)
+        self._way = self._turned = 0.0
+        self._used: _Fix | None = None
+        self._new: _Fix | None = None  # the first pose of a place that is not confirmed
+        self._newest: _Fix | None = None
+        self._agreeing = 0  # poses after `_new` that agree with it
+        self._is_used = False  # the last pose agreed with `_used`
+        self._fault = f"no pose in the frame {self._frame!r} has arrived"
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Take in a reading. After a jump of odometry nothing is known."""
+        if self._readings:
+            last = self._readings[-1]
+            if odometry.stamp == last.stamp:
+                return
+            if odometry.stamp < last.stamp or odometry.jumps_from(last):
+                self._readings.clear()
+                self._forget("odometry jumped")
+            else:
+                here, there = odometry.pose, last.pose
+                self._way += math.hypot(here.x - there.x, here.y - there.y)
+                self._turned += abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
+        self._readings.append(odometry)
+
+    def on_pose(
+        self,
+        pose: SharedPose,
+        at: float,
+        errors: tuple[float, float],
+        odometry_at: float,
+    ) -> None:
+        """Take in the own pose at the time `at`, with the bounds of its errors in m and rad.
+
+        `odometry_at`: when the newest reading of odometry arrived.
+        """
+        if pose.frame != self._frame:
+            self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
+            return
+        if not self._readings:
+            return
+        stamp = self._readings[-1].stamp + at - odometry_at
+        if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
+            return
+        # `way` and `turned` are those of now: a little too short, by the delay of the pose.
+        odometry = _pose_at(self._readings, stamp)
+        fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
+        if self._used is not None and at - self._used.at > FORGET_TIME:
+            self._used = None
+        if self._used is not None and _agree(self._used, fix):
+            self._use(fix)
+        elif self._new is not None and self._newest is not None and _agree(self._newest, fix):
+            self._newest, self._agreeing = fix, self._agreeing + 1
+            if self._agreeing >= CONFIRMATIONS and at - self._new.at >= CONFIRM_TIME:
+                self._use(fix)
+        else:
+            if self._used is not None:
+                far = _difference(self._used, fix)[0]
+                self._fault = f"the pose jumped by {far:.2f} m; waits until poses agree"
+            else:
+                self._fault = "waits until poses agree"
+            self._new = self._newest = fix
+            self._agreeing, self._is_used = 0, False
+
+    def _use(self, fix: _Fix) -> None:
+        self._used, self._new, self._newest = fix, None, None
+        self._agreeing, self._is_used, self._fault = 0, True, ""
+
+    def _forget(self, fault: str) -> None:
+        self._used = self._new = self._newest = None
+        self._agreeing, self._is_used, self._fault = 0, False, fault
+
+    @property
+    def until(self) -> float:
+        """The time until which the robot may drive; -inf without a usable pose; inf if always."""
+        return self.known_until if self._holds else math.inf
+
+    @property
+    def known_until(self) -> float:
+        """The time until which there is an anchor; -inf without a usable pose."""
+        return self._used.at + self._timeout if self._is_used and self._used else -math.inf
+
+    def anchor(self, now: float) -> Anchor | None:
+        """The pose in use with its odometry; None without a fresh pose."""
+        fix = self._used
+        if fix is None or now > self.known_until:
+            return None
+        way, turned = self._way - fix.way, self._turned - fix.turned
+        return Anchor(fix.shared.pose, fix.odometry, fix.error, fix.yaw_error, way, turned)
+
+    def text(self, now: float) -> str:
+        """Why there is no anchor; empty with one."""
+        if now <= self.known_until:
+            return ""
+        if self._used is not None and self._is_used:
+            return f"the last pose is {now - self._used.at:.1f} s old"
+        return self._fault
+
+
+def _pose_at(readings: deque[Odometry], stamp: float) -> Pose:
+    """The pose by odometry at a stamp: interpolated, or extrapolated at a constant twist."""
+    later = readings[-1]
+    for reading in reversed(readings):
+        if reading.stamp <= stamp:
+            if reading is later:
+                break
+            part = (stamp - reading.stamp) / (later.stamp - reading.stamp)
+            a, b = reading.pose, later.pose
+            turn = math.remainder(b.yaw - a.yaw, 2.0 * math.pi)
+            x, y = a.x + part * (b.x - a.x), a.y + part * (b.y - a.y)
+            return Pose(x, y, a.yaw + part * turn)
+        later = reading
+    seconds = max(min(stamp - later.stamp, MAX_EXTRAPOLATION), -MAX_EXTRAPOLATION)
+    pose, twist = later.pose, later.twist
+    turn = twist.angular * seconds
+    cos, sin = math.cos(pose.yaw + 0.5 * turn), math.sin(pose.yaw + 0.5 * turn)
+    ahead, left = twist.linear * seconds, twist.lateral * seconds
+    return Pose(
+        pose.x + cos * ahead - sin * left, pose.y + sin * ahead + cos * left, pose.yaw + turn
+    )
+
+
+def _difference(earlier: _Fix, later: _Fix) -> tuple[float, float]:
+    """m and rad by which a pose differs from that of an earlier pose and odometry."""
+    turned = earlier.shared.pose.yaw - earlier.odometry.yaw
+    cos, sin = math.cos(turned), math.sin(turned)
+    dx = later.odometry.x - earlier.odometry.x
+    dy = later.odometry.y - earlier.odometry.y
+    x = earlier.shared.pose.x + cos * dx - sin * dy
+    y = earlier.shared.pose.y + sin * dx + cos * dy
+    pose = later.shared.pose
+    turn = math.remainder(pose.yaw - later.odometry.yaw - turned, 2.0 * math.pi)
+    return math.hypot(pose.x - x, pose.y - y), abs(turn)
+
+
+def _agree(earlier: _Fix, later: _Fix) -> bool:
+    """True if errors explain the difference of two poses; False for NaN."""
+    far, turn = _difference(earlier, later)
+    way, turned = later.way - earlier.way, later.turned - earlier.turned
+    most = earlier.error + later.error + (earlier.yaw_error + ODOMETRY_SHARE * turned) * way
+    most += ODOMETRY_SHARE * way + _SLACK[0]
+    most_turn = earlier.yaw_error + later.yaw_error + ODOMETRY_SHARE * turned + _SLACK[1]
+    return far <= most and turn <= most_turn

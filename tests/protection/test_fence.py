@@ -1,0 +1,405 @@
+"""The fence: pure properties with a handed-in clock, and the faults of its polygons."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
+from swarmd.protection.decision import DecisionContext
+from swarmd.protection.fence import Fence, fence_fault
+from swarmd.protection.fence_settings import FenceSettings, polygon_fault
+from swarmd.protection.protection import Protection
+from swarmd.robot.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
+from swarmd.settings.platforms import load_platform
+
+TICK = 0.05
+TIMEOUT = 0.5
+BOUND = 0.0
+"""m that the outline of a robot within the assumptions may be outside."""
+GROWTH = 0.002
+"""m that the distance of a robot outside may grow by the rounding of twelve steps of a stop."""
+SQUARE = FenceSettings(frame="w", polygon=[(-2.0, -2.0), (2.0, -2.0), (2.0, 2.0), (-2.0, 2.0)])
+BURGER = load_platform("burger")
+
+
+def in_mode(platform: Platform, mode: str) -> Platform:
+    return replace(platform, protection={**platform.protection, "mode": mode})
+
+
+def polygon(rng: np.random.Generator, *, convex: bool) -> list[tuple[float, float]]:
+    """A simple polygon around the origin; a star of random radii unless `convex`."""
+    n = int(rng.integers(3, 9))
+    angles = np.sort(rng.uniform(0.0, 2.0 * math.pi, n)) if not convex else None
+    if angles is None or np.diff(angles, append=angles[0] + 2.0 * math.pi).max() > 2.8:
+        angles = np.arange(n) * 2.0 * math.pi / n
+    radii = np.full(n, 2.0) if convex else rng.uniform(0.8, 3.0, n)
+    return [
+        (float(r * math.cos(a)), float(r * math.sin(a))) for r, a in zip(radii, angles, strict=True)
+    ]
+
+
+def outline_outside(fence: Fence, platform: Platform, pose: Array) -> float:
+    """m that the farthest corner or edge point of the true outline is outside; 0 inside."""
+    corners = platform.footprint
+    parts = np.linspace(0.0, 1.0, 9)[:, None, None]
+    points = (corners + parts * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    placed = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    away = fence.clearances(placed) + fence.radius
+    return max(-float(away.min()), 0.0)
+
+
+class Base:
+    """A base within the assumptions: late by 0 to 50 ms, brakes at the declared rate or better.
+
+    `pose` (x, y, yaw) is true; `odometry` drifts by up to 4 % of way and turn.
+    """
+
+    def __init__(self, platform: Platform, pose: Array, rng: np.random.Generator) -> None:
+        self.pose, self.rng = pose.copy(), rng
+        self.odometry = np.zeros(3)
+        self.speeds = np.zeros(3)  # ahead, left, turn
+        barrier = platform.protection["barrier"]
+        better = rng.uniform(1.0, 3.0, 2)
+        rates = barrier["braking_linear"] * better[0], barrier["braking_angular"] * better[1]
+        self.rates = np.array([rates[0], rates[0], rates[1]])
+        self.lateness = int(rng.integers(0, 6))  # in hundredths of a second
+        self.scale, self.turn_scale = 1.0 + rng.uniform(-0.04, 0.04, 2)
+        self.queue = [np.zeros(3)] * self.lateness
+
+    def drive(self, command: Twist) -> None:
+        """Move for one tick under a command, in steps of 10 ms."""
+        wanted = np.array([command.linear, command.lateral, command.angular])
+        for _ in range(5):
+            self.queue.append(wanted)
+            target = self.queue.pop(0)
+            step = 0.01 * self.rates
+            self.speeds += np.clip(target - self.speeds, -step, step)
+            moved = 0.01 * self.speeds
+            for pose, scale, turn in (
+                (self.pose, 1.0, 1.0),
+                (self.odometry, self.scale, self.turn_scale),
+            ):
+                yaw = pose[2] + 0.5 * turn * moved[2]
+                cos, sin = math.cos(yaw), math.sin(yaw)
+                pose[0] += scale * (cos * moved[0] - sin * moved[1])
+                pose[1] += scale * (sin * moved[0] + cos * moved[1])
+                pose[2] += turn * moved[2]
+
+    def reading(self, now: float) -> Odometry:
+        twist = Twist(float(self.speeds[0]), float(self.speeds[2]), float(self.speeds[1]))
+        return Odometry(now, Pose(*self.odometry.tolist()), twist)
+
+
+def run(
+    made: FenceSettings,
+    platform: Platform,
+    start: Array,
+    rng: np.random.Generator,
+    *,
+    seconds: float = 12.0,
+    gap: float = 0.1,
+    jumps: bool = False,
+) -> tuple[list[float], float]:
+    """Drive at random; (m that the outline is outside at each tick, m driven).
+
+    `gap`: s between poses. `jumps`: some poses are false by metres.
+    """
+    fence, known = Fence(made, platform), FencePose(made, TIMEOUT)
+    base, limits = Base(platform, start, rng), platform.limits
+    command, asked, next_pose = Twist(), Twist(), 0.0
+    outside, driven = [outline_outside(fence, platform, base.pose)], 0.0
+    history: list[tuple[float, Array]] = []
+    for number in range(int(seconds / TICK)):
+        now = number * TICK
+        reading = base.reading(now)
+        known.on_odometry(reading)
+        history.append((now, base.pose.copy()))
+        if now >= next_pose:
+            at, true = history[max(len(history) - 1 - int(rng.integers(0, 4)), 0)]
+            off, turn = rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02)
+            way = rng.uniform(-math.pi, math.pi)
+            x, y = true[0] + off * math.cos(way), true[1] + off * math.sin(way)
+            if jumps and rng.random() < 0.15:
+                x, y = x + rng.uniform(-3.0, 3.0), y + rng.uniform(-3.0, 3.0)
+            shared = SharedPose(now, Pose(x, y, true[2] + turn), 0.02, 0.02, "w")
+            known.on_pose(shared, at, (0.02, 0.02), now)
+            next_pose = now + gap * rng.uniform(0.5, 1.5)
+        if rng.random() < 0.1:
+            shares = rng.uniform(-1.0, 1.0, 3) if rng.random() < 0.7 else rng.choice([-1, 0, 1], 3)
+            asked = limits.clip(
+                Twist(
+                    float(shares[0]) * limits.linear,
+                    float(shares[1]) * limits.angular,
+                    float(shares[2]) * limits.lateral,
+                )
+            )
+        context = DecisionContext(now, 0.0, reading, 0.0, anchor=known.anchor(now))
+        is_held = now > known.until
+        command = Twist() if is_held else fence.limit(asked, context, command)
+        if asked.is_zero:
+            assert command.is_zero
+        before = base.pose[:2].copy()
+        base.drive(command)
+        driven += math.dist(before, base.pose[:2])
+        outside.append(outline_outside(fence, platform, base.pose))
+    return outside, driven
+
+
+def inner_start(made: FenceSettings, platform: Platform, rng: np.random.Generator) -> Array | None:
+    """A pose whose circle is inside with the margin; None if no place was drawn."""
+    fence = Fence(made, platform)
+    for _ in range(200):
+        place = rng.uniform(-3.0, 3.0, 2)
+        if fence.clearances(place[None])[0] > made.margin:
+            return np.array([*place, rng.uniform(-math.pi, math.pi)])
+    return None
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    convex=st.booleans(),
+    keeps_out=st.booleans(),
+    name=st.sampled_from(["burger", "waffle_pi", "turtlebot4"]),
+    gap=st.sampled_from([0.05, 0.1, 0.3, 0.7]),
+    jumps=st.booleans(),
+)
+def test_a_robot_that_starts_inside_stays_inside(
+    seed: int, convex: bool, keeps_out: bool, name: str, gap: float, jumps: bool
+) -> None:
+    rng, platform = np.random.default_rng(seed), load_platform(name)
+    keep_out = [[(0.3, 0.3), (0.6, 0.3), (0.31, 0.34), (0.3, 0.6)]] if keeps_out else []
+    made = FenceSettings(frame="w", polygon=polygon(rng, convex=convex), keep_out=keep_out)
+    start = inner_start(made, platform, rng)
+    if start is not None:
+        outside, _ = run(made, platform, start, rng, gap=gap, jumps=jumps)
+        assert max(outside) <= BOUND
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 10_000), convex=st.booleans())
+def test_a_robot_that_starts_outside_only_comes_nearer(seed: int, convex: bool) -> None:
+    rng = np.random.default_rng(seed)
+    made = FenceSettings(frame="w", polygon=polygon(rng, convex=convex))
+    fence = Fence(made, BURGER)
+    way = rng.uniform(-math.pi, math.pi)
+    start = np.array([4.0 * math.cos(way), 4.0 * math.sin(way), rng.uniform(-3.0, 3.0)])
+    distances: list[float] = []
+    known, base, command = FencePose(made, TIMEOUT), Base(BURGER, start, rng), Twist()
+    for number in range(200):
+        now = number * TICK
+        known.on_odometry(base.reading(now))
+        shared = SharedPose(now, Pose(*base.pose.tolist()), 0.0, 0.02, "w")
+        known.on_pose(shared, now, (0.0, 0.02), now)
+        distances.append(-float(fence.clearances(base.pose[None, :2])[0]))
+        asked = Twist(float(rng.uniform(-0.22, 0.22)), float(rng.uniform(-2.0, 2.0)))
+        context = DecisionContext(now, 0.0, base.reading(now), 0.0, anchor=known.anchor(now))
+        command = Twist() if now > known.until else fence.limit(asked, context, command)
+        base.drive(command)
+    assert np.diff(distances).max() <= GROWTH
+    assert max(distances) - distances[0] <= GROWTH
+
+
+def context_at(x: float, y: float, yaw: float, twist: Twist = Twist()) -> DecisionContext:  # noqa: B008  # it is frozen
+    known = FencePose(SQUARE, TIMEOUT)
+    odometry = Odometry(0.0, Pose(0.0, 0.0, 0.0), twist)
+    for number in range(CONFIRMATIONS + 3):
+        now = 0.1 * number
+        known.on_odometry(Odometry(now, odometry.pose, twist))
+        known.on_pose(SharedPose(now, Pose(x, y, yaw), 0.01, 0.01, "w"), now, (0.01, 0.01), now)
+    return DecisionContext(now, 0.0, odometry, 0.0, anchor=known.anchor(now))
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    linear=st.floats(-0.22, 0.22),
+    angular=st.floats(-2.0, 2.0),
+    x=st.floats(-1.0, 1.0),
+    y=st.floats(-1.0, 1.0),
+    yaw=st.floats(-4.0, 4.0),
+)
+def test_far_from_the_fence_a_command_passes_unchanged(
+    linear: float, angular: float, x: float, y: float, yaw: float
+) -> None:
+    asked = Twist(linear, angular)
+    assert Fence(SQUARE, BURGER).limit(asked, context_at(x, y, yaw), Twist()) is asked
+
+
+@pytest.mark.parametrize("x", [0.0, 1.8, 2.0, 3.0])
+def test_zero_stays_zero(x: float) -> None:
+    assert Fence(SQUARE, BURGER).limit(Twist(), context_at(x, 0.0, 0.0), Twist()).is_zero
+
+
+@pytest.mark.parametrize(
+    ("x", "asked", "limited"),
+    [
+        (1.83, Twist(0.2, 0.5), Twist(0.0, 0.5)),  # ahead is the fence: only the turn is left
+        (1.83, Twist(-0.2, 0.5), Twist(-0.2, 0.5)),
+        (3.0, Twist(0.2, 0.0), Twist()),  # outside, and farther out
+        (3.0, Twist(-0.2, 0.0), Twist(-0.2, 0.0)),
+        (3.0, Twist(0.0, 1.0), Twist(0.0, 1.0)),
+    ],
+)
+def test_a_limited_command_keeps_what_the_fence_permits(
+    x: float, asked: Twist, limited: Twist
+) -> None:
+    assert Fence(SQUARE, BURGER).limit(asked, context_at(x, 0.0, 0.0), Twist()) == limited
+
+
+def a_scan() -> Scan:
+    spec = BURGER.scan
+    ranges = np.full(len(spec.bearings), np.inf)
+    return Scan(1, 0.0, ranges, spec.bearings, spec.range_min, spec.range_max)
+
+
+@pytest.mark.parametrize("mode", ["barrier", "stop_zone", "potential_field", "off"])
+def test_the_fence_acts_in_every_mode(mode: str) -> None:
+    context = context_at(1.83, 0.0, 0.0)
+    free, fenced = (Protection(in_mode(BURGER, mode), "", made) for made in (None, SQUARE))
+    for one in (free, fenced):
+        one.observe(a_scan(), context)
+    asked = Twist(0.2, 0.5)
+    assert free.decide(asked, context, True, None).safe == asked
+    decision = fenced.decide(asked, context, True, None)
+    assert decision.safe == Twist(0.0, 0.5)
+    assert decision.is_fenced
+    assert decision.is_active
+    far = context_at(0.0, 0.0, 0.0)
+    assert fenced.decide(asked, far, True, None).safe == asked
+    assert not fenced.decide(asked, far, True, None).is_fenced
+
+
+class Told:
+    """A `FencePose` of a robot at rest that is told poses each 0.1 s."""
+
+    def __init__(self, **changes: Any) -> None:
+        self.known = FencePose(replace_settings(SQUARE, **changes), TIMEOUT)
+        self.now = 0.0
+
+    def tell(self, x: float, *, frame: str = "w", times: int = 1) -> None:
+        for _ in range(times):
+            self.now += 0.1
+            self.known.on_odometry(Odometry(self.now, Pose(0.0, 0.0, 0.0), Twist()))
+            pose = SharedPose(self.now, Pose(x, 0.0, 0.0), 0.01, 0.01, frame)
+            self.known.on_pose(pose, self.now, (0.01, 0.01), self.now)
+
+    @property
+    def holds(self) -> bool:
+        return self.now > self.known.until
+
+
+def replace_settings(made: FenceSettings, **changes: Any) -> FenceSettings:
+    from msgspec.structs import replace as replaced
+
+    return replaced(made, **changes)
+
+
+def test_a_first_pose_is_used_once_it_is_confirmed() -> None:
+    told = Told()
+    assert told.holds
+    assert "no pose in the frame 'w'" in told.known.text(told.now)
+    for number in range(CONFIRMATIONS):
+        told.tell(0.0)
+        assert told.holds, number
+    told.tell(0.0)
+    assert not told.holds
+    assert told.known.text(told.now) == ""
+
+
+def test_a_jump_holds_until_it_is_confirmed() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.tell(1.5)
+    assert told.holds
+    assert told.known.text(told.now) == "the pose jumped by 1.50 m; waits until poses agree"
+    assert told.known.anchor(told.now) is None
+    told.tell(1.5, times=CONFIRMATIONS)
+    assert not told.holds
+    anchor = told.known.anchor(told.now)
+    assert anchor is not None
+    assert anchor.pose.x == 1.5
+    assert CONFIRM_TIME <= 0.1 * CONFIRMATIONS + 1e-9
+
+
+def test_a_single_false_pose_holds_for_one_pose_only() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.tell(1.5)
+    assert told.holds
+    told.tell(0.0)
+    assert not told.holds
+
+
+def test_poses_that_do_not_agree_are_never_used() -> None:
+    told = Told()
+    for number in range(20):
+        told.tell(0.5 * number)
+        assert told.holds
+
+
+def test_a_pose_in_another_frame_holds_and_names_both_frames() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.tell(0.0, frame="map")
+    assert told.holds
+    assert told.known.text(told.now) == "the fence is in the frame 'w', the pose in 'map'"
+    told.tell(0.0, times=CONFIRMATIONS + 1)
+    assert not told.holds
+
+
+def test_an_old_pose_holds() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.now += TIMEOUT + 0.1
+    assert told.holds
+    assert told.known.text(told.now) == "the last pose is 0.6 s old"
+
+
+def test_odometry_that_jumps_holds_until_poses_agree() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.known.on_odometry(Odometry(told.now + 0.05, Pose(5.0, 0.0, 0.0), Twist()))
+    assert told.holds
+
+
+def test_a_robot_may_drive_without_a_pose_if_declared() -> None:
+    told = Told(without_pose="drive")
+    assert not told.holds
+    assert told.known.anchor(told.now) is None
+
+
+@pytest.mark.parametrize(
+    ("corners", "fault"),
+    [
+        ([(0, 0), (2, 0), (2, 2), (0, 2)], ""),
+        ([(0, 0), (2, 0), (1, 0.5), (0, 2)], ""),
+        ([(0, 0), (2, 2), (2, 0), (0, 2)], "crosses itself: the edge from [0, 0] to [2, 2]"),
+        ([(0, 0), (2, 0), (2, 0), (0, 2)], "has two equal corners: [2, 0]"),
+        ([(0, 0), (4, 0), (2, 0), (0, 2)], "turns back on itself at [4, 0]"),
+        ([(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)], "crosses itself"),
+    ],
+)
+def test_faults_of_polygons(corners: list[tuple[float, float]], fault: str) -> None:
+    assert polygon_fault(corners).startswith(fault)
+    assert bool(polygon_fault(corners)) == bool(fault)
+
+
+@pytest.mark.parametrize(
+    ("side", "keep_out", "is_fault"),
+    [(2.0, [], False), (0.3, [], True), (0.5, [[(0.2, 0.2), (0.3, 0.2), (0.25, 0.3)]], True)],
+)
+def test_a_fence_that_is_too_small_is_a_fault(
+    side: float, keep_out: list[list[tuple[float, float]]], is_fault: bool
+) -> None:
+    corners = [(0.0, 0.0), (side, 0.0), (side, side), (0.0, side)]
+    text = fence_fault(FenceSettings(frame="w", polygon=corners, keep_out=keep_out), BURGER)
+    assert bool(text) == is_fault
+    assert not text or text.startswith("is too small for platform burger")
