@@ -249,9 +249,10 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """The greatest sequence of a scan plus 1, and the span of the stamps in s.
+    """The greatest sequence number of a scan plus 1, and the span of the stamps in s.
 
-    The span is measured for each kind of input, whose clocks may differ; the greatest counts.
+    The span is measured for each kind of input, since their clocks may differ. The greatest span
+    counts.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

@@ -19,10 +19,10 @@ _FAR_SENSOR, _MANY_RAYS = 1.0, 8
 class ScanContent:
     """The last scan of a sensor, and the number of scans in a row that repeated earlier scans.
 
-    A scan repeats if its ranges equal the ranges of one of the last COMPARED_SCANS scans, as in
-    conditioning. `last`: None before the first scan. `count`: the number of scans. `has_measured`:
-    False while all ranges of all scans are 0 although the sensor would have returns in a room; the
-    sensor's motor may not turn yet.
+    A scan repeats if its ranges equal the ranges of one of the last COMPARED_SCANS different scans.
+    `last`: None before the first scan. `count`: the number of scans. `has_measured`: False while
+    all ranges of all scans are 0 although the sensor would have returns in a room: the sensor's
+    motor may not turn yet.
     """
 
     def __init__(self, spec: ScanSpec, section: str = "scan") -> None:
@@ -68,7 +68,8 @@ class ScanContent:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
         The first fault that applies: all ranges of the last scan are 0, no ray has a return, or the
-        last scans repeat each other although the sensor has noise.
+        last scans repeat earlier scans. With noise an exact repeat is implausible, so repeats mean
+        that the sensor's driver sends the same scan again and again.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):

@@ -15,7 +15,7 @@ def scan_delay_finding(
     scan: Scan | None,
     spec: ScanSpec,
 ) -> Finding:
-    """Compares the measured delay of scans with the platform's `scan.latency`.
+    """The finding that compares the measured delay of scans with the platform's `scan.latency`.
 
     `scans`, `odometries`: pairs of arrival and stamp in s. `scan`: one of the scans.
     """

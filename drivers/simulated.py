@@ -188,7 +188,11 @@ class SimulatedDriver:
             self._link.send("cmd_vel", command)
 
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
-        """Take all messages in order, and of each sensor the newest frame only."""
+        """Take all messages of patterns in order, and of each sensor the newest frame only.
+
+        `frames`: all that one read of the socket gave, in order; a name is a kind of input. After
+        `rest`, odometry waits in the socket for the next scan, and then goes to `_take_late`.
+        """
         newest: dict[str, bytes] = {}
         take_late = self._take_late
         for name, payload in frames:
@@ -198,15 +202,17 @@ class SimulatedDriver:
             elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
             else:
-                if name in newest and (take_late is None or name != _ODOMETRY):
+                is_expected = take_late is not None and name == _ODOMETRY
+                if name in newest and not is_expected:
                     sink.dropped(f"hw/{name}:overtaken")
                 newest[name] = payload
-        last, self._last_read = self._last_read, monotonic()
+        last_read, self._last_read = self._last_read, monotonic()
         waited: float | None = 0.0
         if take_late is not None:
+            # The link knows the age of the last frame alone; None: the stamp gives the age.
             is_last = frames[-1].name == _ODOMETRY
             waited = self._link.age if is_last and self._link is not None else None
-        batch = _Batch(take_late, waited, last)
+        batch = _Batch(take_late, waited, last_read)
         self._is_taking = True
         try:
             for name, payload in newest.items():
@@ -238,8 +244,8 @@ class SimulatedDriver:
     def _age(self, stamp: float, batch: _Batch) -> float:
         """Seconds since a reading of odometry arrived.
 
-        The stamp gives the arrival of a reading before a scan: the reading came as late after its
-        stamp as the reading before.
+        The arrival of a reading that came before a scan (`waited` None) is not measured. It follows
+        from the stamp: the reading is taken to be as late after its stamp as the previous reading.
         """
         now, waited = self._last_read, batch.waited
         arrival = stamp + self._lag if waited is None else now - waited

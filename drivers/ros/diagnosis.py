@@ -92,14 +92,15 @@ class Graph:
     def silence(self, stats: TopicStats) -> str:
         """Why no message arrives on a topic, and the next step; `stats`: of the topic.
 
-        The first reason that applies: a silent node, another message type, a topic that the hub
-        does not route, another ROS domain, no node that publishes the topic.
+        The first reason that applies: a node that is silent or publishes on change, another message
+        type, a topic that the hub (bridge, router or ROS master) does not pass on, another ROS
+        domain, no node that publishes the topic.
         """
         middleware, topic = self.middleware, stats.topic
         wanted_type = middleware.type_name(stats.message_type)
         publishers = self._in_domain(is_publisher=True)
         types = sorted({end.type for end in publishers if end.topic == topic})
-        if wanted_type in types and stats.is_never_stale:
+        if wanted_type in types and stats.is_never_stale:  # a topic that is published on change
             return f"{topic} is announced and not latched: no value before its next change"
         if wanted_type in types:
             return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
@@ -112,7 +113,7 @@ class Graph:
         announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
         wanted = (topic, wanted_type)
         domains = _domains(end for end in announced if (end.topic, end.type) == wanted)
-        if publishers and not domains:
+        if publishers and not domains:  # this domain has topics, and no domain has this topic
             return self._missing(stats, publishers)
         domains = domains or _domains(announced)
         if domains:
@@ -225,17 +226,18 @@ class Graph:
         return None
 
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
-        """Why more than one node seems to publish a needed topic; empty if only one does.
+        """Why more than one node seems to publish a needed topic; empty without a sign of this.
 
         The signs, in this order: several announced nodes or bridges, stamps that go back, messages
         that come too often for `spec.rate`. The stamps and the rate are no sign if exactly one node
-        is announced.
+        is announced: its clock was set, or the platform's rate is wrong.
         """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
         is_too_fast = bool(too_fast(stats, spec))
-        bridges = {end.zid for end in publishers}
+        bridges = {end.zid for end in publishers}  # by the id of the Zenoh session
+        # Of two nodes with one name, one may have crashed, unless the messages come too often.
         if several := self._several_nodes(publishers, f"publish {topic}", is_alive=is_too_fast):
             return several
         if len(bridges) > 1:
@@ -282,6 +284,7 @@ class Graph:
     def no_subscriber(self, topic: str, allowed: Sequence[type], *, has_subscriber: bool) -> str:
         """Why no base receives the commands on `topic`; empty if a base receives them.
 
+        A base is a subscriber that moves the robot, unlike a listener such as a recorder.
         `allowed`: the message classes that the options allow for commands. `has_subscriber`: a node
         subscribes to the commands, whether or not an announcement names the node.
         """
@@ -295,7 +298,7 @@ class Graph:
                 f"{topic} wants {listed(base_types)}, not {' or '.join(allowed_names)}; set"
                 f" driver_options.{option}"
             )
-        # 2. No base is announced, but listeners such as a recorder, or nodes that are not routed.
+        # 2. No base is announced. Only listeners subscribe, or the hub does not pass the topic on.
         if not base_types and (listening := [end.owner for end in self.subscribers(topic)]):
             only = listed(sorted(set(listening)))
             return f"only {only} takes {topic}, which moves nothing; start the base"
@@ -568,12 +571,13 @@ class DriverCheck:
         return tuple(self._findings())
 
     def _findings(self) -> Iterator[Finding]:
+        """The findings of a check whose hub answers."""
         # 1. The hub and the topics. Entries of the options that share a topic have its finding.
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in topics.values():
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
-            if stats.is_needed or stats.count or stats.faults or is_named:
+            if stats.is_needed or stats.count or stats.faults or is_named:  # else it may be absent
                 yield self._topic(stats)
             for name in stats.further:
                 yield replace(self._topic(stats, is_entry=True), subject=name)
@@ -584,7 +588,8 @@ class DriverCheck:
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
-        # 2. The commands: the first of a missing base, a second base, and a route that fails.
+        # 2. The commands. The first fault that applies: no base, a second base, or a hub that does
+        # not pass the commands on. Then nodes that are not known, and other nodes that command.
         conflict = self.graph.conflict(topics.values(), self.spec)
         is_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
         fault = (
@@ -664,8 +669,9 @@ class DriverCheck:
     def _last_word(self) -> Finding:
         """The finding on other nodes that may command the base, and on a multiplexer.
 
-        A fault if another node commands the base now, or may while `is_exclusive`. Else the text
-        names the silent publishers, and a multiplexer (a subscriber with `mux` in its name) that
+        A fault if another node commands the base now. With `is_exclusive` (ROS 1 without the option
+        `shared_cmd_vel`) a silent publisher of commands is a fault, too. Otherwise the text names
+        the silent publishers, and the multiplexer (a subscriber with `mux` in its name) that
         decides between them and this driver.
         """
         command_topic, publishers = self.cmd_vel, sorted(self.foreign_publishers)
@@ -679,7 +685,7 @@ class DriverCheck:
         multiplexer = listed(sorted(node for node in nodes if "mux" in node))
         mux_text = f"{multiplexer} takes {command_topic}: give swarmd the highest priority there"
         mux_text = f"{mux_text} ({LAST_WORD})" if multiplexer else ""
-        # Other publishers of commands that are silent now, by topic.
+        # Other publishers of commands that are silent now, by topic; `topics[0]` is the own topic.
         silent = {command_topic: publishers}
         silent |= {topic: self._owners(topic) for topic in self.foreign.topics[1:]}
         silent_texts = [

@@ -68,7 +68,7 @@ def with_nodes(
     merged: list[Endpoint] = []
     for end in announced:
         key = end.zid, end.is_publisher, end.topic
-        nodes = [] if end.node else nodes_of_topic.pop(key, [])
+        nodes = [] if end.node else nodes_of_topic.pop(key, [])  # with a node: rmw_zenoh, no bridge
         if not nodes or end.since > listed_at:
             merged.append(end)
             continue

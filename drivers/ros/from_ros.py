@@ -47,10 +47,11 @@ def scan_of(
 ) -> Scan:
     """The scan of a LaserScan, with bearings in the base frame.
 
-    `yaw`: rad to which the sensor's zero points. An upside-down sensor turns clockwise. The ages of
-    the rays are None, so that they follow from the platform's `scan.sweep`. If the robot measures
-    the sweep, the ages follow from `time_increment`, unless its value is impossible. Raises
-    CodecError if the angles span more than one turn.
+    `yaw`: rad to which the sensor's zero points. `seq`: the number of the scan. The angles of an
+    upside-down sensor rise clockwise. The ages of the rays are None, so that they follow from the
+    platform's `scan.sweep`. If the robot measures the sweep, the ages follow from `time_increment`,
+    unless its value is impossible. Raises CodecError for more than MAX_RAYS rays, and if the angles
+    span more than one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -64,8 +65,8 @@ def scan_of(
         ranges = message.ranges.astype(np.float64)
     # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
     # sllidar_ros2 give a positive value for rays in falling order of time, and hls_lfcd_lds_driver
-    # gives a value 18 times too short. The platform's file counts before it, or the core measures
-    # the order.
+    # gives a value 18 times too short. So the sweep of the platform's file comes first. If the core
+    # measures the order in time instead (`measures_sweep`), these ages give only the duration.
     ages = _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None
     stamp = stamp_of(message.header.stamp)
     return Scan(seq, stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
@@ -97,13 +98,17 @@ def header_fault(message: ros.LaserScan) -> str:
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
     """The finding on the order in time of a scan's rays (the sweep).
 
-    It compares `time_increment` of the message with the platform's `scan.sweep`. Only an impossible
-    `time_increment` is a fault, and only if the platform gives no sweep.
+    The finding compares `time_increment` of the message with the platform's `scan.sweep`. Only an
+    impossible `time_increment` is a fault, and only if the platform gives no sweep.
     """
     step, count = message.time_increment, len(message.ranges)
     message_s = abs(step) * count  # duration of the sweep by the message
     is_possible = _ages(step, count, 1.0 / spec.rate) is not None
-    is_rising = (step > 0.0) == (message.angle_increment > 0.0) != is_upside_down
+    # Does the bearing (counter-clockwise from above) rise with time? A negative step of time, a
+    # negative step of angle, and a sensor that hangs upside down each reverse the direction.
+    is_rising = (step > 0.0) == (message.angle_increment > 0.0)
+    if is_upside_down:
+        is_rising = not is_rising
     if is_possible:
         message_text = f"time_increment says {message_s:.3g} s a scan, {_TURNS[is_rising]}"
     elif step == 0.0:
@@ -154,9 +159,9 @@ def shared_pose_of(
 ) -> SharedPose:
     """The pose in a shared frame, with errors of at least `error` m and `yaw_error` rad.
 
-    If the message has a covariance, the errors are three standard deviations, if these are larger:
-    of the worst direction in the plane, and of yaw. CodecError if the pose or its covariance is not
-    finite or impossible, or the name of its frame is not proper.
+    If the message has a covariance, the errors are at least three standard deviations: of the worst
+    direction in the plane, and of yaw. CodecError if the pose or its covariance is not finite or
+    impossible, or the name of its frame is not proper.
     """
     pose: Any = message.pose
     if hasattr(pose, "covariance"):
@@ -164,6 +169,7 @@ def shared_pose_of(
         plane, yaw_variance = covariance[:2, :2], float(covariance[5, 5])
         if not (np.isfinite(plane).all() and 0.0 <= yaw_variance < math.inf):
             raise CodecError("the covariance is not finite, or negative")
+        # Variances in m2 along the main axes; a covariance is symmetric but for rounding.
         least, most = np.linalg.eigvalsh(0.5 * (plane + plane.T)).tolist()
         if least < -_ROUNDING * max(most, 1.0):
             raise CodecError("the covariance is negative")
@@ -210,9 +216,9 @@ def battery_readings(
     """The values `battery` (0 to 1) and `battery_voltage` in V that the message measures.
 
     `volts`: the voltages of an empty and a full pack, between which `battery` is interpolated.
-    Without `volts`, `percentage` is the unit of the message's field: `share` (of 1, as sensor_msgs
-    defines), or `percent`, as some drivers send. `battery` is left out without both, and if the
-    value is impossible in that unit.
+    Without `volts`, `battery` is the field `percentage` of the message, whose unit is the argument
+    `percentage`: `share` (0 to 1, as sensor_msgs defines) or `percent`, as some drivers send.
+    `battery` is left out without both arguments, and if the value is impossible in its unit.
     """
     voltage, share = message.voltage, math.nan
     if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
@@ -274,10 +280,10 @@ def twist_of(message: Any) -> Twist:
 class RangeRingDecoder:
     """Makes one scan of several range sensors, each with its own topic.
 
-    A scan is complete once each sensor has sent a value since the last scan, or once a sensor sends
-    its second value: sensors without a value are then NaN. A value with the stamp of the sensor's
-    last value is ignored. All rays have the same age. `bearings` (n,) rad. `distances` (n,) m from
-    the scan's origin to each sensor, which are added to its values.
+    A scan is complete once each sensor has sent a value since the last scan. A scan also ends once
+    a sensor sends its second value: the rays of sensors without a value are then NaN. A value with
+    the stamp of the sensor's last value is ignored. All rays have the same age. `bearings` (n,)
+    rad. `distances` (n,) m from the scan's origin to each sensor, which are added to its values.
     """
 
     def __init__(

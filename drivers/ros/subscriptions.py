@@ -45,7 +45,10 @@ class Subscriptions:
     def __init__(
         self, options: TopicOptions, platform: Platform, decode: Decode = cdr.decode
     ) -> None:
-        """Start without a message; `decode` reads the bytes of a message of a class."""
+        """Start without a message; `decode` reads the bytes of a message of a class.
+
+        A ring is a set of range sensors, each with its own topic, whose values make one scan.
+        """
         self._decode, self._spec = decode, platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
@@ -97,7 +100,7 @@ class Subscriptions:
         deliver_entries = partial(self.deliver_inputs, now=now)
         if is_kept and stats.stamps:
             stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
-        if stats.goes_stale:  # a topic of entries alone
+        if stats.goes_stale:  # a topic of entries alone; stamp 0: not set
             stats.record(now, stamp or now, entries_text or stats.summary)
             return deliver_entries
         if is_kept:  # an earlier message is no scan, odometry or pose
@@ -112,10 +115,11 @@ class Subscriptions:
     def _take_entries(
         self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
     ) -> str:
-        """Hand a message to the entries of its topic; their values as text, empty without entries.
+        """Hand a message to the entries of its topic; returns their values as text.
 
-        A message that repeats the last stamp is a copy, and does not renew the age of a value.
-        Messages without a header, or with stamp 0, count by their arrival.
+        The text is empty without entries. A message that repeats the last stamp is a copy, and does
+        not renew the age of a value. The age of a value of a message without a header, or with
+        stamp 0, begins at the arrival of the message.
         """
         is_copy = bool(stamp and stats.stamps and stamp == stats.stamps[-1])
         taken = (
@@ -143,9 +147,9 @@ class Subscriptions:
             inputs.forget(topic)
 
     def deliver_inputs(self, sink: Sink, now: float, *, again: bool = False) -> None:
-        """Deliver the inputs of the entries that have changed, also those that became stale.
+        """Deliver the inputs whose values have changed or have become stale.
 
-        `again`: deliver all inputs. Call it only while the base is connected.
+        `again`: deliver all inputs. Call this function only while the base is connected.
         """
         for inputs in self._inputs.values():
             input = inputs.input(now, again=again)
@@ -188,9 +192,11 @@ class Subscriptions:
         if stats.message_type is messages.LaserScan:
             return self._scan_value(stats, message), ""
         if stats.message_type is messages.Range:
+            # A scan of the ring of range sensors is complete after a value of each sensor.
             ring_scan = self._ring.take(self._ring_index[stats.name], message)
             if ring_scan is not None:
                 self.contents["ranges"].take(ring_scan)
+            # Without a lidar the ring is the robot's lidar.
             kind = RangesInput if "scan" in self.contents else ScanInput
             inputs = () if ring_scan is None else (kind(ring_scan),)
             return partial(_deliver, inputs), f"{message.range:.3g} m"
@@ -200,6 +206,7 @@ class Subscriptions:
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
+        # The messages of options imu and battery give readings beside those of option `readings`.
         readings = self._inputs["readings"]
         assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:

@@ -159,8 +159,8 @@ class TopicDetections(TopicEntry):
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
         """The horizontal position of an object in the image, and its side, both in pixels.
 
-        None if the object is outside the image or has no distance. This is the inverse of `read`,
-        for simulated cameras.
+        None if the object is outside the image or has no distance. Simulated cameras call this
+        function, which is the inverse of `read`.
         """
         if seen.distance is None:
             return None
@@ -195,8 +195,8 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
-    the key that is wrong.
+    It is a tuple since an entry of option `readings` may have several readers. `full`: returns the
+    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
     """
     option = f"detections.{name}"
     type_name = options.type.replace("/msg/", "/")
@@ -208,6 +208,7 @@ def topic_detections(
         # `detections` is a list of messages: rosbags' node is (sequence, ((name, type), ...)).
         _, (_, (item, *_)) = path_of(types, kind, "detections")
         item_type = types.kind(item[1])
+        # The path to the first of these fields that the definition has; None without such a field.
         place = _first(types, item_type, layout.place)
         if place is None:
             raise ConfigError(f"its definition has no {layout.place[0]}")

@@ -123,10 +123,10 @@ def topic_hazard(
 ) -> tuple[TopicHazard]:
     """The reader of the entry `name` of option `hazards`, as a tuple of one.
 
-    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
-    the key that is wrong.
+    It is a tuple since an entry of option `readings` may have several readers. `full`: returns the
+    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
     """
-    option, key = f"hazards.{name}", ""  # `key`: the key that is read, for an error
+    option, key = f"hazards.{name}", ""  # `key`: the key that is being read, for an error
     try:
         key = ".type"
         kind = item_type = types.kind(options.type)

@@ -81,7 +81,7 @@ class TopicReading(TopicEntry):
         return math.nan if self.lacks(message) else float(value_at(message, self.path))
 
     def lacks(self, message: Any) -> str:
-        """Why a message has no number; empty if it has.
+        """Why a message has no number for this reading; empty if the message has the number.
 
         The number is not measured, not finite, or beyond the end of a list.
         """
@@ -123,7 +123,8 @@ def topic_readings(
         paths = {field: number_path(types, kind, field) for field in fields}
     except ConfigError as error:
         raise ConfigError(f"{option}.field is {options.field!r}: {error}") from None
-    # 3. A sensor for each topic and field. Several sensors are numbered, and have a mean.
+    # 3. A sensor for each topic and field. Several sensors are numbered, and have a mean with the
+    # name of the entry, which is the first of `sensor_names`.
     topics = options.topics(name)
     sensors = [(topic_option, field) for topic_option in topics for field in paths]
     is_single = options.count is None and len(topics) == 1

@@ -108,15 +108,18 @@ class AdapterProcess:
         """Start the process, and watch its socket and error output in the running loop.
 
         `script`: the path of `adapter_process.py`. `python`: an interpreter that has rospy.
-        `config` is passed as JSON. Raises DriverError if the process cannot start.
+        `config` is passed as JSON. `environ`: the environment of the process. `listener` gets the
+        messages and events. Raises DriverError if the process cannot start.
         """
         self._listener, self._kept = listener, frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
+        # The last sign of life, put into the future: the first sign may take START_TIMEOUT.
         self._alive_at = self._loop.time() + START_TIMEOUT - ALIVE_TIMEOUT
         self._error_lines: deque[str] = deque(maxlen=_MAX_LINES)
         self._buffer = memoryview(bytearray(_MAX_FRAME))
-        # 1. A pair of connected sockets; the child's end is its standard input.
+        # 1. A pair of connected sockets that keep the bounds of packets (SOCK_SEQPACKET). The
+        # child's end is its standard input.
         try:
             self._socket, child_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except OSError as error:
@@ -182,7 +185,7 @@ class AdapterProcess:
     async def close(self, *, politely: bool) -> str:
         """End the adapter process, and return how it ended.
 
-        `politely`: the process may send its zero and exit; it is killed only if it does not.
+        `politely`: the process may send its zero and exit. It is killed only if it does not exit.
         """
         try:
             if politely and not self._ended.is_set():

@@ -16,10 +16,10 @@ for the layout of the packets:
 
 The adapter is the base's watchdog and outlives the daemon:
 
-1. It is armed from a non-zero command until the daemon has sent zeros for _DISARM_TIME.
-2. While armed, if no command comes for COMMAND_TIMEOUT, it sends zeros until the daemon commands
-   again, and turns commands into zeros for ZERO_TIME from the begin of the silence.
-3. When the daemon closes the socket, it sends zeros for ZERO_TIME, and ends.
+1. The adapter is armed from a non-zero command until the daemon has sent zeros for _DISARM_TIME.
+2. If no command comes for COMMAND_TIMEOUT, an armed adapter sends zeros until the daemon commands
+   again. For ZERO_TIME from the begin of the silence the adapter also turns commands into zeros.
+3. When the daemon closes the socket, the adapter sends zeros for ZERO_TIME, and ends.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class KeptTopic:
     """The last message of a topic that is published on change, sent until the driver has taken it.
 
     The class also reports the end of the publisher. After the publisher's end rospy keeps the
-    connection and dials again. A connection that is made again has another header, by which it is
-    told apart.
+    connection object and connects again. The new connection has another header than the earlier
+    connection.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -200,10 +200,11 @@ class Adapter:
         self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
 
     def _follow_type(self, wanted: Any, connected: int) -> None:
-        """Publish commands in the type of the listeners' subscriptions (`wanted`), if all agree.
+        """Publish commands in the type to which all listeners subscribe (`wanted`: their types).
 
-        Without effect while a listener is connected. rospy cannot advertise a topic again with
-        another type. So the adapter ends if the type changes, and the driver starts a new adapter.
+        Without effect if the types differ, and while a listener is connected. rospy cannot
+        advertise a topic again with another type. So the adapter ends if the type changes, and the
+        driver starts a new adapter.
         """
         allowed = self._config["command_types"]
         kinds = {kind for kind in wanted if kind in allowed}
@@ -349,10 +350,11 @@ class Adapter:
         ]
         connected = 0 if self._publisher is None else self._bases()
         wants = {}
-        if connected < len(listeners):
+        if connected < len(listeners):  # a listener that does not connect may want another type
             wants = {node: master.wants(node, command_topic) for node in listeners}
         self._follow_type(wants.values(), connected)
-        # 3. Topics that the driver may propose for a topic that is missing.
+        # 3. Topics that the driver may propose to the user in place of a missing topic: published
+        # topics of each type that the driver reads, and subscribed topics of the command types.
         candidates = {
             kind: sorted(
                 topic

@@ -111,12 +111,13 @@ class Ros1Driver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command; while the base is lost it is dropped.
+        """Send a safe command, that is a command that protection has checked.
 
-        The first command after a loss is sent as zero. Zero for a stopped robot (`is_stopped`) is
-        sent even while the base is lost, since another node may command the base. For the first 2 s
-        of a loss each command is sent as zero, so that the adapter is disarmed: otherwise it would
-        take the silence for a dead daemon's, and would send zeros against the next driving node.
+        While the base is lost, commands are dropped with two exceptions. Zero for a stopped robot
+        (`is_stopped`) is sent, since another node may command the base. For the first 2 s of a loss
+        each command is sent as zero, which disarms the adapter. An armed adapter would take the
+        silence for the end of the daemon, and would send zeros against the next node that drives
+        the base. The first command after a loss is sent as zero.
         """
         twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)
@@ -222,6 +223,7 @@ class Ros1Driver:
             *((topic, foreign.protocol.message_type) for topic in foreign.actions),
         ]
         definitions = {
+            # `definition` gives (definition, md5sum), and the adapter takes (md5sum, definition).
             serialization.type_name(kind): serialization.definition(kind)[::-1]
             for kind in (TwistMessage, TwistStamped)
         }
@@ -263,9 +265,9 @@ class Ros1Driver:
         self._update_state()
 
     def on_message(self, topic: int, data: bytes) -> None:
-        """Read a serialised message of topic number `topic` and hand it to the sink.
+        """Read a serialised message of topic number `topic`, and hand its values to the sink.
 
-        Numbers past the own topics are commands or action states of other nodes.
+        The numbers behind those of the subscriptions are action states and commands of other nodes.
         """
         now, topics = asyncio.get_running_loop().time(), [*self._subscriptions.topics.values()]
         if topic >= len(topics):

@@ -36,7 +36,7 @@ class Ros1:
 
 
 class MasterGraph:
-    """The state of the master and of publishers, for the time of one adapter process.
+    """The state of the ROS master and of publishers, for the life of one adapter process.
 
     `command_type`: such as `geometry_msgs/Twist`; empty while neither the options nor a base give
     the type.
@@ -88,6 +88,7 @@ class MasterGraph:
         ]
         # 2. Subscribers: of the commands with their nodes, and of other topics of command types.
         for node in state.listeners:
+            # A node that takes any type states `*`; a node that is connected takes `command_type`.
             kind = state.wants.get(node, "").strip("*") or self.command_type
             if kind:
                 ends.append(Endpoint(False, self.cmd_vel, kind, node=node))

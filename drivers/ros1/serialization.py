@@ -59,7 +59,7 @@ def type_name(message_type: type) -> str:
 def definition(message_type: type) -> tuple[str, str]:
     """The type's definition, which publishers announce, and its md5 sum.
 
-    ROS Noetic's, or that of the `.msg` file that the type is from.
+    The definition is ROS Noetic's, or the text of the `.msg` file of a vendor's type.
     """
     text, md5sum = _store_of(message_type).generate_msgdef(name_of(message_type), ros_version=1)
     return text, md5sum

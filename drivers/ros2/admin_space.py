@@ -65,7 +65,7 @@ _BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
-    """Queries the admin space of each Zenoh bridge again and again, and fills `nodes`.
+    """Queries the admin space of each Zenoh bridge periodically, and fills `nodes`.
 
     Each bridge is queried by its own selectors, so that a silent bridge does not hide the answers
     of other bridges. `asked_at`: s on the loop's clock, the begin of the last whole query that all
@@ -107,10 +107,10 @@ class AdminSpaces:
     ) -> None:
         """Make the query that is due, unless the last query has no end yet. Returns at once.
 
-        A whole query lists the nodes of each bridge, and all DDS readers and writers. It is due
-        each PERIOD, and more often while the first complete lists, or names of nodes, may come.
-        Between whole queries, a query of the readers of the commands is due each WATCH_PERIOD.
-        `announcing`: the ids of the sessions that announce topics of this robot.
+        A whole query lists the nodes of each bridge, and all DDS readers and writers. A whole query
+        is due each PERIOD, and more often while a bridge's first complete list, or the name of a
+        node, may still come. Between whole queries, a query of the readers of the commands is due
+        each WATCH_PERIOD. `announcing`: the ids of the sessions that announce topics of this robot.
         """
         now, bridges = loop.time(), self.nodes.namespaces
         if self.nodes.is_naming:
@@ -130,7 +130,7 @@ class AdminSpaces:
         elif now - self._watched_at >= WATCH_PERIOD and bridges:
             self._watched_at = now
             selectors = [(zid, self._dds_selector(zid, "reader", self._cmd_vel)) for zid in bridges]
-            self._ask(session, selectors, loop, self._compare)
+            self._ask(session, selectors, loop, self._compare)  # a change makes a whole query due
 
     def _selectors(self, zid: str) -> Iterator[str]:
         """The selectors of a whole query of the bridge `zid`; `*`: of all bridges."""
@@ -142,7 +142,8 @@ class AdminSpaces:
     def _dds_selector(self, zid: str, kind: str, topic: str) -> str:
         """The selector of the DDS readers or writers (`kind`) of a topic at one bridge.
 
-        DDS topics lack the bridge's namespace. While it is not known, any prefix matches.
+        Names of DDS topics lack the bridge's namespace. While the namespace is not known, the
+        selector matches the topic behind any prefix.
         """
         prefix = f"{self.nodes.namespaces.get(zid, '?')}/"
         is_known = topic.startswith(prefix)
@@ -159,8 +160,9 @@ class AdminSpaces:
         """Send queries, and call `take` in the loop once all have ended.
 
         `selectors`: each with the id of its bridge. `take` gets the payload of each answer by its
-        key, and the ids of the bridges that had an error or did not answer in time. `on_reply` and
-        `on_end` run in a thread of Zenoh.
+        key, and the ids of the bridges that had an error or did not answer in time (Zenoh then
+        gives an error in place of an answer). Answers beyond the limits of number and size are
+        dropped. `on_reply` and `on_end` run in a thread of Zenoh.
         """
         query, answers, late_bridges = object(), dict[str, bytes](), set[str]()
         pending = [*selectors]
@@ -301,8 +303,8 @@ class NodeList:
         sessions that announce topics. `late`: the ids of bridges whose answers are not complete;
         their earlier answers count for MAX_AGE.
         """
-        self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
-        # 1. The complete answers of this query, by bridge.
+        self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}  # whole queries
+        # 1. The complete answers of this query, by bridge. Equal answers are not decoded again.
         before = self._by_bridge
         late = {*before} if answers is None else late
         if answers is not None and answers != self._answers:

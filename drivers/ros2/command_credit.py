@@ -33,9 +33,9 @@ _ASK_PERIOD = 1.0  # s between two questions to a silent hub
 
 
 class CommandCredit:
-    """Holds back non-zero commands until the hub has shown a sign of life. Times in s, handed in.
+    """Holds back non-zero commands until the hub has shown a sign of life. Times are arguments, s.
 
-    A sign of life is any message of the hub or its answer to a question. Zero always leaves.
+    A sign of life is any message of the hub, or the answer to a query. Zero is never held back.
     """
 
     def __init__(self) -> None:
@@ -51,9 +51,9 @@ class CommandCredit:
     def offer(self, twist: Twist, now: float) -> Twist | None:
         """The command to send now in place of `twist`; None if no command may be sent.
 
-        1. Zero, or a command with a sign of life left, is returned itself.
+        1. Zero is returned itself. So is a command while a fresh sign of life is not yet used.
         2. Any other command is held, in place of an earlier held command. The result is zero if the
-           hub has been silent for MAX_SILENCE since it was asked, otherwise None.
+           hub has been silent for MAX_SILENCE since the query, otherwise None.
         """
         self._held = None
         if twist.is_zero or self._spend(now):

@@ -65,12 +65,13 @@ _MIN_TIMEOUT_SCANS = 3.5  # scan periods after which a slow scanner's base count
 
 
 class RosDriver:
-    """Talks to one robot through the hub at `options.endpoint`.
+    """Talks to one robot through the hub (Zenoh bridge or router) at `options.endpoint`.
 
-    A safe command passes `CommandGate`: the first command after each connection is zero, and no
-    command passes while the base is lost. Then it passes `CommandCredit`: a non-zero command waits
-    for a sign of life of the hub. The driver itself sends zeros when the gate closes, for 2 s after
-    a loss, and against the commands of another node (`ZeroAnswers`). No check delays a zero.
+    A command of the daemon passes `CommandGate`: the first command after each connection is zero,
+    and no command passes while the base is lost. Then the command passes `CommandCredit`: a
+    non-zero command waits for a sign of life of the hub. The driver itself sends zeros when the
+    gate closes, for 2 s after a loss, and against the commands of another node (`ZeroAnswers`). No
+    check delays a zero.
     """
 
     is_simulated = False
@@ -215,7 +216,10 @@ class RosDriver:
         self._was_incomplete = False
 
     async def _run(self, sink: Sink, *, is_check: bool) -> None:
-        """Connect, and feed the sink until cancelled; `is_check`: announce and publish nothing."""
+        """Connect, and feed the sink until cancelled; `is_check`: announce and publish nothing.
+
+        `inbox` hands the samples from Zenoh's threads to `_take` in the loop.
+        """
         loop = asyncio.get_running_loop()
         self._subscriptions = Subscriptions(self._options, self._platform)
         self._report_state(sink, False, f"no message yet from {self._options.endpoint}")
@@ -260,7 +264,8 @@ class RosDriver:
     ) -> None:
         """Declare all subscribers of a new session; their samples go to the inbox.
 
-        Announcements of endpoints are liveliness tokens; they go to `_on_token` in the loop.
+        Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
+        callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
         # For the query of the last message of a kept topic, from its publisher's cache.
         self._kept = {
@@ -329,8 +334,8 @@ class RosDriver:
         end = self._scheme.parse_token(token)
         if end is None:
             return
-        # 1. Keep or drop the endpoint. The topics of this robot may fill as much again, so that
-        # other topics do not shut them out.
+        # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
+        # announcements of other topics cannot fill the table before them.
         now, self._foreign_ends = asyncio.get_running_loop().time(), None
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
@@ -338,13 +343,13 @@ class RosDriver:
         elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-        # 2. The server of an action may have left without ending its goals.
+        # 2. Without a server (the publisher of the action's states) no state ends its goals.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._is_published(end.topic):
                 self._ended_servers.add(end.topic)
                 self._foreign.end_goals(end.topic, now)
-        # 3. A base has come or left: the command type may be another, and zero goes first.
+        # 3. A base has come or left: the command type may change. The next base gets zero first.
         if not end.is_publisher and end.topic == self._cmd_vel:
             if not is_declared:
                 self._gate.require_zero()
@@ -519,19 +524,20 @@ class RosDriver:
         A hub is the Zenoh router or bridge that the session is linked to. The gate lets commands
         pass; while it is closed the base counts as lost.
         """
-        # 1. The hub: linked, started again (another id), or gone.
+        # 1. The hub: linked, started again (another id), or gone. `_hubs` keeps the last known ids.
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
         if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)
-            if last_hubs:
+            if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())
         if not hubs and was_linked:
-            self._subscriptions.forget()
+            self._subscriptions.forget()  # messages on change may be missed from now on
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
-        # 2. The first change that applies: it closes the gate, or is only reported.
+        # 2. The first change that applies closes the gate, or is only reported to the daemon.
+        # Without a change, zeros are repeated after a loss.
         silence_s = now - self._subscriptions.last_arrival
         last_conflict, self._conflict = self._conflict, self._find_conflict()
         is_open = self._gate.is_open
@@ -556,7 +562,7 @@ class RosDriver:
             self._report_state(sink, *self._reported[:2])
         elif self._gate.repeats_zero(now) and not self._foreign.source(now):
             self._put(ZERO, frame="")
-        # 3. Why the base is lost, or what is missing, from time to time.
+        # 3. Explain from time to time why the base is lost, or which topics are missing.
         if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened_at >= _EXPLAIN_PERIOD:
             self._explain(sink, now, is_linked=bool(hubs))
 

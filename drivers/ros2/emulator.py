@@ -62,8 +62,9 @@ class EmulatedRobots:
     ) -> None:
         """Open the hub at `endpoint`, announce the robots' topics, and subscribe to all commands.
 
-        `robots`: the platform of each robot by its id. `driver_options`: the options with which the
-        robots' drivers find the hub. Raises as `EmulatorFactory` does.
+        `spec`: the middleware. `robots`: the platform of each robot by its id. Sets
+        `driver_options`, with which the robots' drivers find the hub. Raises as `EmulatorFactory`
+        does.
         """
         self.dropped = 0  # commands that could not be read
         self._lock = threading.Lock()
@@ -147,7 +148,7 @@ class _Robot:
                     TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
                     for topic, message_type in encoder.topics
                 ]
-        # The tokens of the topics come last, in the order of the topics.
+        # rmw_zenoh has a token of the node first. The tokens of the topics come last, in order.
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]

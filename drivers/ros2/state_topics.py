@@ -122,8 +122,8 @@ class StateTopics:
     def publish(self) -> None:
         """Publish the topics that have changed and have subscribers. The driver's task calls this.
 
-        A topic whose message raises an error is not published until the next session; the driver
-        goes on.
+        A topic whose message raises an error is not published until the next session. The other
+        topics and the driver are not affected.
         """
         changed, self._changed = self._changed, set()
         for name in changed & self._publishers.keys():
@@ -213,7 +213,7 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
     """
     decision, reason = status.decision, "" if status.reason is None else status.reason.value
     is_held = status.state is State.RUNNING and bool(reason)
-    # The strongest speed limit of protection: in m/s towards an obstacle.
+    # Protection's strongest speed limit, the first constraint: m/s towards an obstacle.
     limit = ""
     if decision.rows:
         constraint = decision.rows[0]

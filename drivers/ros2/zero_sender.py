@@ -43,7 +43,7 @@ def zero_hint(kind: type | None) -> str:
 class RosZeroSender:
     """Sends zero on every key to which the robot may subscribe.
 
-    A thread connects, without a limit of time: the hub may start after the daemon.
+    A thread connects to the hub, without a limit of time, since the hub may start after the daemon.
     """
 
     def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:

@@ -27,11 +27,11 @@ _PROTECTION = "protection is a section of the platform file, and never off"
 
 
 class Counterpart(NamedTuple):
-    """What does the same as a node of ROS2swarm.
+    """The pattern of swarmd that does the same as a node of ROS2swarm.
 
-    `pattern`: the pattern of swarmd; empty if there is none. `fixed`: parameters that choose the
-    equations of ROS2swarm. `names`: our parameter for each name of the node. `without`: the reason
-    why a name of the node has no parameter here. `note`: how the pattern differs.
+    `pattern`: its name; empty without such a pattern. `fixed`: parameters that choose the equations
+    of ROS2swarm. `names`: our parameter for each name of the node. `without`: the reason why a name
+    of the node has no parameter here. `note`: how the pattern differs.
     """
 
     pattern: str
@@ -182,9 +182,9 @@ _VOTES = ("majority_rule", "voter_model")
 
 
 def read_parameter_file(path: Path) -> Conversion:
-    """Convert a parameter file of ROS2swarm.
+    """Convert a parameter file of ROS2swarm, which belongs to one node.
 
-    ConfigError with file and name for a file that is not one, for a node without a counterpart,
+    ConfigError with file and name for any other file, for a node without a counterpart in swarmd,
     and for a value that our parameter cannot take.
     """
     given = _parameters(path)
@@ -194,7 +194,8 @@ def read_parameter_file(path: Path) -> Conversion:
         raise ConfigError(f"{path}: {node} has no counterpart: {counterpart.note}")
     parameters: dict[str, Any] = dict(counterpart.fixed)
     left_out: dict[str, str] = {}
-    vote = next((one for one in _VOTES if f"{one}_max_opinion" in given), None)
+    # The node may be a vote, or have a vote as a part: its names begin with the vote's name.
+    vote = next((name for name in _VOTES if f"{name}_max_opinion" in given), None)
     opinions = {} if vote is None else _opinions(path, vote, given)
     notes = [counterpart.note] if counterpart.note else []
     for name, value in given.items():

@@ -250,7 +250,7 @@ class Attraction(FieldPattern[AttractionParams]):
         return robots, seen
 
     def _pull(self, robots: list[tuple[float, float]]) -> Vector:
-        """The sum of the attraction of all robots, at most 1 long.
+        """The sum of the attraction of all robots: a vector in the base frame, at most 1 long.
 
         The attraction of a robot is 0 at `spacing` and grows with its range.
         """

@@ -49,14 +49,14 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> l
 
     A swarm of point robots (no bodies) makes one run for each seed, rule and pair of qualities. The
     choice between the qualities 1 and 0.5 is easy. `has_hard`: the choice between 1 and 0.9 is
-    measured too.
+    measured too. An outcome: text of the number, bound, values of the runs, source of the bound.
     """
 
     def runs_of(rule: str, worse_quality: float, group: int = 5) -> list[Choice]:
         settings = [_Setting(seed, rule, worse_quality, group) for seed in seeds]
         return each(choose, settings, jobs)
 
-    # 1. The easy choice.
+    # 1. The easy choice. `won` gives the share of runs that the better option won.
     majority, voter = runs_of("majority", 0.5), runs_of("voter", 0.5)
     label = "qualities 1 and 0.5: share won by the better"
     easy_outcomes = [
@@ -65,7 +65,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> l
     ]
     if not has_hard:
         return easy_outcomes
-    # 2. The hard choice, and the times of both choices by rule and by size of group.
+    # 2. The hard choice, and the times of both choices by rule and by size of group. `taken` gives
+    # the time of each run in s until nine tenths of the robots agree.
     hard_majority, hard_voter = runs_of("majority", 0.9), runs_of("voter", 0.9)
     large_group = runs_of("majority", 0.9, 25)
     easy_ratio = ratio_of(taken(voter), taken(majority))

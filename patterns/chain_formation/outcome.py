@@ -46,7 +46,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
 
     A swarm of point robots (no bodies) makes one run for each seed with the default parameters.
     `has_more`: also runs with chains that align but do not turn about the nest (`sweep` 0), and
-    with chains that no member leaves either (`leave` 0).
+    with chains that no member leaves either (`leave` 0). An outcome: text of the number, bound,
+    values of the runs, source of the bound.
     """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     joined_runs = [chain for chain in runs if _is_joined(chain)]
@@ -80,8 +81,9 @@ def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
     """Simulate point robots, and return when a chain joined nest and goal, and how well.
 
     `given`: the seed, and parameters of all robots. Robot 0 is the nest, robot 1 the goal `FAR` m
-    away; the other robots begin at random around the nest. The run ends `HELD` samples after the
-    nest learned of the goal, or after `SECONDS`. The chain's time is inf if the nest never learned.
+    away. All further robots begin at random around the nest. The nest reports `leads` while a chain
+    joins it to the goal. The run ends `HELD` samples after the first such report, or after
+    `SECONDS`. Without such a report the chain's time is inf, and its gap and share are NaN.
     """
     seed, params = given
     rng = np.random.default_rng(seed)
@@ -90,7 +92,7 @@ def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
     nest = [0.0, 0.0, 0.0]
     goal = [FAR * math.cos(goal_bearing), FAR * math.sin(goal_bearing), 0.0]
     roles: Mapping[int, Mapping[str, Value]] = {0: {"role": "nest"}, 1: {"role": "goal"}}
-    free_scan, samples_left = scan_of(load_platform("burger")), HELD
+    free_scan, samples_left = scan_of(load_platform("burger")), HELD  # a scan without obstacles
 
     def see(_: int, __: Array) -> Scan:
         return free_scan
@@ -108,7 +110,7 @@ def run(given: tuple[int, Mapping[str, Value]]) -> Chain:
     leads = track.reported("leads", 0.0)[:, 0] > 0.0  # (T,) of the nest
     if not leads.any():
         return Chain(math.inf, math.nan, math.nan)
-    first = int(leads.argmax())
+    first = int(leads.argmax())  # the first sample at which a chain joins nest and goal
     return Chain(float(track.t[first]), _longest_gap(track, first), float(leads[first:].mean()))
 
 

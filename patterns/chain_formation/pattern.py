@@ -160,8 +160,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         explores, and all other robots search by a random walk. Nothing is sent without a scan.
         """
         now, params = inputs.now, self.params
-        self._hear(inputs)
-        # 1. The command, the membership and the state to report.
+        self._hear(inputs)  # sets `_places`: the places of the members that the robot senses
+        # 1. The command, the membership and the state to report. `_hold` and `_explore` may change
+        # the membership: a member leaves its chain, or an explorer joins a chain.
         state: str = params.role
         if params.role != "robot":
             twist = ZERO
@@ -202,7 +203,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         for message in inputs.messages:
             match (message.channel == _CHANNEL) and message.value:
                 case [int(hops), str(before), bool(leads)] if _GOAL <= hops < _MAX_HOPS:
-                    heard_at = now - message.age
+                    heard_at = now - message.age  # `hops` _GOAL: the sender is the goal
                     self._heard[message.sender] = _Member(int(hops), before[:64], leads, heard_at)
         oldest = now - self.params.lease
         self._heard = {
@@ -220,7 +221,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             self._places[neighbor.id] = distance * math.cos(bearing), distance * math.sin(bearing)
 
     def _after(self, name: str) -> list[str]:
-        """The sensed members that name `name` as the member before them."""
+        """The ids of the sensed members that send `name` as the id of the member before them."""
         return sorted(member for member in self._places if self._heard[member].before == name)
 
     def _leads(self) -> bool:
@@ -234,25 +235,26 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
     def _hold(self, inputs: Inputs, member: _Member) -> Twist:
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
-        `member`: the robot's own membership: hops to the nest, id of the member before it, and
-        whether the chain leads to the goal. To leave, the robot sets `_membership` to None and
-        drives home. It leaves if the member before it is lost, or if another member has its place.
-        The tail of a chain that does not lead to the goal leaves at the rate `leave`.
+        `member`: the robot's own membership: hops to the nest, id of the member before it (towards
+        the nest), and whether the chain leads to the goal. To leave, the robot sets `_membership`
+        to None and drives home. A robot leaves if the member before it is lost, or if another
+        member has its place. The tail of a chain that does not lead to the goal leaves at the rate
+        `leave`.
         """
         params = self.params
         robot = self.context.robot
         before_place = self._places.get(member.before)  # m, in the base frame
         leads = self._leads()
-        is_tail = not self._after(robot)
-        # 1. Two members at one place: the member stays that leads to the goal, else the member that
-        # has a chain behind it, else the lower id.
+        is_tail = not self._after(robot)  # no member is behind this robot
+        # 1. Two members at one place: the member with the lower rank stays. First comes a member
+        # that leads to the goal, then a member with a chain behind it, then the lower id.
         own_rank = (not leads, is_tail, robot)
         is_double = any(
             (not self._heard[rival].leads, not self._after(rival), rival) < own_rank
             and math.hypot(*self._places[rival]) < _MIN_GAP * params.distance
             for rival in self._after(member.before)
         )
-        # 2. Leave the chain. Only such a tail draws a random number.
+        # 2. Leave the chain. The rate `leave` in 1/s gives a probability for each step.
         may_leave = is_tail and not leads
         leaves = may_leave and float(self.context.rng.random()) < params.leave * inputs.dt
         if before_place is None or is_double or leaves:
@@ -262,8 +264,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             return ZERO
         hops = self._heard[member.before].hops + 1
         self._membership = _Member(hops, member.before, leads, inputs.now)
-        # 3. Keep the place. A chain that leads to the goal stands. The first member of a chain also
-        # turns about the nest, and the chain with it.
+        # 3. Keep the place. A chain that leads to the goal stands. The first member (`hops` is 1)
+        # also drives around the nest, at right angles to the direction of the nest. The chain turns
+        # with this member.
         if leads:
             return ZERO
         x, y = self._beyond(member.before)
@@ -291,8 +294,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command of an explorer: along a chain to its tail, or home to the nest.
 
         The waypoint is the member that the robot drives to. At a tail, or at the nest if the robot
-        starts a new chain, the robot joins at the rate `join`: zero, and `_membership` is set. At
-        the tail of a chain that leads to the goal the robot rests: zero.
+        starts a new chain, the robot joins at the rate `join`: the command is zero, and
+        `_membership` is set. At the tail of a chain that leads to the goal the robot rests, with
+        the command zero.
         """
         params, places = self.params, self._places
         # 1. The waypoint. A member that is reached is replaced by the next member.
@@ -303,8 +307,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         has_arrived = math.hypot(*places[reached]) <= _ARRIVAL * params.distance
         if has_arrived:
             self._waypoint = self._next_waypoint(reached)
-        is_at_end = has_arrived and self._waypoint == reached  # no member comes next
-        # 2. Rest or join, neither on the way home.
+        # `_next_waypoint` returns `reached` where no member comes next.
+        is_at_end = has_arrived and self._waypoint == reached
+        # 2. Rest or join, neither on the way home. No robot joins where a member is too near.
         is_outward_end = is_at_end and not self._is_homeward
         if is_outward_end and self._heard[reached].leads and not self._starts_chain:
             return ZERO
@@ -316,7 +321,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         # 3. The direction of motion (x, y) in the base frame.
         x, y = places[self._waypoint]
         range_m = math.hypot(x, y) or 1.0
-        if is_at_end and self._starts_chain:  # circle the nest at `distance`
+        if is_at_end and self._starts_chain:
+            # Circle the nest: along the tangent, corrected by the error of the distance.
             sign = self._turn_sign
             error = (range_m - params.distance) / params.distance
             x, y = (
@@ -324,11 +330,11 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
                 error * y / range_m - sign * x / range_m,
             )
         elif is_at_end:
-            x, y = self._beyond(self._waypoint)
+            x, y = self._beyond(self._waypoint)  # the next place of the chain
         else:  # to the right of the chain, to pass robots that come back
             lane = _LANE * params.distance / range_m
             x, y = x + lane * y, y - lane * x
-        # 4. Full speed from 0.25 m on, slower when nearer.
+        # 4. The length of (x, y) is the share of the speed: 1 from 0.25 m on, less when nearer.
         length = math.hypot(x, y)
         scale = min(1.0, 4.0 * length) / length if length > 1e-6 else 0.0
         x, y = scale * x, scale * y

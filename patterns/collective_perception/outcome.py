@@ -78,10 +78,12 @@ def outcomes(
     """Measure how often the robots agree that the floor is mostly black, and how fast.
 
     For each seed a swarm of point robots (no bodies) runs with each rule on floors with these
-    shares of black tiles. `has_bodies`: simulated Burgers also run, with the majority rule.
+    shares of black tiles. `has_bodies`: simulated Burgers also run, with the majority rule. An
+    outcome: text of the number, bound, values of the runs, source of the bound.
     """
-    runs = agreements(seeds, jobs, shares)
+    runs = agreements(seeds, jobs, shares)  # by rule and share
     low, high = min(shares), max(shares)
+    # Shares near a half are left out: there chance decides more often.
     clear_shares = sorted((share for share in shares if share >= SURE), reverse=True)
     point_outcomes = []
     for rule in RULES:
@@ -170,7 +172,7 @@ def run(setting: _Setting) -> Agreement:
 
     track = swarm.run(SECONDS, every=1.0, until=have_agreed)
     opinions = set[Scalar]().union(*recent_opinions)
-    if len(opinions) > 1:
+    if len(opinions) > 1:  # no agreement within SECONDS
         return Agreement(None, math.inf)
     return Agreement(int(opinions.pop()), float(track.t[-AGREED]))
 

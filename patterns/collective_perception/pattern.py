@@ -127,13 +127,14 @@ class CollectivePerception(CombinedPattern[CollectivePerceptionParams]):
     def step(self, inputs: Inputs) -> Outputs:
         """Walk; measure the floor and send the opinion by turns, and decide after each sending.
 
+        The quality is the share of the measured time in which the floor had the opinion's colour.
         Without a scan or a reading of the floor: no command, and only the opinion in the report.
         """
         for message in inputs.messages:
             self._hear(message, inputs.now)
         if inputs.scan is None or "ground" not in inputs.readings:
             return Outputs(report={"opinion": self.opinion})
-        # 1. The next phase, if this phase is over.
+        # 1. The next phase, if this phase is over. `_explore` and `_tell` draw its random duration.
         if not self._has_begun:
             self._has_begun = True
             self._explore(inputs.now)

@@ -35,11 +35,12 @@ def outcomes(
     """Measure whether six robots bring the box to the lamp, by which way, and one robot does not.
 
     `shapes`: sides of the box in m. Six robots run `duration` s for each seed and shape; a single
-    robot runs once.
+    robot runs once. An outcome: text of the number, bound, values of the runs, source of the bound.
     """
     sweep = {"arena.boxes.0.size": [list(shape) for shape in shapes]}
     changes = {"duration": duration, "trace_rate": 2.0}
     results = simulate(NAME, seeds, jobs=jobs, set=changes, sweep=sweep)
+    # The length of the box's path over the straight distance; NaN if the box does not arrive.
     path_ratios = [way(trace) for trace in results.traces]
     has_arrived = [not np.isnan(ratio) for ratio in path_ratios]
     arrived_ratios = [ratio for ratio in path_ratios if not np.isnan(ratio)]

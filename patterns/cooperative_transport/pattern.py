@@ -2,9 +2,9 @@
 
 Source: Chen, Gauci, Li, Kolling and Gross, "Occlusion-based cooperative transport with a swarm of
 miniature mobile robots", IEEE Transactions on Robotics 31(2), 2015: a robot searches the object and
-goes there. Where the object hides the goal the robot pushes, elsewhere the robot moves around the
-object. Robots do not communicate. The source proves that a convex object, pushed over the whole
-hidden side, arrives.
+goes there. Where the object hides the goal, the robot pushes. Elsewhere the robot moves around the
+object. Robots do not communicate. The source proves that a convex object arrives at the goal if
+robots push on its whole hidden side.
 
 Ours: the robot recognises the box, the lamp and other robots, all around (`detections`), goes
 around on a ring by the shorter way, and pushes towards the middle of the box.

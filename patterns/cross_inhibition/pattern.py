@@ -3,8 +3,8 @@
 Source: the stop signal of honeybees (Seeley et al., Science 335, 2012) as a rule of robots: Reina,
 Valentini, Fernandez-Oto, Dorigo and Trianni, PLoS ONE 10(10), 2015. A committed robot that hears
 another opinion becomes uncommitted. An uncommitted robot adopts the opinion that it hears. Stubborn
-robots never change their opinion. If some hold each of two opinions, the voter model leaves the
-swarm undecided, and cross-inhibition lets one opinion prevail: Reina, Zakir, De Masi and Ferrante,
+robots never change their opinion. With stubborn robots of both opinions the voter model leaves the
+swarm undecided, but cross-inhibition lets one opinion prevail: Reina, Zakir, De Masi and Ferrante,
 Communications Physics 6:236, 2023.
 
 Ours: windows, expiry and messages are those of every voting pattern. Opinion 0 is "uncommitted".

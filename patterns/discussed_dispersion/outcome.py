@@ -33,14 +33,16 @@ _JOINED = 8.0
 def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Outcome]:
     """Compare the vote and the dispersion of seven robots with experiment 2 of the paper.
 
-    The robots vote on a distance, agree within 20 s, spread to it and stand. For each seed there
-    is a run of `seconds` s, and a short run in which an eighth robot with another opinion joins.
+    The robots vote on a distance, agree within 20 s, spread to this distance and stand. For each
+    seed there is a run of `seconds` s, and a short run in which an eighth robot with another
+    opinion joins. An outcome: text of the number, bound, values of the runs, source of the bound.
     """
-    # 1. Seven robots in the larger arena.
+    # 1. Seven robots in the larger arena. `judged` measures votes, ranges and motion of a run.
     changes = {"arena.size": list(LARGER), "duration": seconds}
     courses = [judged(t) for t in simulate("paper_exp2", seeds, set=changes, jobs=jobs).traces]
-    over = [course.least - course.wanted for course in courses]
-    # 2. An eighth robot joins while seven disperse. They vote for 3 s only, so that a run is short.
+    over = [course.least - course.wanted for course in courses]  # m above the agreed distance
+    # 2. An eighth robot joins while seven robots disperse. The vote takes 3 s in place of 20 s, so
+    # that a run is short.
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},

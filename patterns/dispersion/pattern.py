@@ -128,9 +128,9 @@ class Dispersion(FieldPattern[DispersionParams]):
         return points, points.keep_clear(*push, spacing=params.spacing, brake=params.ramp)
 
     def _push(self, points: Sequence[tuple[float, float]], distance: float) -> tuple[float, float]:
-        """The sum over the surfaces nearer than `distance`; at most 1 long.
+        """The sum of the pushes of all surfaces nearer than `distance`: a vector, at most 1 long.
 
-        In a confined space, where all push hard, only their differences count.
+        In a confined space all surfaces push hard, and only the differences of the pushes count.
         """
         weights = [max((distance - near) / self.params.ramp, 0.0) for near, _ in points]
         most = max([1.0, *weights])

@@ -279,7 +279,8 @@ class Flocking(MovementPattern[FlockingParams]):
         An object of the scan that is at most `object_width` wide counts as a robot. Ranges are from
         the lidar, not from the axle. The scan plane of a robot cuts the lidars of other robots,
         which are behind their axles. Relative to the axle all neighbours would appear shifted back,
-        and the resulting pull breaks the alignment of the headings.
+        and the resulting pull breaks the alignment of the headings. Objects near the limit of
+        the lidar's range do not count as robots, since the lidar sees only parts of them.
         """
         params = self.params
         objects = clusters(scan, within=scan.range_max)
@@ -333,14 +334,15 @@ class Flocking(MovementPattern[FlockingParams]):
         return Twist(linear=speed, angular=_TURNS[self._state] * params.paper_turn)
 
     def _next_state(self, scan: Scan) -> tuple[str, bool]:
-        """The next state of law "paper", and whether the robot also drives: the first that applies.
+        """The next state of law "paper", and whether the robot also drives straight ahead.
 
-        The scan has four sectors of 90 degrees. The width of an object is the angle in rad that its
-        rays fill in a sector.
+        The first rule that applies gives the state: left, right or straight. The scan has four
+        sectors of 90 degrees. The width of an object is the angle in rad that its rays fill in a
+        sector. `_filled` gives the widths ahead, left, behind and right.
 
         1. An object near ahead: turn away from its nearest point, without driving.
-        2. An object near on the left: right. Ahead: either side. On the right: left.
-           Wider objects are walls, which do not count here.
+        2. An object near on the left: turn right. Ahead: to either side. On the right: left.
+           Wider objects are walls, which do not count in this rule.
         3. A far object, no wall, on the left or the right: turn to the wider of the two.
         4. A far object behind: turn around to either side, without driving.
         5. Else straight on.
@@ -348,8 +350,10 @@ class Flocking(MovementPattern[FlockingParams]):
         params = self.params
         ranges = np.where(np.isnan(scan.ranges), math.inf, np.maximum(scan.ranges, scan.range_min))
         bearings = (scan.bearings + math.pi) % (2.0 * math.pi) - math.pi
-        sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
-        # Near objects.
+        sector = (
+            np.rint(bearings / _SECTOR).astype(np.int64) % 4
+        )  # 0 ahead, 1 left, 2 back, 3 right
+        # Near objects: rules 1 and 2.
         ahead, left, _, right = _filled(sector, ranges < params.near)
         if ahead > _NEAR_WIDTH:
             nearest = bearings[np.argmin(np.where(sector == 0, ranges, math.inf))]
@@ -361,7 +365,7 @@ class Flocking(MovementPattern[FlockingParams]):
             return self._either(), True
         if min_width <= right < max_width:
             return "left", True
-        # Far objects.
+        # Far objects: rules 3 to 5. A width of 0 stands for a wall, or for no object.
         is_seen = ranges < scan.range_max
         _, left, _, right = _filled(sector, is_seen & (ranges > params.far_aside))
         left, right = (width if width < _NEAR_WIDTH else 0.0 for width in (left, right))

@@ -37,7 +37,8 @@ def outcomes(
 
     For each seed a robot drives alone in a square room, with the wall on its left, then on its
     right. `has_more`: also three robots in the room, and a robot around a box. `duration`: s.
-    The wanted rounds are three quarters of the way at full speed, over the length of a round.
+    The wanted rounds are three quarters of the way at full speed, over the length of a round. An
+    outcome: text of the number, bound, values of the runs, source of the bound.
     """
 
     def runs_with(changes: Mapping[str, Any]) -> Any:
@@ -49,6 +50,7 @@ def outcomes(
     rounds = 0.75 * (duration - EARLY) * SPEED / room_round_m
     label = "alone in a room: share of the time within 0.1 m of the distance"
     shares_kept = [share_kept(trace) for trace in left_runs.traces]
+    # Rounds about the middle of the room: with the wall on its left the robot goes clockwise (-1).
     left, right = turns(left_runs.traces, -1), turns(right_runs.traces, 1)
     room_outcomes = [
         at_least(NAME, label, 0.75, shares_kept, _OURS),

@@ -105,10 +105,12 @@ class FollowWall(TimedPattern[FollowWallParams]):
             error = (distance - params.distance) / max(params.distance, _MIN_DISTANCE)
             tangent = bearing - side * math.pi / 2.0
             heading = tangent + side * max(-1.0, min(1.0, error)) * _MAX_APPROACH
-            # Timed states from now on: `follow`, then `around`, then `search`.
+            # Timed states from now on, in s: `follow`, then `around`, then `search`. Each return
+            # from the wall begins them again, so that `around` starts only without a wall.
             around = turn_time(1.5 * math.pi, self._end_turn_rate)
             self.begin(inputs.now, follow=_MEMORY, around=around)
         elif self.state(inputs.now) != "search":
+            # No wall: an arc of radius `distance` around its end.
             return Twist(self._end_turn_rate * params.distance, side * self._end_turn_rate)
         else:
             heading = 0.0

@@ -33,9 +33,11 @@ def outcomes(
 
     For each seed there is a run of each size, and a run of one robot without the lamp of the nest.
     The first of `sizes` is 1. With more than two sizes the last size must be a crowd, whose robots
-    deliver less than those of a smaller group.
+    deliver less than the robots of a smaller group. An outcome: text of the number, bound, values
+    of the runs, source of the bound.
     """
     runs = {size: run(size, seeds, jobs, duration) for size in sizes}
+    # Items a minute of the whole group in each run, and their mean over the runs.
     group_rates = {size: group_rate(results, size) for size, results in runs.items()}
     mean_rates = {size: float(np.mean(rates)) for size, rates in group_rates.items()}
     smallest, largest = sizes[0], sizes[-1]
@@ -57,7 +59,7 @@ def outcomes(
         robot_rates = [mean_rates[size] / size for size in sizes]
         steps = [later / before for before, later in itertools.pairwise(robot_rates)]
         step_label = "a robot: items of a size / of that before"
-        measured[1:1] = [
+        measured[1:1] = [  # behind the first outcome of the group
             at_most(NAME, fall_label, FALL, fall, _SOURCE),
             at_most(NAME, step_label, 1.0, steps, _SOURCE),
         ]

@@ -3,8 +3,8 @@
 Source: central-place foraging of Lerman and Galstyan, "Mathematical model of foraging in a group of
 robots: effect of interference", Autonomous Robots 13, 2002. A robot searches by a random walk,
 picks an item up, drives home to the nest, drops the item and searches again. Robots that meet avoid
-each other, which costs time. With more robots the items of each robot fall, and those of the group
-have a maximum.
+each other, which costs time. With more robots, each robot delivers fewer items, and the number of
+the group's items has a maximum.
 
 Ours: two light sensors find the way to the lamp of the nest, as in the pattern phototaxis. The nest
 is where the floor is grey.

@@ -40,8 +40,10 @@ class Lattice:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> list[Outcome]:
     """Measure the order of the lattice in which the robots settle.
 
-    For each seed a swarm of point robots (no bodies) runs. `has_more`: also points with a weak
-    repulsion, where two robots may share a place of the lattice, and Burgers with bodies.
+    For each seed a swarm of point robots (no bodies) runs. A bond joins two robots that are near
+    each other. `has_more`: also points with a weak repulsion, where two robots may share a place of
+    the lattice, and Burgers with bodies. An outcome: text of the number, bound, values of the runs,
+    source of the bound.
     """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
     at_start, at_end, moved_m = zip(*runs, strict=True)

@@ -43,8 +43,9 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
     """Measure whether gap errors grow along the chain, and how fast a lost leader is replaced.
 
     For each seed a chain of point robots (no bodies) runs with the default headway, and a chain
-    with a headway of one lag, for which string stability is lost. `has_bodies`: also Burgers on a
-    circle.
+    with a headway of one lag, for which string stability is lost. The gap error of a robot is the
+    difference between its gap and the policy's gap. `has_bodies`: also Burgers on a circle. An
+    outcome: text of the number, bound, values of the runs, source of the bound.
     """
     stable = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
     unstable = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)

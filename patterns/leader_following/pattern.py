@@ -7,8 +7,8 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: behind the leader the robots follow in the order of their ids. Of the earlier robots in this
-order, a robot follows the last that it senses. So a lost robot leaves a gap in the chain only for
+Ours: behind the leader the robots follow in the order of their ids. A robot follows the nearest
+earlier robot of this order that it senses. So a lost robot leaves a gap in the chain only for
 `lease`. A robot that senses no earlier robot leads. The leader's id passes down the chain by
 messages.
 """
@@ -125,13 +125,15 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
     def step(self, inputs: Inputs) -> Outputs:
         """Follow the robot before this robot at a time headway, or lead; pass on the leader's id.
 
-        The chain is in the order of ids behind the leader. `aim` is the speed in m/s that the gap
-        asks for, and the commanded speed follows with the time constant `lag`.
+        The chain is in the order of ids behind the leader. `aim` is the speed in m/s at which the
+        gap would be right (constant time headway), and the commanded speed follows with the time
+        constant `lag`.
         """
         now, params = inputs.now, self.params
         self._started_at = now if self._started_at is None else self._started_at
         predecessor = self._predecessor(inputs)
-        if predecessor is None and self._sensed_at:  # sensed within `lease`: drive on
+        if predecessor is None and self._sensed_at:
+            # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
             aim, turn = self._speed, 0.0
             before_id = max(self._sensed_at, key=self._chain_order)
         elif predecessor is None:  # lead
@@ -144,7 +146,7 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         else:  # follow
             before_id, distance, bearing = predecessor
             aim = (distance - params.standstill) / params.headway
-            turn = 2.0 * bearing
+            turn = 2.0 * bearing  # proportional, 2 rad/s for each rad
             if abs(bearing) > 0.5 * math.pi:
                 aim = 0.0  # turn first
             self._adopt(inputs, before_id)

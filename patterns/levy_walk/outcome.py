@@ -43,8 +43,9 @@ class _Setting:
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> list[Outcome]:
     """Compare the times in which walkers find random targets with the law of random search.
 
-    For each seed nearly ballistic walkers (mu 1.1) search, and walkers that see twice as far.
-    `has_slow`: also twice as many walkers, and walkers with mu 2 and 4, whose paths bend more.
+    For each seed nearly ballistic walkers (exponent mu 1.1) search, and walkers that see twice as
+    far. `has_slow`: also twice as many walkers, and walkers with mu 2 and 4, whose paths bend more.
+    An outcome: text of the number, bound, values of the runs, source of the bound.
     """
 
     def searches(exponent: float, robots: int = ROBOTS, sight: float = SIGHT) -> list[Search]:
@@ -103,9 +104,9 @@ def search(setting: _Setting) -> Search:
 
 
 def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
-    """The search times of a run, with a sample every 0.5 s; `targets`: (m, 2) in m.
+    """The times until the robots find the targets, from a track with a sample every 0.5 s.
 
-    A search for each target begins every 30 s of the first half of the run.
+    `targets`: (m, 2) in m. Every 30 s of the first half of the run a search for each target begins.
     """
     place = track.pose[..., :2]
     begins = np.arange(0, len(place) // 2, 60)

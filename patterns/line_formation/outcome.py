@@ -1,7 +1,7 @@
 """Line formation: robots from anywhere form a line, rest in it, and close it when one is removed.
 
-The error is the project's own, with the bound of a tenth of the spacing. The error has two parts,
-which Fredslund and Mataric 2002 ask of a formation: distance from the best line, and spacing.
+The error is the project's own; its bound is a tenth of the spacing. The error has two parts: the
+distance from the best line, and the spacing. Fredslund and Mataric 2002 ask both of a formation.
 """
 
 from __future__ import annotations

@@ -34,11 +34,13 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     """Measure the cost of the places at which the robots settle, and how it falls.
 
     The cost is the mean square distance of the room's places to the nearest robot. For each seed
-    there is a run of point robots (no bodies), and a run of Burgers of `duration` s.
+    there is a run of point robots (no bodies), and a run of Burgers of `duration` s. An outcome:
+    text of the number, bound, values of the runs, source of the bound.
     """
+    # Of each run the cost at each sample, and the largest way of a robot to its centroid in m.
     runs = each(costs, seeds, jobs)
     rises = [float((np.diff(cost_at) / cost_at[:-1]).max()) for cost_at, _ in runs]
-    least_cost = least()
+    least_cost = least()  # of the best places of this number of robots
     end_ratios = [float(cost_at[-1]) / least_cost for cost_at, _ in runs]
     to_centroid_m = [to_centroid for _, to_centroid in runs]
     burgers = simulate(NAME, seeds, jobs=jobs, set={"duration": duration})

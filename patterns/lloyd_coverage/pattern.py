@@ -129,15 +129,16 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
                 cosine = np.cos(angle - neighbor.bearing)
                 halfway = 0.5 * neighbor.distance / np.maximum(cosine, 1e-9)
                 length = np.where(cosine > 0.0, np.minimum(length, halfway), length)
-        # 3. The triangles: twice the area of each, and zero where the rays are too far apart.
+        # 3. Twice the area of the triangle of each two neighbouring rays; the last ray's neighbour
+        # is the first ray. Rays too far apart have no triangle, and the area 0.
         gap = np.append(np.diff(angle), angle[:1] + 2.0 * math.pi - angle[-1:])
         gap = np.where(gap <= _MAX_GAP, gap, 0.0)
         double_area = length * np.roll(length, -1) * np.sin(gap)
         total = float(double_area.sum())
         if not total > 0.0:
             return 0.0, 0.0
-        # 4. The centroid of a triangle is a third of the sum of its corners, of which the robot is
-        # the origin.
+        # 4. The mean of the triangles' centroids, weighted by area. The centroid is a third of the
+        # sum of the corners, and one corner is the robot at (0, 0).
         x, y = length * np.cos(angle), length * np.sin(angle)
         return (
             float((double_area * (x + np.roll(x, -1))).sum()) / (3.0 * total),

@@ -96,9 +96,10 @@ def split(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds: three robots hold opinion 0, three hold 1, and one holds 2.
+    """How often opinion 0 wins if three robots hold opinion 0, three hold 1, and one holds 2.
 
-    By symmetry 0 and 1 win equally often. In standard errors from half; inf unless 0 or 1 wins.
+    All robots decide in rounds. By symmetry 0 and 1 win equally often. The value is the difference
+    from a half in standard errors; inf if some run has another winner or none.
     """
     results = debates(seeds, jobs, params=IN_STEP, held=(0, 0, 0, 1, 1, 1, 2))
     wins = [sum(result.winner == opinion for result in results) for opinion in (0, 1)]
@@ -109,9 +110,9 @@ def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds: the shares of swarms that agreed after 1, 2 ... rounds, compared with theory.
+    """The shares of swarms that agreed after 1, 2 ... rounds of decisions, compared with theory.
 
-    The greatest difference in standard errors.
+    The value is the greatest difference in standard errors.
     """
     results = debates(seeds, jobs, params=IN_STEP, air=Air(twice=0.1))
     expected = agreed_by(at_random(ROBOTS, OPINIONS), most_frequent, ROUNDS)

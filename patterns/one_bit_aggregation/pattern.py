@@ -10,11 +10,11 @@ Ours: the lidar's sector ahead is the sensor, and an object as narrow as a robot
 The radius of the circle is scaled to the footprint. The robot turns so slowly that the lidar misses
 no robot between two scans.
 
-Limits: protection keeps a gap that e-pucks, which push each other, do not keep; recovery leads a
-robot around another that blocks it. Without recovery, blocked robots stand, and the swarm stays in
-parts. For more than three robots and without noise the source's controller has deadlocks (Daymude,
-Harasha, Richa and Yiu, "Deadlock and noise in self-organized aggregation without computation",
-2021), and no controller of this kind aggregates for sure (arXiv 2501.00390).
+Limits: protection keeps a gap that e-pucks, which push each other, do not keep. Recovery leads a
+robot around a robot that blocks its way. Without recovery, blocked robots stand, and the swarm
+stays in parts. For more than three robots and without noise the source's controller has deadlocks
+(Daymude, Harasha, Richa and Yiu, "Deadlock and noise in self-organized aggregation without
+computation", 2021), and no controller of this kind aggregates for sure (arXiv 2501.00390).
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ class Patrol(Pattern[PatrolParams]):
         """Drive to the target place; send the target and the ages of all visits.
 
         `_target` is the index of a place, -1 before the first target. Without a pose the robot
-        stands and sends nothing.
+        stands and sends nothing. The age of a visit is the time in s since a robot was at a place.
         """
         now, params = inputs.now, self.params
         for message in inputs.messages:
@@ -140,9 +140,9 @@ class Patrol(Pattern[PatrolParams]):
     def _choose(self, now: float, distances: list[float]) -> int:
         """The index of the place to visit next; `distances`: from the robot to each place in m.
 
-        Candidates are the places adjacent to the robot's place that no other robot has as target,
-        or all adjacent places if robots drive to each. The robot takes the candidate of the oldest
-        visit, and a random candidate among equals.
+        Candidates are the places adjacent to the robot's place that no other robot has as target.
+        If each adjacent place is a target of a robot, all adjacent places are candidates. The robot
+        takes the candidate with the oldest visit, and a random candidate among equals.
         """
         params, rng = self.params, self.context.rng
         nearest = min(range(len(distances)), key=distances.__getitem__)

@@ -139,7 +139,8 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         """Walk, or rest under a shelter; the robot stops and leaves at random, at two rates.
 
         A shelter is a dark floor. The rate of leaving falls with the number of robots that rest
-        there, and the rate of stopping falls as the shelter fills.
+        there, and the rate of stopping falls as the shelter fills (Ame et al. 2006). A robot that
+        has left walks for `away` s before it may stop again.
         """
         now, params = inputs.now, self.params
         for message in inputs.messages:

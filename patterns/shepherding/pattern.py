@@ -7,8 +7,8 @@ the sheep. Without such a sheep the shepherd drives the herd, from r_a sqrt(N) b
 sheep with the shepherd within r_s flees the shepherd, keeps r_a from other sheep and goes to the
 centre of its nearest sheep. The weights are those of the source.
 
-Ours: a third role, the goal, is a robot that stands there, so that no shared frame is needed. The
-robots send their roles. Sheep are slower by `pace`, as in the source.
+Ours: a robot with a third role, the goal, stands at the goal, so that no shared frame is needed.
+The robots send their roles. Sheep are slower by the factor `pace`, as in the source.
 """
 
 from __future__ import annotations
@@ -125,7 +125,8 @@ class Shepherding(Pattern[ShepherdingParams]):
         A shepherd that senses no sheep or no goal stands.
         """
         params = self.params
-        # 1. The places of the neighbours in m in the base frame, by the role that each sent.
+        # 1. The places of the neighbours in m in the base frame, by the role that each sent. The
+        # roles of robots that are no longer sensed are forgotten, so that the table is bounded.
         for message in inputs.messages:
             if message.channel == _CHANNEL and isinstance(message.value, str):
                 self._roles[message.sender] = message.value[:16]

@@ -29,7 +29,7 @@ class _Setting:
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """Of the honest robots: the spread at the end, how far one left the hull, and when they agreed.
+    """The spread of the honest robots' values, how far a value left the hull, and when they agreed.
 
     `agreed_at` in s: the first time at which their values differ by at most 0.001.
     """

@@ -48,9 +48,10 @@ def outcomes(
 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Tumbling windows and a lossy radio: chi-squared of how often opinion 1 wins.
+    """Compare how often opinion 1 wins with theory, by a chi-squared test.
 
-    In theory opinion 1 wins with a probability equal to its share at first.
+    The windows do not overlap, and the radio loses messages. In theory opinion 1 wins with a
+    probability equal to its share at the start.
     """
     off = 0.0
     for first in FIRST:
@@ -63,9 +64,9 @@ def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Rounds: difference of the mean number of rounds until all agree from theory.
+    """Compare the mean number of rounds until all robots agree with theory.
 
-    In standard errors.
+    The value is the difference in standard errors.
     """
     results = debates(seeds, jobs, 5, {**IN_STEP, "opinions": 2}, Air(twice=0.1))
     mean, spread = expected_rounds(ROBOTS, 5)
@@ -99,7 +100,7 @@ def debates(
 def expected_rounds(count: int, first: int) -> tuple[float, float]:
     """Mean and standard deviation of the rounds until all agree, by the exact Markov chain.
 
-    `first` of `count` robots hold one of two opinions at first.
+    At the start `first` of `count` robots hold opinion 1 of two opinions.
     """
     start: Mapping[Counts, float] = {(count - first, first): 1.0}
     late = 1.0 - np.array(agreed_by(start, any_of, _LONGEST))

@@ -92,8 +92,8 @@ def demo(
         check_parameters(pattern, values, world["plugin_dir"], world["platform"])
 
     # 2. The fleet, and a new folder for the results.
-    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
-    if fleet.scenario is not None:
+    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)  # `spec` sets the folder
+    if fleet.scenario is not None:  # robots that join later, by an event of the scenario
         fleet = replace(fleet, absent=fleet.scenario.scenario.absent)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))

@@ -146,7 +146,9 @@ def run(
         need("distributed", extra="sim,plot,cluster")
         from swarmd.sim.experiments.cluster import connect
 
-    # 2. The plan of all runs, and the cores for each run.
+    # 2. The plan of all runs, and the cores for each run: more than one core if there are fewer
+    #    runs than cores. `chosen`: the metrics to show, None without --metrics. `custom`: those of
+    #    the user's own code.
     chosen = chosen_metrics(metrics)
     custom = beyond_catalog(chosen or ())
     plan = plan_of(
@@ -363,6 +365,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     if b is None:
         _compare_variants(a, metrics, is_trusted=is_trusted, is_json=is_json)
         return
+    # A pair of sides per variant. The results of A and of B are the same in all pairs.
     side_pairs = comparing.sides(a, b, is_trusted=is_trusted)
     results_of_both = [side.results for side in side_pairs[0]]
     chosen = chosen_metrics(metrics, results_of_both[0].asked)
@@ -408,13 +411,14 @@ def list_scenarios(is_json: bool) -> None:
     for name in scenario_names():
         scenario = load_scenario(name)
         run_seconds = cost.run_seconds(name, len(scenario.robots), scenario.duration)
+        rounds = math.ceil(20 / cores)  # `cores` runs at a time
         listed.append(
             {
                 "name": name,
                 "robots": len(scenario.robots),
                 "duration": scenario.duration,
                 "run_seconds": run_seconds,
-                "seeds_20_seconds": run_seconds * math.ceil(20 / cores),
+                "seeds_20_seconds": run_seconds * rounds,
                 "description": " ".join(scenario.description.split()),
             }
         )
@@ -455,18 +459,21 @@ def check_mission(ctx: click.Context, file: Path, scenario: str, sets: tuple[str
     from swarmd.sim.scenarios.scenariofile import load_scenario
 
     loaded = load_scenario(scenario, parse_sets(sets), source="--set")
-    kinds = {
+    # Robots with equal platform and equal equipment need one check.
+    platforms = {
         (platform.name, frozenset(platform.provides)): platform
         for platform in loaded.robots.values()
     }
     faults = dict.fromkeys(
-        line for kind in kinds.values() for line in faults_of(file, kind, loaded.plugin_dir)
+        line
+        for platform in platforms.values()
+        for line in faults_of(file, platform, loaded.plugin_dir)
     )
     for line in faults:
         warn(line)
     if faults:
         ctx.exit(2)
-    names = ", ".join(dict.fromkeys(name for name, _ in kinds))
+    names = ", ".join(dict.fromkeys(name for name, _ in platforms))
     click.echo(f"{file}: ok on {names} of {loaded.name}")
 
 
@@ -588,7 +595,7 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
 def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_json: bool) -> None:
     """Print the variants of the sweep in `folder` as one table, or as JSON.
 
-    For two swept keys it also prints the mean for each value and the interaction of the keys.
+    For two swept keys, also the mean for each value and the interaction of the keys are printed.
     ConfigError if the experiment has only one variant.
     """
     from swarmd.sim.experiments import sweep

@@ -98,7 +98,7 @@ def bench(
     from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.pool import run_jobs
 
-    if tasks[:1] == (_LIST,):
+    if tasks[:1] == (_LIST,):  # the words `exp bench list`
         if len(tasks) > 1:
             raise ConfigError(f"list stands alone; leave out {tasks[1]}, or list")
         _print_tasks([benchmark.load_task(name) for name in benchmark.task_names()], is_json)
@@ -109,6 +109,7 @@ def bench(
         raise ConfigError("a task is given twice, or two files have one name; keep one")
     pattern_names, plugin_dir = _pattern_names(patterns)
     entries, misfits = benchmark.entries_of(loaded, pattern_names, plugin_dir)
+    # The values of the table, by (name of table row, task) and by seed.
     values = _values_of_files(others, loaded, {entry.pattern for entry in entries})
     chosen_seeds = None if seeds is None else parse_seeds(seeds)
     for misfit in misfits:
@@ -145,7 +146,8 @@ def bench(
             by_seed = benchmark.values_by_seed(entry, results)
             values[entry.pattern, entry.task.name] = by_seed
             planned, finished = planned + len(by_seed), finished + len(results.runs)
-            for run, reason in list(results.failures.items())[:1]:
+            if results.failures:
+                run, reason = next(iter(results.failures.items()))
                 warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept in {folder}/; to go on: {shlex.join(command)}")

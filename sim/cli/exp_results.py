@@ -63,14 +63,15 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Progress
 
-    results, written = load_results(folder), list[Path]()
+    results = load_results(folder)
+    written: list[Path] = []
     target_folder = out or folder / "export"
     total_traces = 0 if no_traces else len(results.runs)
     try:
         with progress() as show:
             for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
                 written.append(path)
-                done = sum(file.stem != "results" for file in written)
+                done = sum(file.stem != "results" for file in written)  # traces
                 left = total_traces - done
                 show(Progress(done, total_traces, 0, worked=float(done), left=float(left)))
     finally:
@@ -276,7 +277,7 @@ def plot(
     width: str | None,
     is_trusted: bool,
 ) -> None:
-    """Draw the experiment in DIR: metrics by run and over time, differences; also trajectories.
+    """Draw the experiment in DIR: metrics by run and over time, differences, trajectories.
 
     Without --metrics, the metrics that were given to `exp run` are drawn, if any. Exit code 1 if
     planned runs are missing.

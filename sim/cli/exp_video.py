@@ -95,7 +95,7 @@ def video(
         trail=trail,
     )
     runs = runs_of(place, seed, variant)
-    run = runs.load(runs.first)
+    run = runs.load(runs.first)  # the run of `seed` and `variant`
     of_variant = f", {variant}" if variant else ""
     film(run, out, f"{title_of(run.trace)}{of_variant}", settings)
 

@@ -110,7 +110,7 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
-        name = f"{operator_name()} by mcp"  # a proven name takes its place
+        name = f"{operator_name()} by mcp"  # with an identity, robots use the identity's name
         return Operator(settings, roster=roster, identity=identity, name=name)
 
     # stdout belongs to the protocol.
@@ -126,7 +126,10 @@ async def _serve(connection: Connection, allow: Collection[str], rehearse: Rehea
 
 
 def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
-    """The server with all tools that look and simulate, and the allowed ones that command."""
+    """The MCP server with the tools for an agent.
+
+    These are all tools that read or simulate, and those of `allow` that command robots.
+    """
     from mcp.server.mcpserver import MCPServer
     from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations

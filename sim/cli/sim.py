@@ -74,8 +74,9 @@ def up(
     from swarmd.core.keys import check_id
     from swarmd.sim.live.simulated_swarm import kept_folder
 
-    given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
-    name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
+    # The name of the swarm: of the verb's option, of the option before the verb, or of $SWARM.
+    swarm_option = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
+    name = check_id(swarm_option or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     with kept_folder(keep) as folder:
         spec = dataclasses.replace(fleet_for(name, folder, **world), endpoint=endpoint)
         if bases_only:

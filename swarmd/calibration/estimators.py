@@ -68,8 +68,9 @@ def stop_of(times: Array, distances: Array, stop_time: float) -> Braking | None:
 def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds.
 
-    A line is fitted to `Braking.seconds` over speed, see the module. A figure without a value says
-    why: too few stops, or a slope within the noise.
+    A stop from the speed v takes the distance v (delay + v / 2b) with the deceleration b. So a line
+    is fitted to `Braking.seconds` (distance over speed) as a function of speed. A figure without a
+    value says why: too few stops, or a slope within the noise.
     """
     if len(stops) < 4:
         no_figure = Figure(why="fewer than four stops")
@@ -81,13 +82,14 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     slope = float(centred @ seconds / (centred @ centred))
     delay = float(seconds.mean() - slope * speeds.mean())
     errors = seconds - delay - slope * speeds
-    scatter = math.sqrt(float(errors @ errors) / (len(stops) - 2))
+    scatter = math.sqrt(float(errors @ errors) / (len(stops) - 2))  # a line has 2 parameters
     slope_deviation = scatter / math.sqrt(float(centred @ centred))
     delay_figure = Figure(delay, scatter, len(stops))
     if slope <= 3.0 * slope_deviation:
         return Figure(why="it brakes within the scatter of its odometry"), delay_figure
 
-    # 2. The deceleration, with its scatter to first order from the errors of the fast stops.
+    # 2. The deceleration. Its relative scatter is that of the slope, to first order: an error of
+    # a fast stop relative to its part `slope * speed`, but at least the deviation of the fit.
     is_fast = speeds > speeds.mean()
     relative_errors = errors[is_fast] / (slope * speeds[is_fast])
     deceleration = 0.5 / slope

@@ -286,10 +286,12 @@ class Calibration(Pattern[CalibrationParams]):
         """Measure stops on an axis: to and fro, from two speeds.
 
         Appends pairs of commanded speed and stop to `stops`, and distances to `scales`. After a
-        drive without a steady speed, all stops are repeated at a slower speed.
+        drive without a steady speed, all stops are repeated at a slower speed. Ends the calibration
+        by _EndError after more than _RETRIES such drives.
         """
         failures, words = 0, _AXES[axis]
         while len(stops) < 4 * self.params.repeats:
+            # Four drives: to and fro at the top speed, then to and fro at a slow speed.
             top, index = self._speeds[axis], len(stops)
             speed = top if index % 4 < 2 else _SLOW * top
             self._step_name = f"{words.move} {index + 1} of {4 * self.params.repeats}"
@@ -330,6 +332,7 @@ class Calibration(Pattern[CalibrationParams]):
                 steady_since = self._now
             drive_time = self._now - begin
             is_too_long = distances[-1] > self._farthest[axis] or drive_time > _LONGEST_DRIVE
+            # Odometry must show a share of the commanded motion in the last _UNSEEN_TIME s.
             recent = distances[-1] - np.interp(self._now - _UNSEEN_TIME, times, distances)
             least = _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME
             if drive_time > _UNSEEN_TIME and recent < least:

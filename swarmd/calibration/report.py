@@ -68,9 +68,9 @@ def settings(
     if scan_delay.is_measured:
         value = _up(scan_delay.value + _DEVIATIONS * scan_delay.spread)
         text = f"{_text(scan_delay)}, and 2 sd"
-        is_safe = value >= scan_delay.assumed
+        is_safe = value >= scan_delay.assumed  # a longer latency makes the robot more careful
         chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
-    if sweep is not None and sweep.direction:
+    if sweep is not None and sweep.direction:  # empty: the order is not known
         yaml = "null"  # all rays at one time
         if sweep.duration:
             yaml = (

@@ -68,7 +68,7 @@ class Reference:
         match_count, normal_matrix = 0, np.eye(3)
         for max_distance in _GATES:
             # 1. Match each point with the nearest point of the reference. The squared distances
-            # lack the term that is equal for all points of the reference.
+            # |p|^2 - 2 p q + |q|^2 lack |p|^2, which is equal for all points q of the reference.
             cos, sin = math.cos(yaw), math.sin(yaw)
             rotated = points @ np.array(((cos, sin), (-sin, cos)))
             placed = rotated + np.array((x, y))

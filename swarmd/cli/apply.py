@@ -92,14 +92,15 @@ def _carry_out(
 ) -> list[Outcome]:
     """Send the changes of `plan`: labels, then goal or resume, then parameters.
 
-    A request quotes the epoch of each robot that the operator has seen, and each change raises that
-    epoch. The robots are therefore queried again after each step. Returns an outcome per request.
+    A robot raises its epoch with each change. A request quotes the epoch that the operator has seen
+    of each robot, and a robot refuses any other epoch. The robots are therefore queried again after
+    each step. Returns an outcome per request.
     """
     outcomes: list[Outcome] = []
     if plan.is_empty:
         return outcomes
-    # The run quotes epochs of the first query: a robot that was stopped, or changed otherwise,
-    # since then refuses the run. Epochs that the labels of this plan raise are taken over.
+    # The goal quotes the epochs of the first query: a robot that was stopped, or changed otherwise,
+    # since then refuses the goal. Epochs that the labels of this plan raise are taken over.
     run_epochs = view.epochs(plan.targets)
 
     def queried_again() -> MembersView:

@@ -79,9 +79,9 @@ def _read(
 ) -> tuple[list[_Line], dict[str, str], set[str]]:
     """Query the audit logs of the robots `names`: the last `count` entries of each, at most.
 
-    `since`: only entries of the last so many s, None for all. Returns the entries in the order of
-    time, the faults by robot (entries that are missing, or a log that could not be written), and
-    the robots that answered.
+    `since`: the greatest age of an entry in s, None for all entries. Returns the entries in the
+    order of time, the faults by robot (entries that are missing, or a log that could not be
+    written), and the robots that answered.
     """
     lines: list[_Line] = []
     faults: dict[str, str] = {}

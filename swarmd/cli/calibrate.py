@@ -168,7 +168,8 @@ def _measure(
     Failure if the robot refuses, is lost or does not finish. The robot is stopped if it may still
     run the pattern when this function ends, for instance after Ctrl-C.
     """
-    for signal_number in (signal.SIGTERM, signal.SIGHUP):  # raise KeyboardInterrupt, as Ctrl-C does
+    # These signals then raise KeyboardInterrupt, as Ctrl-C does, so that the robot is stopped.
+    for signal_number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(signal_number, signal.default_int_handler)
     epochs = operator.members(timeout=_QUERY_TIME, needs_status=False).epochs((robot,))
     may_run = True
@@ -255,9 +256,10 @@ def _end_findings(
 ) -> None:
     """End those findings of the assumption monitor that the calibration disproves.
 
-    A finding is the text of a doubt of the robot: its brakes seem weaker than the platform file
-    declares. `report`: the measured figures. A figure disproves a finding if the measured braking,
-    less 2 standard deviations, is more than the share SOUND of the declared braking.
+    A finding is the text of a doubt of the robot, such as: the brakes of an axis seem weaker than
+    the platform file declares. `report`: the measured figures. A figure disproves a finding if the
+    measured braking, less 2 standard deviations, is more than the part SOUND of the declared
+    braking.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 
@@ -265,7 +267,7 @@ def _end_findings(
     figure_texts: dict[str, str] = {}
     for finding in status.findings:
         axis = axis_of(finding)
-        if axis is None:
+        if axis is None:  # the finding is not about brakes
             warn(
                 f"{robot} keeps the finding: {finding}; a calibration does not measure it;"
                 " see `swarmctl reset --findings`"

@@ -120,8 +120,8 @@ def swarmd(
 ) -> None:
     """Drive and protect one robot, and run one pattern in a child process.
 
-    Ends on SIGTERM, SIGINT and SIGHUP: commands zero, leaves the swarm, exit code 0. A verb
-    administers this machine instead.
+    Ends on SIGTERM, SIGINT and SIGHUP: commands zero, leaves the swarm, exit code 0. With a verb,
+    such as `install`, the program administers this machine and starts no daemon.
     """
     if ctx.invoked_subcommand is not None:
         _refuse_options(ctx)
@@ -137,20 +137,22 @@ def swarmd(
     if die_with_parent is not None:  # a process id
         tie_to(die_with_parent)
     check_descriptors()
-    # 2. The settings. Their import loads numpy, whose BLAS would start a thread per core for
-    #    arrays of 360 numbers.
+    # numpy, which both imports below load, would start a BLAS thread per core for small arrays.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # 2. Fork the process that will run the pattern. It must not hold the settings and keys of the
+    #    daemon, so the fork comes before they are read.
     if not (check or print_effective_config):
         from swarmd.pattern_host.forked import forked_host
 
         # Without the folder of the program: a random.py there must not shadow a module.
         path = sys.path if sys.flags.safe_path else sys.path[1:]
         ctx.with_resource(forked_host(path))
+    # 3. Read the settings.
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
     _log_to_stderr(log_level.upper(), settings.id)
-    # 3. Print the settings, check them, or run the daemon.
+    # 4. Print the settings, check them, or run the daemon.
     if print_effective_config:
         from swarmd.cli.effective_config import effective_config
 

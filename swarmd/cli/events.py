@@ -44,7 +44,7 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     with options.operator() as operator:
         if follow:
             session = session_of(options, operator)
-            followed_targets = session.named_now(targets)
+            followed_targets = session.named_now(targets)  # labels replaced by names
             with signals_end():
                 # Does not return: a signal ends the program.
                 _follow(session, feed, followed_targets, is_json=options.is_json)

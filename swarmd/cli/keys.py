@@ -106,6 +106,7 @@ def init(
         Role.VIEWER: expand_names(viewers) if viewers else (),
     }
     check_distinct(*names_by_role.values())
+    # The default profile `dev` stays on this machine, so a network interface means `field`.
     if settings["interface"] and not settings["profile"] and config is None:
         settings["profile"] = "field"
     swarm_yaml = swarm_settings(swarm, config, settings)
@@ -167,10 +168,11 @@ def bundle(
     """
     from swarmd.security.bundle import SUFFIX, write_bundle
 
-    if bool(names) == is_all:
+    has_names = bool(names)
+    if has_names == is_all:  # both, or neither
         raise click.UsageError("keys bundle needs names or --all")
     authority = open_authority(swarm)
-    chosen_names = select_names(names, authority.roster.names)
+    chosen_names = select_names(names, authority.roster.names)  # all names with --all
     # `target` is a file if a single bundle is written and the path has a suffix; else a folder.
     if len(chosen_names) == 1 and target is not None and target.suffix and not target.is_dir():
         files = {chosen_names[0]: target}

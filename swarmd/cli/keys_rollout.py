@@ -47,7 +47,7 @@ ANSWER_TIME = 3.0
 )
 @common_options
 def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
-    """Add each NAME, or range such as 'tb3-[41-50]', to the roster, and send it to all robots.
+    """Add each NAME, or range such as 'tb3-[41-50]', and send the new roster to all robots.
 
     A robot that takes a new roster stands. Then write the bundles of the new names with `keys
     bundle`.
@@ -64,7 +64,7 @@ def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
 @common_options
 def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
-    """Take each NAME from the roster, and send it to all robots: none accepts that name any more.
+    """Take each NAME from the roster, and send the roster to all robots: they refuse that name.
 
     A robot that takes a new roster stands. A robot that misses the roster still trusts the name
     until it hears from another robot, or `keys push` reaches it. The name cannot be added again
@@ -97,12 +97,14 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
     Each robot that takes a new certificate stands. Other operators and viewers need a new bundle:
     `keys bundle`.
     """
-    if bool(names) == is_all:
+    has_names = bool(names)
+    if has_names == is_all:  # both, or neither
         raise click.UsageError("keys renew needs names or --all")
     authority = open_authority(options.swarm)
     settings, own_identity = _network(options, authority)
     roster = authority.roster
-    # 1. Choose the names. A name without a record has no keys yet.
+    # 1. Choose the names; `select_names` without names chooses all. A name without a record has no
+    #    keys yet.
     selectable = (*roster.robots, own_identity.name) if is_all else roster.names
     chosen = [
         name for name in select_names(names, selectable) if authority.record_of(name) is not None
@@ -251,6 +253,7 @@ def _send_roster(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
+            # Once only: with the keys of the generation that this operator has.
             if generation == own.roster.generation and revoked:
                 _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))

@@ -57,14 +57,16 @@ def label(
 ) -> None:
     """Give TARGETS labels, and take labels away: swarmctl label tb3-01 +red -blue.
 
-    A robot keeps its labels across restarts. Labels are targets of -l, and choose parameters of the
-    swarm file. Moves nothing: a goal for robots with a new label is offered.
+    A robot keeps its labels across restarts. `-l LABEL` targets the robots with a label, and the
+    swarm file may give parameters to a label. Moves nothing: a robot that gets the label of a goal
+    is offered that goal, and `swarmctl resume` runs it.
     """
     changes = [*(f"+{name}" for name in added), *(f"-{name}" for name in removed)]
-    if reset == bool(changes):
+    has_changes = bool(changes)
+    if reset == has_changes:  # both, or neither
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
     if changes:
-        read_changes(changes)  # UsageError for a word that is no label
+        read_changes(changes)  # only checks: UsageError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
         if reset:  # to the labels of the swarm file; `report` ends the command
             asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))

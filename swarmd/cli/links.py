@@ -45,9 +45,9 @@ class _Pair(NamedTuple):
 def links(options: CommonOptions, targets: Targets, every: bool) -> None:
     """Show how well each of TARGETS, or of all robots, hears all other robots.
 
-    LOSS counts the beacons of about the last 30 s that did not arrive, in this direction. ROUND
-    TRIP is measured now, from each robot to up to 20 other robots; `-`: no answer. AGE is the time
-    since the last beacon.
+    LOSS is the share of the beacons of HEARS, in about the last 30 s, that did not arrive at ROBOT.
+    ROUND TRIP is measured now, from each robot to up to 20 other robots; `-`: no answer. AGE is the
+    time since the last beacon.
     """
     with options.operator() as operator:
         view = known_members(options, operator)

@@ -77,7 +77,8 @@ def logs(
         printer = _Printer(robots, query, is_json=options.is_json and follow)
         if follow:
             with signals_end():
-                _follow(options, operator, targets, view, printer)  # until a signal
+                # Does not return: a signal ends the program.
+                _follow(options, operator, targets, view, printer)
         replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
         lines = printer.new_lines(replies.values())
         if options.is_json:
@@ -111,6 +112,7 @@ def _follow(
 
     def on_batch(robot: str, payload: bytes) -> None:  # in a thread of Zenoh
         batch = decode(payload)
+        # A batch that a full queue drops leaves a gap, whose lines are queried (phase 2).
         if batch.robot == robot and not batches.full():
             batches.put(batch)
 
@@ -128,7 +130,9 @@ def _follow(
             present = {robot: view.members[robot].instance for robot in in_reach(view, robots)}
             for robot in present.keys() - instances.keys():
                 operator.watch("log", on_batch, robot)
-            started = [robot for robot, life in present.items() if instances.get(robot) != life]
+            started = [
+                robot for robot, instance in present.items() if instances.get(robot) != instance
+            ]
             print_earlier(started)
             instances |= present
             silent_now = instances.keys() - present.keys()

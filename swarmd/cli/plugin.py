@@ -171,33 +171,33 @@ def write_plugin(
 ) -> tuple[Path, ...]:
     """Write a pattern and its test from the templates in `templates/`; returns their paths.
 
-    `kind`: the template of the pattern. `policy`: a file with a network; the pattern then runs that
-    network. `has_folder`: write also a scenario and a page, all into a folder `name`. UsageError
-    for an unusable name or an existing file, ConfigError for a file without a network; nothing is
-    written then.
+    `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern then
+    runs that network. `has_folder`: also write a scenario and a page; all files are then in a new
+    folder `name`. UsageError for an unusable name or an existing file, ConfigError for a `policy`
+    without a network; nothing is written then.
     """
     if policy is not None and kind != "movement":
         raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
     network = "" if policy is None else _network_text(policy)
-    kind = kind if policy is None else "policy"
+    template = kind if policy is None else "policy"
     _check_name(name)
     # 1. The files by the name of their template, pattern and test first.
     plugin_folder = folder / name if has_folder else folder
     pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
-    paths = {kind: pattern_file, f"test_{kind}": plugin_folder / f"test_{name}.py"}
+    paths = {template: pattern_file, f"test_{template}": plugin_folder / f"test_{name}.py"}
     if has_folder:
         paths |= {"scenario": plugin_folder / "scenario.yaml", "page": plugin_folder / "page.md"}
     for path in paths.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
-    _check_free(name)
+    _check_free(name)  # UsageError if a module or an installed pattern has this name
     templates = files("swarmd.cli") / "templates"
     texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
     # 2. A class name that the templates use for something else, such as Twist, gets a suffix.
     title = class_name(name)
     if title in "".join(texts.values()):
         title += "Pattern"
-    # 3. Fill in the templates.
+    # 3. Fill in the templates, in which `$kind` stands for the name of the class.
     fields = {"name": name, "module": pattern_file.stem, "kind": title, "network": network}
     plugin_folder.mkdir(parents=True, exist_ok=True)
     for path, text in texts.items():

@@ -134,8 +134,9 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
     """Yields the points (rules of the contract) of a pattern's file, each as soon as it is known.
 
     A child process checks the points, each within `timeout` s. If the plugin's code ends the child
-    in a point, another child checks the points after it. After a point that hangs, the remaining
-    points are skipped. Raises PluginError if the child fails before the first point.
+    in a point, another child checks the remaining points. Exceptions: after the first point (the
+    import of the file) and after a point that hangs, no further point is checked. Raises
+    PluginError if the child fails before the first point.
     """
     checked_names: list[str] = []  # of points
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
@@ -151,9 +152,9 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                 elif "result" in row and row["result"] not in checked_names:
                     checked_names.append(row["result"])
                     yield _point(row["result"], row, known_faults)
-                    if row.get("is_hang"):
+                    if row.get("is_hang"):  # the child noticed it, and ends
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
-                elif "lost" in row:  # the child ended or hangs in this point
+                elif "lost" in row:  # the child has ended, or hangs (`hangs`), in this point
                     is_first = not checked_names
                     checked_names.append(row["lost"])
                     fault = {"fault": f"the process that checks it {row['how']}"}
@@ -196,11 +197,12 @@ def _inspect(
 ) -> Iterator[Record]:
     """Yields the rows (JSON objects) of a child process that imports plugin code.
 
-    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row.
-    `folder`: of the plugin's code. `log`: takes standard error. If the child ends or hangs in an
-    item, the last row is the item's with `lost` (its name), `how` (the end in words, with the line
-    of code) and `hangs`. PluginError for an `error` of the child, and if the child ends or hangs
-    before the first item.
+    The child works on items: the points of a check, or the patterns to describe. `words`: the
+    arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
+    plugin's code. `log`: takes standard error. If the child ends or hangs in an item, the last
+    yielded row is the `begin` row of that item with further keys: `lost` (the name of the item),
+    `how` (the end in words, with the line of code) and `hangs`. PluginError for an `error` of the
+    child, and if the child ends or hangs before the first item.
     """
     # 1. Start the child. -P: a random.py in the current folder must not shadow a module. --secret:
     #    folders that the sandbox hides from plugin code.
@@ -240,7 +242,7 @@ def _inspect(
                     yield row
                 else:
                     code_place = code_place or _place_of(line, folder)
-            hangs = _is_running(child)
+            hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
         # 3. The child hung or ended early. A child that hangs prints its stack after SIGUSR1, which

@@ -122,7 +122,7 @@ def push(
         if len(outcome.applied) < len(canaries):
             _end_early(outcome, remaining)
         result = _await_canary(asked, source, canaries, remaining, canary_time)
-        # 4. Push to all robots.
+        # 4. Push to all robots, with a greater generation: that of the canaries names them alone.
         warn(f"canary: {result}; now {', '.join(remaining)}")
         asked.report(pusher.push(push_targets, robots, generation + 1))
 
@@ -150,6 +150,7 @@ def list_pushed(options: CommonOptions, targets: Targets) -> None:
     `!` marks a pattern whose hash differs from its most frequent hash in the swarm.
     """
     with options.operator() as operator:
+        # The labels of robots are in their statuses.
         view = known_members(options, operator, needs_status=bool(targets.labels))
         robots = targets_of(view, targets)
         replies = pushed_patterns_of(options, operator, view, robots)

@@ -164,7 +164,8 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
         return
-    fit_count, misfits = 0, list[str]()
+    fit_count = 0
+    misfits: list[str] = []
     for row in rows:
         name = row["name"]
         origin = origins[name]
@@ -173,7 +174,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
             yield Finding(f"pattern {name}", False, f"{text}; rename one")
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
-        elif row["missing"]:
+        elif row["missing"]:  # what the pattern needs and the platform lacks
             misfits.append(name)
         elif row["refused"] and name in in_plugin_dir:
             yield Finding(f"pattern {name}", False, row["refused"])

@@ -52,7 +52,8 @@ def merge(
         raise click.UsageError(f"{files[0]}: no messages in this recording")
     for fault in recordings.faults:
         warn(fault)
-    # 2. Align the clock of each recording with that of the first, the reference.
+    # 2. Align the clock of each recording with the clock of the reference robot (by default the
+    #    robot of the first file), whose recording comes first in `aligned`.
     aligned = place(recordings, reference)
     reference_robot = aligned[0].source.robot
     without_exchange = sorted({part.source.robot for part in aligned if part.alignment is None})

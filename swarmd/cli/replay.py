@@ -37,7 +37,7 @@ def replay(
     """Repeat a recorded run without a robot, and compare its commands with the recorded commands.
 
     FILE: a recording (.mcap), its parts in their order, or the folder of one robot. If the daemon
-    was restarted, the recording of each daemon process is repeated after the recording before.
+    was restarted, the recordings of its processes are repeated one after the other.
     `safe` compares what protection commanded, `requested` what the pattern asked for. The exit code
     is 0 only if all commands are equal to the bit.
     """
@@ -63,7 +63,8 @@ def replay(
         try:
             results.append(repeat(parts, places_of(origins), other_platform))
         except ConfigError as error:
-            if parts is recordings[-1] and not results:
+            is_last = parts is recordings[-1]
+            if is_last and not results:
                 raise
             warn(f"{error}; it is left out")
     # 3. Compare.

@@ -239,10 +239,11 @@ def run_cli(
         sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED_PIPE
-    # 3. A file name that is no text, such as that of a file below a folder.
+    # 3. The name of a file is no text: `as_text` says which. Another text that cannot be encoded
+    #    is a fault of the program: the error goes on.
     except UnicodeEncodeError as error:
         try:
-            as_text(error.object)
+            as_text(error.object)  # ConfigError if the object is no text
         except ConfigError as fault:
             return _fail(str(fault), 2, words)
         raise

@@ -78,7 +78,7 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
     from swarmd.client.swarm_watch import SwarmWatch
 
     with options.operator() as operator, signals_end():
-        watched_targets = session_of(options, operator).named_now(targets)
+        watched_targets = session_of(options, operator).named_now(targets)  # labels become names
         watch = SwarmWatch(operator)
         watch.start()
         try:

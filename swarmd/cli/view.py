@@ -83,7 +83,7 @@ def view(
     # 4. A page of the living swarm.
     need("websockets", extra="web")
     with _live(options, "from the page") as (source, commander, identity):
-        page = page.of(identity)
+        page = page.of(identity)  # with the token, certificate and rights of this user
         check_web(page)
         serve(source, commander, page)
 

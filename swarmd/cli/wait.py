@@ -26,7 +26,7 @@ from swarmd.texts.awaited import read_awaited
 )
 @common_options
 def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> None:
-    """Wait until TARGETS, or all robots, meet each condition; for --timeout, or 30 s.
+    """Wait until TARGETS, or all robots, meet each condition; at most --timeout, or 30 s.
 
     goal: each robot does what its goal wants. count=5: at least five robots are alive and meet all
     other conditions. Robots of the roster and named robots are waited for even if they are not

@@ -50,6 +50,7 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
             endpoints = {name: url for name, url in endpoints.items() if name not in by_ipv6}
             if not endpoints:
                 raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
+        # The configuration names files of this folder, and may be read from another folder.
         identity = replace(identity, folder=identity.folder.absolute())
     # 3. The configuration: a session that scouts dials no endpoint.
     scouts = not dial and settings.answers_scouts(is_secured=identity is not None)

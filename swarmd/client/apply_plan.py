@@ -54,7 +54,7 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
         if member.status is not None and member.contact is Contact.ANSWERED
     }
 
-    # 1. Labels. `labels`: of the file; `new_labels`: those that differ from the robot's labels.
+    # 1. Labels. `labels`: of the file, by robot; `new_labels`: where the robot has other labels.
     labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
     new_labels = {
         name: wanted for name, wanted in labels.items() if set(wanted) != {*statuses[name].labels}
@@ -89,8 +89,9 @@ def _goal_plan(
     """A plan with only the change from the present goal of the swarm to the goal in the file.
 
     `labels`: the labels of the file by robot, empty if the file names none. If the present goal has
-    the content of the file, robots that were offered the goal resume it, and runs that have ended
-    are only reported (`left`). Otherwise the file's goal is a new goal.
+    the content of the file, robots to which the goal is offered (known, but not run before an
+    operator says so) resume the goal. Runs that have ended are only reported (`left`: the reason by
+    robot). Otherwise the file's goal is a new goal.
     """
     if file.goal is None:
         return Plan()

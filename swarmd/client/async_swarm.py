@@ -137,8 +137,8 @@ async def _from_thread(
     try:
         while True:
             next_item = asyncio.ensure_future(items.get())
-            either: set[asyncio.Future[Any]] = {next_item, thread_end}
-            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+            item_or_end: set[asyncio.Future[Any]] = {next_item, thread_end}
+            await asyncio.wait(item_or_end, return_when=asyncio.FIRST_COMPLETED)
             if not next_item.done():  # the thread has ended
                 next_item.cancel()
                 while not items.empty():

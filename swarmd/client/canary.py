@@ -46,8 +46,8 @@ def choose_canaries(
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: the canary's status before the run. `first`, `now`: its first and its newest status in
-    the run.
+    `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
+    newest status in the run.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -80,11 +80,12 @@ def watch_canary(
     """
     from swarmd.client.ask_robots import next_status, statuses_of  # most runs have no canary
 
-    last_heard, until = dict.fromkeys(names, boottime()), boottime() + seconds
+    watch_end = boottime() + seconds
+    last_heard = dict.fromkeys(names, boottime())
     first_status: dict[str, Status] = {}
     faults: dict[str, str] = {}
     with statuses_of(session.operator) as status_queue:
-        while not (faults or session.is_cancelled()) and (time_left := until - boottime()) > 0:
+        while not (faults or session.is_cancelled()) and (time_left := watch_end - boottime()) > 0:
             # 1. Judge the next status.
             status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
             if status is not None and status.robot in last_heard:

@@ -47,8 +47,8 @@ class EventLine:
 class EventFeed:
     """Turns the statuses of robots, and lists of members, into event lines.
 
-    Times are in s on one clock. `since`: events that are older, in s, when the first status of a
-    robot comes are left out.
+    Times are in s on one clock. `since`: s; events that are older than this when the first status
+    of their robot comes are left out.
     """
 
     def __init__(self, since: float = float("inf")) -> None:
@@ -136,9 +136,9 @@ class EventFeed:
 
 
 def together(lines: Iterable[EventLine]) -> list[tuple[EventLine, tuple[str, ...]]]:
-    """The lines, each with its robots: equal texts of several robots within TOGETHER are one line.
+    """The lines, each with its robots: equal texts of several robots within TOGETHER make one line.
 
-    A number that differs among the robots is shown as `..`, such as the port of a request.
+    A number that differs among the robots, such as the port of a request, is shown as `..`.
     """
     groups: dict[tuple[str, str], list[list[EventLine]]] = {}
     ordered: list[list[EventLine]] = []

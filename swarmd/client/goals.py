@@ -37,9 +37,9 @@ def resume_on(
 
 
 def undo(session: Session) -> Outcome:
-    """Set the goal before the present one again. Robots of only the present goal are stopped.
+    """Set the goal before the present goal again. Robots of only the present goal are stopped.
 
-    RequestError if there is no such goal, or if that goal had a run lease.
+    RequestError if there is no goal before, or if the goal before had a run lease.
     """
     operator = session.operator
     view = signed_goals(session.look(is_request_next=True), operator.identity)

@@ -21,7 +21,7 @@ DEFAULT_SWARM = "default"
 class NetworkOptions:
     """The options of the network; None or empty if not given.
 
-    `context`: another context of the user than the one in use.
+    `context`: the name of a context (a named set of options) in place of the context in use.
     """
 
     swarm: str | None = None
@@ -42,9 +42,9 @@ class NetworkOptions:
     def in_context(self) -> Self:
         """These options; options that are not set come from the context in use.
 
-        A context is a named set of options. It sets no option that the command line or $SWARM sets.
-        It is not used if the options or $SWARM_CONFIG name a swarm file, and if the context belongs
-        to another swarm. ConfigError if the context does not exist.
+        A context is a named set of options. A context sets no option that the command line or
+        $SWARM sets. No context is used if the options or $SWARM_CONFIG name a swarm file, or if
+        the context belongs to another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 
@@ -89,7 +89,10 @@ class NetworkOptions:
         return self.in_context()._network()
 
     def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
-        """As `network`, from these options alone, without the context in use."""
+        """The settings of the network, the robots that a swarm file names, and the identity.
+
+        Only these options and $SWARM count, not the context in use.
+        """
         from swarmd.network.settings import NetworkSettings, Profile
         from swarmd.security.identity import check_asker, choose_identity
 

@@ -68,9 +68,9 @@ class OperatorPool:
 
     @contextmanager
     def lend(self) -> Iterator[Operator]:
-        """Lend an operator for one verb; it is closed if the verb raises.
+        """Lend an operator for one verb; the operator is closed if the verb raises.
 
-        SwarmError after `close`.
+        SwarmError after `close` of the pool.
         """
         with self._lock:
             if self._is_closed:
@@ -91,7 +91,7 @@ class OperatorPool:
     def keep_lease(self, robots: Collection[str], lease: ExitStack) -> None:
         """Close `lease` with the pool, or once a later lease covers all of its `robots`.
 
-        It is closed at once if the pool is closed: no lease outlives the connection.
+        The lease is closed at once if the pool is closed: no lease outlives the connection.
         """
         with self._lock:
             ended = [entry for entry in self._leases if entry[0] <= frozenset(robots)]

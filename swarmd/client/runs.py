@@ -232,7 +232,7 @@ def start_at(
         stop_on_interrupt(session, epochs)  # else the robots would start without their operator
         raise
 
-    # 3. After a cancellation stop the robots that have not refused.
+    # 3. After a cancellation stop the robots that have not refused: they would start at `at`.
     accepted = epochs.keys() - outcome.replies.keys()
     if is_withdrawn and accepted:
         raise SwarmError(stop_on_interrupt(session, accepted, "start cancelled"))

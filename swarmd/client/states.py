@@ -60,7 +60,7 @@ class RobotState(Struct, frozen=True, kw_only=True):
 def follow_states(
     session: Session, targets: Targets, *, seconds: float | None = None, poses: bool = False
 ) -> Iterator[RobotState]:
-    """Yield the states of the robots in `targets` as these publish them.
+    """Yield the states of the robots in `targets` as the robots publish them.
 
     A robot publishes its status on each change and each second. With `poses` a state is also
     yielded for each pose, 10 a second, and the states of a robot begin with its first pose, so that

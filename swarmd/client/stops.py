@@ -73,7 +73,8 @@ def send_stop(
         if operator.identity is not identity_before:
             outcome = send()
 
-    # 3. Report robots that did not answer, and names that no robot has.
+    # 3. Report what the outcome cannot show: no robot heard at all, no robot targeted (all names
+    # unknown, or all robots have left), robots that did not answer, and names that no robot has.
     session.tell_notices()
     view = operator.seen()
     if not outcome.reached and not outcome.replies and not view.roster:

@@ -79,7 +79,7 @@ class Swarm:
     def members(self, *, poses: bool = False, timeout: float | None = None) -> Members:
         """The robots of the swarm; with `poses` also where each is, by its own odometry.
 
-        What did not answer is in `missing`.
+        Robots that did not answer are in `missing`.
         """
         with self._session(timeout) as session:
             view = session.look()
@@ -140,7 +140,7 @@ class Swarm:
     ) -> Generator[EventLine, None, None]:
         """What happens to robots, as it comes, until the iterator is closed.
 
-        `since`: also what happened in the last so many s; each robot keeps its last 10 events.
+        `since`: s; also events of this time before the call. Each robot keeps its last 10 events.
         """
         from swarmd.client.event_feed import EventFeed
         from swarmd.client.events import follow_events
@@ -164,7 +164,7 @@ class Swarm:
     ) -> Generator[RobotState, None, None]:
         """How robots are: a state on each change and each second, with `poses` ten times a second.
 
-        It ends after `seconds`, or when the iterator is closed.
+        The iterator ends after `seconds`, or when the caller closes it.
         """
         from swarmd.client.states import follow_states
 
@@ -233,6 +233,8 @@ class Swarm:
         run.check()
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
+            # The session of a run with a lease stays open for the time of the run, to renew the
+            # lease. So it is not counted among the requests under way, whose number is limited.
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
@@ -265,7 +267,7 @@ class Swarm:
     ) -> Outcome:
         """Emergency-stop robots; the stop survives restarts, until a `reset`.
 
-        `until_all`: it is repeated until every expected robot has acknowledged it.
+        `until_all`: the stop is repeated until every expected robot has acknowledged it.
         """
         targets = _targets(robots, labels, exclude)
         return self._stop("estop", targets, str(reason), until_all, timeout)

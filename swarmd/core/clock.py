@@ -29,8 +29,9 @@ def boottime() -> float:
 class ClockSample(NamedTuple):
     """A request and answer between this robot and `peer`, by which their clocks are compared.
 
-    `sent` and `returned` are in s on the own clock, `answered` is in s on the peer's clock. `clock`
-    identifies the peer's clock as `clock_id` does.
+    `sent`: s on this robot's clock, when the request went out; `returned`: when the answer came.
+    `answered`: s on the peer's clock, when the peer made the answer. `clock`: the `clock_id` of the
+    peer's clock.
     """
 
     peer: str

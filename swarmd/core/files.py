@@ -110,9 +110,10 @@ def remove_whole(path: Path) -> None:
 
 
 def write_fault(folder: Path) -> str:
-    """Why no file can be written to a folder (which is made if it is missing); empty if one can.
+    """Why no file can be written to a folder; empty if a file can be written.
 
-    Writes and removes a file of one block: permissions do not show a full or read-only disk.
+    Makes a missing folder. Writes and removes a file of one block: permissions alone do not show a
+    full or read-only disk.
     """
     from tempfile import TemporaryFile  # 10 ms of each start of swarmctl
 

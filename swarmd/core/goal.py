@@ -70,7 +70,8 @@ class GoalState(StrEnum):
 class GoalRecord(Struct, frozen=True, kw_only=True):
     """The record of a robot on disk: its goals, the end of its run, and its labels.
 
-    - `held`, `own`, `before`: as in `GoalStatus`.
+    - `held`: the greatest goal seen; `before`: the goal that it replaced; `own`: the greatest goal
+      for this robot.
     - `ended`: why the run of the own goal ended; empty if it did not end.
     - `may_join`: neither a stop nor a reset came after the own goal.
     - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.

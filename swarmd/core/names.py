@@ -23,7 +23,7 @@ _EXAMPLE = "tb3-[01-40]"
 
 
 def expand_names(text: str) -> tuple[str, ...]:
-    """The names in `text`, in order. ConfigError for a wrong range or name, or a repeated name.
+    """The names in `text`, in its order. ConfigError for a wrong range or name, or a repeated name.
 
     Numbers are padded to the width of the first number of a range: `[01-40]` gives 01, 02, ... 40.
     """

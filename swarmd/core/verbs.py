@@ -120,8 +120,8 @@ class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
 class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
     """Clear the latches with these `ids`, and a fault.
 
-    `findings`: the findings of the assumption monitor to end, as named in the status. A running
-    robot refuses to end a finding.
+    `findings`: the findings of the assumption monitor to clear, as named in the status. A running
+    robot refuses to clear a finding: without the finding it would drive faster.
     """
 
     ids: tuple[Name, ...] = ()
@@ -264,7 +264,7 @@ class RecordingFile(Struct, frozen=True, kw_only=True):
 
 
 class RecordingsReply(Struct, frozen=True, kw_only=True):
-    """The recordings of a robot; `now`: its clock at the answer. `clock`: the id of that clock.
+    """The recordings of a robot; `now`: s on the clock `clock` of the robot, at the answer.
 
     `fault`: why the last recording ended by itself; empty otherwise.
     """
@@ -388,7 +388,7 @@ class AuditReply(Struct, frozen=True, kw_only=True):
 class LogRecord(Struct, frozen=True, array_like=True):
     """A line of a daemon's log, or a line that its pattern printed (`pattern`).
 
-    `seq` counts the records of an instance; `at` on the robot's clock; `level` as in `logging`.
+    `seq` counts the records of an instance. `at`: s on the robot's clock. `level`: as in `logging`.
     """
 
     seq: Count
@@ -407,7 +407,7 @@ class LogsQuery(Struct, frozen=True, kw_only=True):
 
 
 class LogBatch(Struct, frozen=True, kw_only=True):
-    """Log records of a robot, oldest first; `now`: its clock. `last`: its latest record number.
+    """Log records of a robot, oldest first. `now`: s on its clock. `last`: its latest `seq`.
 
     `left_out`: the count of lines in this life of the daemon that exceeded the rate limit.
     """

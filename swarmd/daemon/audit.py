@@ -89,7 +89,7 @@ class Audit:
             entry = self._entry(what, operator, source, result, reply.text, now)
             self._keep(replace(entry, targets=targets, left_out=omitted))
 
-        # 2. The line.
+        # 2. The line of the log, limited by `line_limits` in the same way.
         omitted = line_limits.take(is_applied, now)
         if omitted is None:
             return
@@ -133,9 +133,9 @@ class _Limits:
         self._left_out = 0
 
     def take(self, is_applied: bool, now: float) -> int | None:
-        """The count of requests left out since the last request that passed.
+        """The count of requests left out since the last request that the limit permitted.
 
-        None if this request is left out.
+        None if this request itself must be left out.
         """
         if not (self._applied if is_applied else self._others).take(1.0, now):
             self._left_out += 1

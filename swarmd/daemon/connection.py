@@ -76,7 +76,11 @@ class NetworkConnection:
         drops: DropCounter,
         owner: ConnectionOwner,
     ) -> None:
-        """Carrier and session stay closed until `open`. `owner` gets datagrams and changes."""
+        """Carrier (of datagrams) and Zenoh session stay closed until `open`.
+
+        `owner` gets datagrams, and changes of the interface. `drops` counts datagrams and queries
+        that are dropped.
+        """
         self._settings = settings
         self._robot = robot
         self._tag = tag

@@ -144,7 +144,7 @@ class Daemon:
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
-        self._provisional: tuple[int, ...] = ()  # generations, as last handed to the robot
+        self._provisional: tuple[int, ...] = ()  # generations of runs of code just pushed
         self._shown_scan = -1  # sequence number of the last scan that was published for viewers
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._begin_records(folder)
@@ -232,7 +232,8 @@ class Daemon:
             keys=lambda: self._rosters.summary,
             sandbox=lambda: self._runner.sandbox,
         )
-        # Each request that was answered gives a line of the log and an entry of a file.
+        # Each request that was answered gives a line of the log and an entry of a file. `clock`
+        # names this boot of the machine; `wall` gives s since 1970.
         self._audit = Audit(self._on_audit, self._tools.audit.add, clock=clock_id(), wall=time.time)
         self._requests = RequestServer(
             settings.id,
@@ -291,7 +292,7 @@ class Daemon:
             if self._crash is not None:
                 raise self._crash
         finally:
-            # 2. Leave. Without a join the task must not go on joining.
+            # 2. Leave. A robot that has not joined the network so far must not join any more.
             self._notify("STOPPING=1")
             if not self._has_joined:
                 await _end(life)
@@ -393,7 +394,7 @@ class Daemon:
     def step(self, input: events.Input, *, may_repeat: bool = True, age: float = 0.0) -> None:
         """Hand an input, which arrived `age` s ago, to the robot and carry out the actions.
 
-        `may_repeat` as in `DriverOutput.command`.
+        `may_repeat` False: a command to the base that equals the last command is not sent again.
         """
         kind = type(input)
         if kind is events.TickInput or kind is events.HostInput:
@@ -408,9 +409,11 @@ class Daemon:
             self._timer.tick_early()
 
     def _rest(self, is_resting: bool) -> None:
-        """Let timer and driver rest, or end their rest: the robot gets what the driver kept back.
+        """Let timer and driver rest, or end their rest.
 
-        A recording has each reading of odometry, so the driver does not rest meanwhile.
+        At rest the timer ticks half as often, and the driver keeps readings back; at the end of the
+        rest the robot gets these readings. While a recording is made, which has each reading of
+        odometry, the driver does not rest.
         """
         self._timer.rest(is_resting)
         driver, was_resting = self._resting_driver, self._is_driver_resting
@@ -561,7 +564,8 @@ class Daemon:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
 
-        # 1. The readings that a resting driver kept back.
+        # 1. The readings of a resting driver: while the robot is at rest, the driver keeps its
+        # readings back until this call, which saves wake-ups.
         if self._resting_driver is not None and self._is_driver_resting:
             self._resting_driver.read()
 
@@ -647,8 +651,8 @@ class Daemon:
     def _carry_out(self, actions: Actions, *, may_repeat: bool) -> None:
         """Carry out what the robot wants after an input, the command to the base first.
 
-        `may_repeat` as in `DriverOutput.command`. Latches are on disk before any reply is sent;
-        goals are written by a task.
+        `may_repeat` False: a command that equals the last command is not sent again. Latches are on
+        disk before any reply is sent. A task writes goals.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:  # nothing but a command
@@ -679,7 +683,8 @@ class Daemon:
             self._pushed_runs.on_failed(actions.failed_code)
 
         # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
-        # restart the robot must not join a goal that this request has ended.
+        # restart the robot must not join a goal that this request has ended. A robot that runs, or
+        # that holds a latch, needs no wait: a latch is on disk and forbids a run.
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:
@@ -688,6 +693,8 @@ class Daemon:
                 answer.add_done_callback(self._answers.discard)
             else:
                 self._requests.reply(reply, is_stored=is_stored)
+
+        # 4. The next call of `_on_tick`, if the robot asks for one between two periods.
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 

@@ -66,6 +66,7 @@ class DatagramGuard:
         """
         self._identity = identity
         self._tag = tag
+        # The text is the consequence of an unreadable file, for the log.
         self._file = StateFile(counters, StopCounters, "replayed stops may count")
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
@@ -73,14 +74,15 @@ class DatagramGuard:
         self._written: Mapping[bytes, int] = self._file.read().counters  # on disk now
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
-        self._strange: Counter[str] = Counter()
-        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)  # by host, limits followed hints
-        self._noticed_at = self._replay_at = -1e9
+        self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
+        # By host: limits how often a hint (a datagram of a newer roster) leads to a question.
+        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
+        self._noticed_at = self._replay_at = -1e9  # s; the last warnings of flaws and of replays
         self.admission = Admission(
             identity.name,
             identity.roster.robots,
             lease,
-            lambda: secrets.randbits(53) or 1,
+            lambda: secrets.randbits(53) or 1,  # echoes of questions; 0 means no question
             self._written,
         )
 

@@ -58,6 +58,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
+    # With idle_output silent no zero is sent at rest: the daemon's silence would be no fault.
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
@@ -142,7 +143,7 @@ class DriverOutput:
             self._on_crash(error)
 
 
-class Step(Protocol):
+class InputStep(Protocol):
     """Hands an input, which arrived `age` s ago, to the robot."""
 
     def __call__(self, input: events.Input, *, age: float = 0.0) -> None:
@@ -156,7 +157,7 @@ class DriverSink:
     senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
-    def __init__(self, step: Step, neighborhood: NeighborSelection) -> None:
+    def __init__(self, step: InputStep, neighborhood: NeighborSelection) -> None:
         self._step = step
         self._neighborhood = neighborhood
         self.has_neighbors = False

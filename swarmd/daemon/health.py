@@ -41,7 +41,8 @@ class UsageMeter:
 def _read(pid: int) -> tuple[float, int] | None:
     """Processor time in s and resident memory in bytes (proc_pid_stat(5)); None: no such process.
 
-    The name of the process may contain spaces and brackets; its fields follow the last one.
+    The name of the process stands in brackets, and may itself contain spaces and brackets: the
+    other fields follow the last bracket.
     """
     try:
         stat = Path(f"/proc/{pid}/stat").read_bytes()

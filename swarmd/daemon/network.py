@@ -141,7 +141,9 @@ class Network:
     ) -> None:
         """Nothing is opened until `join`.
 
-        `hears_programs` False: messages of Zenoh programs are neither taken nor sent.
+        `robot`: name, instance and body of this robot. `stop_counters`: the file of the greatest
+        counters of stops, required with an `identity`. `hears_programs` False: messages of Zenoh
+        programs (sessions that are no robots) are neither taken nor sent.
         """
         self._settings = settings
         self._own, self._roster = robot, robot.roster
@@ -454,7 +456,7 @@ class Network:
         )
         for stop, sender in effects.stops:
             # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
-            # which may be replayed, counts as relayed.
+            # which an attacker may have replayed, counts as relayed, too.
             hops = max(stop.hops, 1) if effects.is_repeated else stop.hops
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(replace(stop, hops=hops), sender, answer)
@@ -515,7 +517,7 @@ class Network:
         for place in effects.places:
             self._owner.on_input(PlaceInput(place))
 
-        # 3. Clocks, records of peers, and changes of the members.
+        # 3. Clocks, beacons (which show digests of a peer's records), and changes of the members.
         for sample in effects.clocks:
             self._owner.on_clock(sample)
         if effects.beacon is not None and source is not None:

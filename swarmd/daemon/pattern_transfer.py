@@ -181,7 +181,7 @@ class PatternIntake:
         push that the reply answers; None: the code was pulled from a peer.
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
-        is_rerun = request is not None and request.is_rerun
+        is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
 
         def refuse(code: Code, text: str) -> None:
             """Reply after an error in this method."""
@@ -190,7 +190,8 @@ class PatternIntake:
             self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
-            # The entry may have waited in the queue, so that its manifest is checked again.
+            # Checks the manifest again, since the entry may have waited in the queue. Then
+            # deletes the files of patterns that are no longer in use.
             refusal_and_text = self._refusal_of(entry)
             reply = None
             try:
@@ -203,7 +204,7 @@ class PatternIntake:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)  # needs no trial
+                    reply = await self._adopt(id, entry)  # a known entry needs no new trial
             finally:
                 self._is_taking = False
             if reply is not None:
@@ -305,8 +306,8 @@ class PatternIntake:
     def on_reply(self, reply: Reply) -> Reply:
         """Take a reply of the robot before it is sent; returns the reply to send.
 
-        The reply to a trial ends the trial. If the trial succeeded, the text of the reply then also
-        says that the version is provisional.
+        The reply to a trial ends the trial. After a successful trial the text of the reply also
+        says that the version is provisional: a fault of a run brings the version before back.
         """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:

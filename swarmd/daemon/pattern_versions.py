@@ -436,6 +436,8 @@ class PushedRuns:
         """
         origins = dict(installed)
         candidate = self._state.candidate if is_trial else None
+
+        # 1. Each pushed pattern, in the version that this load takes.
         for name, code in self._state.versions.items():
             version = code.current
             if load.is_restart and not is_trial:
@@ -444,9 +446,12 @@ class PushedRuns:
                 if name == load.pattern and candidate is None:
                     raise ChangedCodeError(f"{code.fault}; push it again")
                 origins.pop(name, None)
+            # `_add` leaves an installed pattern in place, unless the manifest replaces it.
             is_added = version is not None and self._add(origins, name, version, installed)
             if version is not None and is_added and not is_trial:
-                self._note_load(load, name, version)
+                self._note_load(load, name, version)  # a restart of this run takes the same version
+
+        # 2. The candidate of a trial, in place of the current version of its pattern.
         if candidate is not None:
             self._add(origins, load.pattern, candidate.version, installed)
         return origins
@@ -488,7 +493,8 @@ class PushedRuns:
     def granted(self, event: HostEvent) -> HostEvent:
         """An event of the pattern host without permissions that a pushed pattern may not get.
 
-        A pushed pattern may not continue with late scans: no configuration grants that by name.
+        A pushed pattern may not continue with late scans: no file of the robot's owner can grant
+        this permission to a pushed pattern by name.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"

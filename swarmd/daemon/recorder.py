@@ -149,6 +149,8 @@ class Recorder:
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
         self._loop.add_reader(recorder.pidfd, self._on_end, recorder)
         self._scans, self._entries = {}, []
+        # Dropped entries: in all, those without an event so far, and those that the recording
+        # does not note so far.
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
@@ -163,7 +165,8 @@ class Recorder:
                 limits=limits,
             )
         )
-        # A replay begins with the inputs that still hold, then with the robot's memory.
+        # A replay begins with the inputs that still hold, such as labels, then with the robot's
+        # memory (its state at this moment), which the next entry carries.
         for input in list(self._lasting.values()):
             self.input(input, began)
         self._is_memory_due = True

@@ -123,7 +123,7 @@ class RequestServer:
         for row in verbs.VERBS.values():
             if row.handler.is_service:
                 self._handlers[row.name] = services.handler(row)
-            elif row.handler is not verbs.Handler.NETWORK:
+            elif row.handler is not verbs.Handler.NETWORK:  # the bus itself answers these verbs
                 self._handlers[row.name] = lambda request, answer: on_request(request)
         # By verb: the tasks that wait for an answer made in a thread.
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
@@ -151,6 +151,7 @@ class RequestServer:
         if not is_stored:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
+        # True if this id has had a reply: a stop is carried out for each copy, but audited once.
         is_repeat = self._keep(reply)
         with self._drops.refusing("control/reply"):
             pending.answer(reply)
@@ -274,6 +275,7 @@ class RequestServer:
         except CodecError:
             query.drop()
             return
+        # `targets` should be a map or list of names. A value of any other type names no robot.
         targets = header.targets
         names = targets if isinstance(targets, dict | list) else (targets,)
         is_stop_of_all = targets is None and verb in ("stop", "estop")

@@ -29,7 +29,7 @@ def make_robot(
     """
 
     def layers(pattern: str) -> Layers:
-        """The layers of parameters of a pattern, for the robot's present labels."""
+        """The layers of parameters of a pattern, for the labels that the robot has at the call."""
         return settings.pattern_layers(pattern, robot.labels)
 
     robot = Robot(
@@ -61,8 +61,8 @@ def recording_head(
 ) -> RecordingHead:
     """The head of a recording: all values from which a replay makes the same robot.
 
-    `robot`: as it is at the begin of the recording. `instance`, `seed`: as in `make_robot`.
-    `pushed`: the names of the pushed patterns.
+    `robot`: as it is at the begin of the recording. `instance`: marks this life of the daemon.
+    `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     # The layers of parameters of each pattern; patterns without own parameters are left out.

@@ -91,9 +91,10 @@ class RosterService:
     async def take(
         self, shared: SharedRoster, certificate: bytes = b""
     ) -> tuple[Refusal | None, str]:
-        """Take a roster if it is valid and newer; returns (None, text), or (refusal, why).
+        """Take a roster if it is valid and newer.
 
-        NOT_WRITTEN: the roster is valid, but could not be written to disk.
+        Returns (None, what has changed), or (refusal, the reason). The refusal NOT_WRITTEN: the
+        roster is valid, but could not be written to disk. It may then count until a restart.
         """
         async with self._one_at_a_time:
             if self.identity is None:

@@ -86,7 +86,11 @@ class FieldTools:
         keys: Callable[[], KeySummary | None],
         sandbox: Callable[[], Sandbox | None],
     ) -> None:
-        """Begin to capture log records, and open the audit log in the folder of this robot."""
+        """Begin to capture log records, and open the audit log in the folder of this robot.
+
+        `keys()`: a summary of identity and roster, None in a swarm without keys. `sandbox()`: how
+        the pattern host is confined. Both are called at each use, since their values change.
+        """
         self._settings, self._instance, self._network = settings, instance, network
         self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()

@@ -175,7 +175,7 @@ class RestingDriver(Protocol):
 
 
 def resting_driver(driver: Driver) -> RestingDriver | None:
-    """The driver, or the driver that it wraps, if it can leave odometry in its socket."""
+    """The bare driver, if the driver can leave odometry in its socket."""
     bare = _unwrapped(driver)
     return bare if isinstance(bare, RestingDriver) else None
 

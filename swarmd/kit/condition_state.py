@@ -126,7 +126,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
         case conditions.Neighbors(slope=None):
             return lambda seen: _count(condition, seen) >= condition.count
         case conditions.Neighbors(slope=slope):
-            slope = slope or 0.0
+            slope = slope or 0.0  # never None here, for type checkers
             return _drawn(
                 lambda seen: _logistic(slope * (_count(condition, seen) - condition.count)), started
             )

@@ -54,8 +54,8 @@ def assemble(
     _check_needs(name, kind.needs, platform)
     params, sources = build(kind.params_type, full_layers(kind, platform, layers))
 
-    # The pattern calls this function for each pattern that it contains. `part` and `private` give
-    # the inner pattern message channels of its own.
+    # The pattern calls this function for each pattern that it contains. With `private` the inner
+    # pattern has message channels of its own, else it shares those of the pattern `inner_name`.
     def make(
         inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:
@@ -67,7 +67,7 @@ def assemble(
             find=find,
             robot=robot,
             platform=platform,
-            rng=rng.spawn(1)[0],
+            rng=rng.spawn(1)[0],  # an independent generator
             channel_prefix=prefix,
         ).pattern
 

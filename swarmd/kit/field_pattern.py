@@ -1,7 +1,7 @@
-"""The base of patterns whose law "paper" follows a potential field over all returns of the lidar.
+"""The base of patterns with a parameter `law`: a pattern's own law, or that of a paper.
 
-Source: Kaiser et al., ICRA 2022, and its code ROS2swarm. With law "paper" the robot always drives
-at full speed, so it never rests.
+With law "paper" the robot follows a potential field over all returns of the lidar (Kaiser et al.,
+ICRA 2022, and its code ROS2swarm). The robot then always drives at full speed, so it never rests.
 """
 
 from __future__ import annotations

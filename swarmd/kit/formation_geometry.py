@@ -1,17 +1,18 @@
 """The place of a robot in a formation, from its sensed neighbours, without leader or positions.
 
 Points are x, y in m in the base frame of the robot, which is at the origin. The robot fits the
-formation to all robots in sight and itself, and takes its own place in it. So robots that see the
-same robots agree, and a complete formation does not move.
+formation to all robots in sight and itself, and takes its own place in this formation. So robots
+that see the same robots agree, and a complete formation does not move.
 
 Line: the line fits the robots best by least squares (Yun, Alptekin and Albayrak, "Line and circle
 formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997; the task is
-Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Ours: the place along the line is that in an
-evenly spaced row that fits the robots best.
+Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Ours: along the line, the places are those
+of the evenly spaced row that fits the robots best.
 
-Circle: ours: the place is that in a regular polygon that fits the robots best. Between two
-neighbours that is the middle, as in Defago and Souissi, "Non-uniform circle formation algorithm for
-oblivious mobile robots with convergence toward uniformity", Theor. Comput. Sci. 396, 2008.
+Circle, ours: the places are the corners of the regular polygon that fits the robots best. A robot
+between two neighbours takes the middle, as in Defago and Souissi, "Non-uniform circle formation
+algorithm for oblivious mobile robots with convergence toward uniformity", Theor. Comput. Sci. 396,
+2008.
 """
 
 from __future__ import annotations

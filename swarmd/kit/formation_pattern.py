@@ -200,16 +200,18 @@ class FormationPattern(MovementPattern[F]):
         is_new_scan = scan.seq != self._seq
         if is_new_scan:
             self._seq = scan.seq
-            reach = params.clearance + params.brake + math.hypot(*offset)
-            points = closest_points(scan, within=reach).tolist()
+            obstacle_reach = params.clearance + params.brake + math.hypot(*offset)
+            points = closest_points(scan, within=obstacle_reach).tolist()
             self._points = NearPoints(polar_from_base(points, offset))
-        # 2. The other robots (k, 2) in m in the base frame: measured by range and bearing, or found
-        #    among the objects of a new scan. Without a new scan the goal stays.
+        # 2. The other robots (k, 2) in m in the base frame: measured by range and bearing, or taken
+        #    from the objects of a new scan. By lidar the goal stays until the next new scan.
         if not self._by_lidar:
             others = self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
         elif is_new_scan:
-            reach = min(params.range, scan.range_max)
-            others = robot_centers(scan, reach=reach, width=params.object_width, offset=offset)
+            robot_reach = min(params.range, scan.range_max)
+            others = robot_centers(
+                scan, reach=robot_reach, width=params.object_width, offset=offset
+            )
         else:
             return
         self._seen = len(others)

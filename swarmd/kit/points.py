@@ -132,11 +132,13 @@ class NearPoints:
         heading_error = atan2(sign * y, sign * x)
         speed_share: cython.double = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
         speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
-        # `toward_x`: the cosine of a point's bearing, so the share of the speed toward the point.
+        # Slow down before points. `toward_x`: the cosine of a point's bearing, so the share of the
+        # speed toward the point. That speed falls from full speed at the range spacing + brake to
+        # zero at the range spacing.
         for distance, toward_x, _ in self._farthest_first:
             ahead = sign * toward_x
             if ahead > 0.0:
-                if brake == 0.0:
+                if brake == 0.0:  # compiled code would not raise by itself
                     raise ZeroDivisionError("brake is 0 m")
                 speed_share = min(speed_share, max(distance - spacing, 0.0) / (brake * ahead))
         turn = min(max(_HEADING_GAIN * heading_error, -angular_max), angular_max)
@@ -171,8 +173,10 @@ def robot_centers(
     centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
     for i in candidates:
         away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
-        # A partly hidden object counts as wide as the usual whole object: its center lies farther
-        # to the hidden side than the middle of the visible part.
+        # A partly hidden object counts as wide as the median of the whole objects. Its visible edge
+        # stays, so its center lies farther to the hidden side than the middle of the visible part.
+        # From the lidar, that middle is `visible_angle` from the edge. The center of a circle of
+        # radius `half` is asin(half / (away + half)) from its edge.
         if not is_free[i]:
             side = _hidden_side(ranges, bearings, widths, i)
             if side == _BOTH:
@@ -180,8 +184,8 @@ def robot_centers(
             if side:
                 visible_angle = half / max(away, _MIN_RANGE)
                 half = max(half, usual_half)
-                hidden_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
-                bearing += side * max(hidden_angle, 0.0)
+                shift_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
+                bearing += side * max(shift_angle, 0.0)
         # The center lies half a width behind the visible side.
         centers.append((away + half, bearing))
         weights.append(counts[i])
@@ -189,7 +193,7 @@ def robot_centers(
     for away, bearing in polar_from_base(centers, offset):
         xs.append(away * cos(bearing))
         ys.append(away * sin(bearing))
-    # A robot may appear in several pieces.
+    # A robot may appear in several pieces: merge centers that are too near for two robots.
     _merge(xs, ys, weights, _MERGE_SHARE * width)
     return list(zip(xs, ys))  # noqa: B905
 

@@ -90,6 +90,7 @@ def _layers_of(
             raise ConfigError(f"policy: node {node.op_type} {node.name!r} leaves the chain")
         has_open_layer = len(weights) == len(functions) + 1  # a layer without its function yet
         match node.op_type, [constant.ndim for constant in constants]:
+            # The weights of Gemm have the shape (inputs, outputs), with transB (outputs, inputs).
             case "Gemm", [2, 1] if node.input[0] == name and _is_plain(attributes):
                 is_transposed = "transB" in attributes and attributes["transB"].i == 1
                 weights.append(constants[0] if is_transposed else constants[0].T)

@@ -96,7 +96,7 @@ class Rounds:
     3. If more than half of the robots are further ahead, this robot has fallen behind, and jumps to
        their median round.
 
-    So no lost message blocks the others, nor a robot that left or sends arbitrary rounds.
+    So a lost message, a robot that left, and a robot that sends arbitrary rounds block no robot.
 
     Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
     acknowledgements, votes are repeated and hold the previous vote.

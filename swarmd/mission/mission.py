@@ -163,6 +163,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
     ConfigError for the first fault of the file, with file and line.
     """
     document = read_document(path)
+    # Both calls add faults to `document`.
     classes = pattern_classes(document, find)
     params_type = _params_type(document, classes)
     if document.faults or document.root is None:
@@ -214,11 +215,11 @@ def _report_units(document: Document, classes: PatternClasses) -> dict[str, str]
 
 
 def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
-    """The class of the mission's own parameters, and of `recovery`.
+    """The class of the mission's parameters: those of its file, and `recovery`.
 
-    Each parameter of the mission stands for a parameter of a part, and has its type, bounds and
-    default. Adds a fault to `document` for a parameter that the part's pattern does not have.
-    `classes`: the pattern class of each part; a part without a class is skipped.
+    Each parameter of the mission sets a parameter of a part, and has the type, bounds and default
+    of that parameter. Adds a fault to `document` for a parameter that the part's pattern does not
+    have. `classes`: the pattern class of each part; a part without a class is skipped.
     """
     fields: list[Any] = []  # (name, type), or (name, type, default)
     for own_name, (part, part_parameter) in document.parameters.items():

@@ -103,7 +103,7 @@ def build_setters(
         for reported, value in values.items():
             prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
             try_value = partial(_tried, builder, target, value)
-            converted = _noting(builder, keys, try_value, prefix)
+            converted = _noting(builder, keys, try_value, prefix)  # None, with a fault, if refused
             if converted is not None:
                 accepted[reported] = converted
         setters.append(Setter(source, target, accepted))

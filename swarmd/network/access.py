@@ -73,6 +73,7 @@ def robot_access(roster: Roster, robot: str) -> Access:
     rules = _Rules()
 
     # 1. This robot to operators and viewers: its state, messages, replies and liveliness token.
+    # The robot subscribes to messages of operators only, since viewers may send none.
     rules.allow(readers, _OUT, ["put"], [robot_state, robot_messages])
     replied = [robot_state, robot_control, robot_shared]
     rules.allow(readers, _OUT, ["reply", "declare_queryable"], replied)
@@ -87,11 +88,11 @@ def robot_access(roster: Roster, robot: str) -> Access:
     for name in readers:
         rules.allow([name], _IN, ["liveliness_token"], [token(roster.swarm, name)])
 
-    # 3. Operators to this robot: messages under the operator's own name. A message may move it.
+    # 3. Operators to this robot: messages, each under the name of its operator.
     for name in roster.operators:
         rules.allow([name], _IN, ["put"], [build(roster.swarm, name, MESSAGE, ANY, ANY)])
 
-    # 4. Requests and pulls. The last chunk of a key is the name that asks.
+    # 4. Requests, and pulls of shared files such as a roster. A key ends with the asker's name.
     rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [robot_shared])
     for name in (*readers, *roster.robots):
         pulled = build(roster.swarm, robot, SHARED, ANY, name)
@@ -102,7 +103,7 @@ def robot_access(roster: Roster, robot: str) -> Access:
 def asker_access(roster: Roster, name: str) -> Access:
     """Zenoh's `access_control` for a session that dials robots.
 
-    `name`: the operator or viewer that dials, or the robot that pulls a record from another robot.
+    `name`: the operator or viewer that dials, or the robot that pulls a file from another robot.
     Directions are seen from this session: _IN is from the robots, _OUT to the robots. Zenoh drops
     every message that no rule permits. Raises ConfigError if the roster lacks the name, or has no
     robot.
@@ -132,7 +133,7 @@ def asker_access(roster: Roster, name: str) -> Access:
         rules.allow(roster.robots, _OUT, ["put"], [own_messages])
         rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
 
-    # 2. Queries of this name, and what each robot may send back on its own keys.
+    # 2. Queries of this name, and what each robot may send back under its own name.
     queried = [*_request_keys(roster, name), pulled, *states]
     rules.allow(roster.robots, _OUT, ["query"], queried)
     rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
@@ -165,6 +166,7 @@ def router_access(roster: Roster, router: str) -> Access:
     rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, all_keys)
     for name in names:
         is_robot = roster.role_of(name) is Role.ROBOT
+        # Operators and viewers send under a random name that matches OPERATOR_SENDERS.
         sender = name if is_robot else OPERATOR_SENDERS
         own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
         queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]

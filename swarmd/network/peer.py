@@ -266,7 +266,8 @@ class Peer:
                 return effects
             body = admitted
 
-        # `_claim` is None once this robot owns its id.
+        # `_claim` is None once this robot owns its id. Datagrams of this robot itself, which
+        # other robots may repeat, are ignored.
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
@@ -366,17 +367,18 @@ class Peer:
             self._times.send_now(now)
             effects.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
-            # The answers show the latches of the peers before the claim is won.
+            # Solicit at set times of the claim: the answers show the latches (held emergency stops)
+            # of the peers before the claim is won.
             self._solicits_at.pop(0)
             effects.sends.append((self._solicit(now), None))
 
-        # 2. Members whose lease has ended, and members that are silent.
+        # 2. Members whose lease (the longest silence of a robot that is alive) has ended.
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
 
-        # 3. Beacon, latches, relayed stops and goals. The beacon goes before the latches: peers
-        # compare its digest with the digest of their own latches.
+        # 3. Beacon, latches, relayed stops and goals, to all (address None). The beacon goes before
+        # the latches: peers compare its digest with the digest of their own latches.
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
@@ -450,7 +452,7 @@ class Peer:
         # `is_owner`: the sender owns its id, so that its digests count.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         effects.beacon = beacon if is_owner else None
-        is_stranger = not self.membership.is_established(beacon.robot)
+        is_stranger = not self.membership.is_established(beacon.robot)  # heard only briefly
         digest, own_digest = beacon.digest(RecordKind.LATCH), digest_of(summary.latches)
         if is_owner and self._sync.wants(
             beacon.instance, digest, own_digest, now, is_stranger=is_stranger

@@ -89,7 +89,7 @@ class Signer:
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
         """The datagram `payload` with a signature. Raises CodecError if it exceeds MAX_DATAGRAM.
 
-        `asker`: the author of the question that the datagram answers; None: it answers no question.
+        `asker`: the author of the question that the datagram answers; None: not an answer.
         """
         if asker is not None and asker.is_previous and self._previous is not None:
             return self._previous.sign(payload, asker)
@@ -157,7 +157,8 @@ class Verifier:
     def verify(self, payload: bytes, now: float) -> Author | Flaw:
         """The author of a datagram whose head `unpack` accepts, or the flaw of its signature.
 
-        A datagram of another generation has a flaw, except a stop of the previous generation.
+        A datagram signed with keys of another generation of the roster has a flaw, except a stop of
+        the previous generation.
         """
         try:
             trailer_begin = length_without_trailer(payload)

@@ -150,7 +150,8 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
         if not isinstance(twist, Twist):
             raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
         linear, angular, lateral = twist.linear, twist.angular, twist.lateral
-        if not type(linear) is type(angular) is type(lateral) is float:
+        are_floats = type(linear) is float and type(angular) is float and type(lateral) is float
+        if not are_floats:
             twist = Twist(float(linear), float(angular), float(lateral))
     # Messages to other robots.
     messages: dict[str, Value] = {}

@@ -1,7 +1,8 @@
 """Forks a pattern host from the process that becomes its daemon, so that both share their imports.
 
-The PSS of daemon and host is 5 MB (8 %) less than with a host that starts by exec. More modules
-imported before the fork raise it: the daemon writes to their pages, of which the host keeps copies.
+The memory (PSS) of daemon and host is 5 MB (8 %) less than with a host that starts by exec. Modules
+that are imported before the fork without need raise the PSS: the daemon writes to their pages, and
+the host keeps copies of these pages.
 
 The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
 host keeps no file descriptor of the daemon, and waits until the daemon uses it as its first host.

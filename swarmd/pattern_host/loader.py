@@ -52,11 +52,12 @@ class PatternLoader:
         self._missions.clear()
 
     def __call__(self, name: str) -> type[Pattern[Any]]:
-        """The class of that name.
+        """Import the class of the pattern called `name`.
 
-        Raises PluginError if the code has no pattern class or several, or if the declarations of
-        the class contradict each other. Raises ChangedCodeError if the SHA-256 of the code differs
-        from its manifest, and ConfigError for a fault in the file of a mission.
+        Raises UnknownPatternError for an unknown name. Raises PluginError if the code has no
+        pattern class or several, or if the declarations of the class contradict each other. Raises
+        ChangedCodeError if the SHA-256 of the code differs from its manifest, and ConfigError for a
+        fault in the file of a mission.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
@@ -198,8 +199,9 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
 def import_file(path: Path, digest: bytes = b"") -> ModuleType:
     """Import the present content of a file as a module.
 
-    Raises PluginError, ChangedCodeError if the SHA-256 of the file differs from a `digest` that is
-    not empty, or any exception of the file's own code.
+    `digest`: the expected SHA-256 of the file; empty for any content. Raises ChangedCodeError if
+    the SHA-256 differs, PluginError if Python takes the file for no module, and any exception of
+    reading, compiling or executing the file.
     """
     name = f"swarmd_plugin_{pattern_name(path)}"
     loader = _UncachedLoader(name, str(path), digest)

@@ -54,6 +54,7 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.sandbox import confine
 from swarmd.plugins import (
     MISSION,
+    Origin,
     check_module_name,
     is_mission,
     is_same_file,
@@ -198,6 +199,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
                 "wanted": spec.wanted,
                 "default": derived_defaults.get(spec.name, spec.default),
                 "is_derived": spec.name in derived_defaults,
+                # False for a parameter that the pattern has from a base class.
                 "is_own": spec.name in pattern.params_type.__annotations__,
             }
             for spec in params
@@ -445,6 +447,19 @@ def _inspect_mission(
     answer.send(result=str(path), faults=faults)
 
 
+def _other_owner(path: Path, origin: Origin | None) -> str:
+    """The file or package of another pattern with the name of the mission `path`; empty if none.
+
+    `origin`: where the patterns of this name are, None without any. The mission itself, or a copy
+    of the mission, may be one of them.
+    """
+    if origin is None:
+        return ""
+    if not origin.rival:
+        return "" if is_same_file(str(path), origin.value) else origin.source
+    return origin.source if is_same_file(str(path), origin.rival) else origin.rival
+
+
 def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> list[str]:
     """A line for each fault of a mission file, for robots of `platform`; nothing is run.
 
@@ -453,9 +468,9 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     """
     document = read_document(path)
     # 1. The name of the file, which becomes the name of the pattern: valid, and of no other
-    #    pattern. `same_name`: the patterns of this name, at most two, `value` and `rival`.
+    #    pattern.
     origins = pattern_names(plugin_dir)
-    same_name = origins.get(path.stem)
+    owner = _other_owner(path, origins.get(path.stem))
     name_fault = ""
     if not is_id(path.stem) or path.suffix != MISSION:
         name_fault = (
@@ -465,11 +480,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
         name_fault = (
             "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
         )
-    elif same_name is not None and (
-        same_name.rival or not is_same_file(str(path), same_name.value)
-    ):
-        is_rival = is_same_file(str(path), same_name.rival)
-        owner = same_name.source if is_rival else same_name.rival or same_name.source
+    elif owner:
         name_fault = f"has the name of another pattern ({owner}); rename one"
     if name_fault:
         document.faults.append(fault_at(("mission",), name_fault))

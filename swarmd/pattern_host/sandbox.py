@@ -323,7 +323,10 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
 
     `architecture`: the AUDIT_ARCH of the processor. `column`: the index of this architecture in
     each pair of system call numbers. An instruction is (code, jump if true, jump if false,
-    operand); a jump is the number of instructions to skip.
+    operand); a jump is the number of instructions to skip. `_if_called(n, block, verdict)` runs
+    `block` for the system call n, then ends with `verdict`. In a block `_argument(i)` loads
+    argument i of the call; `_allowed(x)` permits the call if the loaded value is x, `_refused(x)`
+    refuses it then, and `_required(x)` refuses it for any other value.
     """
     # 1. Another architecture (such as 32-bit calls) is refused. System calls that are newer than
     #    the tables do not exist for the process.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import random
 import socket
 import sys
 import time
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import cast
 
 import msgspec
+import numpy as np
 from msgspec.structs import replace
 
 import swarmd.api  # noqa: F401  # imported ahead for the first run, since all patterns import it
@@ -57,6 +59,9 @@ def run(fd: int, parent: int, folders: bytes) -> None:
     os.dup2(2, 1)  # prints of a pattern go to the daemon's log, line by line
     cast("io.TextIOWrapper", sys.stdout).reconfigure(line_buffering=True)
     limit_growth(LOAD_GROWTH, os.getpid())  # until the daemon sets it, at the first load
+    # A forked host begins with the state of its parent, which all hosts of a simulated swarm share.
+    random.seed()
+    np.random.seed()  # patterns may use the global generator of numpy
     sandbox = confine(map(Path, readable), map(Path, secret))
     with socket.socket(fileno=fd) as daemon:
         try:

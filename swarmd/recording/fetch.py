@@ -102,8 +102,10 @@ def fetch(
             present.rename(_unused(present))
     if path.exists():
         present_size = path.stat().st_size
-        if file.crc is not None or present_size >= file.size:
-            return Copy(path, 0, present_size, True)
+        # A recording without a checksum (a daemon that was killed left it unfinished) may grow.
+        is_complete = file.crc is not None or present_size >= file.size
+        if is_complete:
+            return Copy(path, received=0, size=present_size, is_whole=True)
         path.rename(partial)  # the copy of a truncated recording, which has grown since
     # 2. Append the missing pieces.
     received_bytes, fault = 0, ""
@@ -120,12 +122,12 @@ def fetch(
         size = copy.tell()
     # 3. A whole copy with the right checksum gets the name of the recording.
     if file.is_open or fault:
-        return Copy(partial, received_bytes, size, False, fault)
+        return Copy(partial, received_bytes, size, is_whole=False, fault=fault)
     if file.crc is not None and crc_of(partial) != file.crc:
         partial.unlink()
         raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
     partial.replace(path)
-    return Copy(path, received_bytes, size, True)
+    return Copy(path, received_bytes, size, is_whole=True)
 
 
 def _is_name(name: str) -> bool:

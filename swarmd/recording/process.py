@@ -64,7 +64,8 @@ class Converter:
             case frames.InputEntry():
                 self._input(entry, stamp_s)
             case frames.MemoryEntry():
-                # Parts of another memory, and repeated parts, are dropped.
+                # Keep the earlier parts of the same memory. Parts of another memory (another time
+                # `at`), and repeated parts, are dropped.
                 earlier = (
                     part for part in self._memory if part.at == entry.at and part.part < entry.part
                 )
@@ -171,9 +172,9 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
     link.settimeout(CHUNK_TIME)
     try:
         while True:
-            # 1. Write a batch. A wait without a batch ends after CHUNK_TIME.
+            # 1. Write a batch, which is empty if none arrives for CHUNK_TIME.
             frame = _received(link)
-            if not frame:
+            if not frame:  # the daemon has closed the socket
                 return
             for entry in frames.decode_batch(frame):
                 if isinstance(entry, frames.Begin):

@@ -64,8 +64,8 @@ class GoalHandler:
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
         """True if the goal of this run or goal request had already come from a peer.
 
-        The epoch of the robot then differs from `quoted`, the epoch that the operator saw, through
-        that goal alone. False if anything else has changed the robot since `quoted`.
+        `quoted`: the epoch of the robot that the operator saw. The goal from the peer has raised
+        the epoch since then. False if anything else has changed the robot since `quoted`.
         """
         known = self._peer_goal
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
@@ -130,10 +130,11 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Make `goal` the own goal, which it exceeds; a run or load for a lesser goal ends.
+        """Replace the own goal by the greater `goal`, and end a run or load for a lesser goal.
 
-        `age`: s since the goal was set, None if unknown. `may_join`: the robot may run the goal
-        without a request, if it was idle or ran.
+        The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
+        None if unknown. `may_join`: a robot that is idle or running may run `goal` without a
+        request of an operator.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
@@ -142,7 +143,7 @@ class GoalHandler:
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        # 2. A load for a goal that is greater than `goal` continues. All else ends.
+        # 2. A run ends. A load ends, too, unless its goal is greater than `goal`.
         keeps_load = False
         if loading is not None and loading.goal is not None:
             order_of_load = HeldGoal.of(loading.goal, None).order
@@ -151,7 +152,7 @@ class GoalHandler:
         is_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if is_active:
-            lifecycle.raise_revision(goal.text)
+            lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
         can_join = (is_active or is_idle) and not keeps_load
@@ -160,19 +161,20 @@ class GoalHandler:
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.
 
-        The own goal is the greatest goal that targets this robot; here it came from a peer.
-        `Goals.joins` has the rules for the goal itself. A load or a trial of new code that is under
-        way comes first: the caller calls again after its end.
+        The own goal is the greatest goal that targets this robot; here a peer sent that goal.
+        `Goals.joins` has the rules for the goal itself. During a load or a trial of new code the
+        robot does not join: the caller calls again after the end of the load or trial.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
-        # 1. Reasons of the goal not to join: goals of other peers unknown, no joinable goal, or
-        #    invalid end conditions.
+        # 1. Reasons of the goal not to join: another peer may hold a greater goal that is not known
+        #    yet, there is no goal to join, or the end conditions of the goal are invalid.
         own_goal = goals.own
         if not self._is_settled or own_goal is None or not goals.joins(now):
             return
         if fault_of(own_goal.goal.conditions):
             return
-        # 2. Reasons of the robot not to join.
+        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, or
+        #    the swarm has revoked this robot.
         is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
         is_barred = lifecycle.duplicate is not None or bool(lifecycle.revoked)
         if is_busy or is_barred:
@@ -182,19 +184,17 @@ class GoalHandler:
         # 3. Raise the revision, so that earlier requests are stale. Exception: a late request for
         #    this same goal stays acceptable if nothing else has changed since the goal came.
         peer_goal, revision_before = self._peer_goal, lifecycle.revision
-        age_s = own_goal.age(now) or 0.0
+        age_s = own_goal.age(now) or 0.0  # an unknown age counts as 0
         lifecycle.raise_revision(own_goal.goal.text)
         lifecycle.log(f"joins {own_goal.goal.text}, set {age_s:.1f} s ago", now)
-        if (
-            peer_goal is not None
-            and peer_goal.goal == own_goal.goal
-            and peer_goal.revision_after == revision_before
-        ):
-            self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
+        if peer_goal is not None and peer_goal.goal == own_goal.goal:
+            has_changed_since = peer_goal.revision_after != revision_before
+            if not has_changed_since:
+                self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
         # 4. Run for the rest of the goal's time, which counts from the time the goal was set.
         seconds = own_goal.goal.seconds
         seconds_left = None if seconds is None else seconds - age_s
-        wish = Wish(now - age_s, own_goal.goal.text)
+        wish = Wish(now - age_s, own_goal.goal.text)  # the run counts as requested with the goal
         self._start(own_goal.goal, effects, wish, seconds_left, None)
 
     def _start(

@@ -81,14 +81,17 @@ class Goals:
         self.superseded = ""  # the goal, as text, that ended the last run
         self._reason = ""  # text that explains `state`
         self._may_join = False  # the own goal may be run without a request
-        self.lease_until: float | None = None  # s, own clock; None without a run lease
-        self._lease_count = -1  # of the newest lease message of the operator
+        # A run lease ends the run once its operator is not heard any more. Time in s on the own
+        # clock; None without a run lease.
+        self.lease_until: float | None = None
+        self._lease_count = -1  # the sequence number of the operator's newest lease message
         self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
-        self._undecided: dict[str, _Undecided] = {}  # by id of the stop
+        # By id: stops that may be older than the held goal, as long as the goal's age is unknown.
+        self._undecided: dict[str, _Undecided] = {}
         self._held_since = now  # the held goal was set before this time
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
-        self._ended_during_run = record.ran  # the daemon ended during a run of the own goal
+        self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
         # Content of the held goal if a stop of all robots came later and could make no goal.
         self._stopped_content = b""
         self.is_changed = False  # since the record was last written to disk
@@ -241,7 +244,7 @@ class Goals:
 
         All robots that hold the same goal make the same new goal. `stop`: the id of the stop.
         `age`: s since the stop was issued. Returns False if no goal is made: for a repeated stop,
-        and for a stop that is older than the held goal or that cannot be ordered yet.
+        for a stop that is older than the held goal, and while the age of the held goal is unknown.
         """
         if stop in self._stops:
             return False
@@ -349,8 +352,8 @@ class Goals:
     def on_lease(self, goal: str, count: int, now: float) -> None:
         """Renew the run lease: the operator of the goal with id `goal` was heard at `now`.
 
-        A run lease ends the run if the operator is silent for longer. `count` rises with each
-        message of the operator; an old or repeated count is ignored.
+        A run lease ends the run once the operator is silent for longer than the lease. `count`
+        rises with each message of the operator; an old or repeated count is ignored.
         """
         own = self.own
         if own is None or own.goal.id != goal or own.goal.lease is None:

@@ -191,16 +191,18 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place (index in `_nodes`, as a tuple of one) of the node of an object or value.
+        """The place of the node of an object or value: its index in `_nodes`, as a 1-tuple.
 
-        Adds the node if `value` has none yet. A value is split into its parts at once. An object
-        gets an empty node, and `memory` adds its fields later.
+        (A bare int would mean the number itself.) Adds the node if `value` has none yet. A value is
+        split into its parts now. An object gets an empty node, whose fields `memory` adds later:
+        objects may refer to one another in a circle, values cannot.
         """
         known_place = self._places.get(id(value))
         if known_place is not None:
             return known_place
         cls = type(value)
-        # 1. The two things that the reader supplies by itself: nothing is written of them.
+        # 1. The table of handlers and the settings: the reader has its own, so only the kind is
+        #    written.
         if value is HANDLERS:
             return self._add(value, self._kind("handlers"), [])
         if cls is RobotSettings:
@@ -217,7 +219,8 @@ class _Writer:
         if isinstance(value, np.generic):
             parts = self._parts((value.dtype.str, value.tobytes()))
             return self._add(value, self._kind("scalar"), parts)
-        # 3. Classes of swarmd: `field_names` is None for a class of objects.
+        # 3. Classes of swarmd: `field_names` is None for a class of objects, whose empty node gets
+        #    its kind from `memory`, too.
         class_name, field_names = self._class_of(cls)
         if field_names is not None:
             parts = self._parts([getattr(value, name) for name in field_names])
@@ -285,8 +288,8 @@ class _Reader:
         """
         nodes = self._memory.nodes
         makers = [self._maker(kind) for kind in self._memory.kinds]  # by index of the kind
-        # 1. Empty objects, since values may refer to any object. Each with the function that sets
-        #    its fields, and the parts of these fields.
+        # 1. All objects, still empty, since values may refer to any object. `make` also returns the
+        #    function that later sets the object's fields from the parts of its node.
         objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
         for place, node in enumerate(nodes):
             is_object, make = makers[node.kind]
@@ -294,7 +297,9 @@ class _Reader:
                 if len(objects) == MAX_OBJECTS:
                     raise ValueError(f"it has more than {MAX_OBJECTS} objects")
                 empty_object, set_fields = make(node.parts)
-                self._made[place], self._extents[place] = empty_object, (0, 0)
+                self._made[place] = empty_object
+                # (parts, depth): an object adds nothing to the size of a value that refers to it.
+                self._extents[place] = (0, 0)
                 objects.append((empty_object, set_fields, node.parts))
         # 2. Values in the order of their nodes: a value refers only to values before it.
         for place, node in enumerate(nodes):
@@ -306,7 +311,8 @@ class _Reader:
         # 3. The fields of the objects.
         for obj, set_fields, parts in objects:
             set_fields(obj, self._resolved(parts))
-        # 4. Arrays become read-only, and compiled code gets no index beyond its arrays.
+        # 4. The arrays that were read-only become so again. Compiled code does not check indices,
+        #    so an object checks those that it has read: none may lie beyond its arrays.
         for array_ in self._fixed:
             array_.flags.writeable = False
         for obj, _, _ in objects:
@@ -342,10 +348,10 @@ class _Reader:
         return size, depth + 1
 
     def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """(True if `kind` is a class of objects, the function that makes such a node).
+        """Returns (True if `kind` is a class of objects, a function), for the nodes of `kind`.
 
-        For a class of values the function returns the value. For a class of objects the function
-        returns the empty object, and a second function that sets the fields of that object.
+        The function makes the value of a node from its parts. For a class of objects it returns the
+        empty object, and a second function that sets the fields of that object.
         """
         if kind.name in self._makers:
             return False, self._makers[kind.name]

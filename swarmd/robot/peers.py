@@ -109,7 +109,7 @@ class Peers:
         """
         if bodies == self._bodies:
             return []
-        # 1. Findings of all peers. Without protection no finding holds the robot.
+        # 1. Findings of all peers. With the protection mode `off` no finding holds the robot.
         earlier_findings = set(self._findings)
         self._bodies = dict(bodies)
         present = [
@@ -121,20 +121,23 @@ class Peers:
             present = [structs.replace(finding, holds=False) for finding in present]
         self._findings = tuple(present)
 
-        # 2. Peers whose measured or reported places are used, since the lidar may miss them. With a
-        #    blind zone near the sensor: all peers.
+        # 2. Peers whose measured or reported places are used: the lidar may miss them, since their
+        #    finding is `unseen`, or `unknown` for lack of a height. If the lidar has a blind zone,
+        #    any near peer may vanish in it: the places of all peers are used.
         radii = {robot: body.radius for robot, body in bodies.items() if body is not None}
         missed = {finding.robot for finding in present if finding.kind != "faster"}
         self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
         if self._blind_within:
+            # The places of peers that the lidar sees count inside the blind zone only.
             self._seen_beyond = frozenset(radii) - frozenset(self._radii)
             self._radii = radii
         for discs in (self._sensed, self._located):
             for robot in discs.keys() - self._radii.keys():
                 del discs[robot]
 
-        # 3. Peers that may miss this robot need its pose. Peers hold this robot with a finding
-        #    `unseen` until their place is known, with a finding `faster` always.
+        # 3. A peer whose lidar may miss this robot needs its pose. `sees` is None if a height is
+        #    unknown: the peer may miss this robot then, too. A finding `unseen` holds this robot
+        #    until the place of the peer is known, a finding `faster` always.
         reported = [body for body in bodies.values() if body is not None]
         self._is_missed = any(sees(body, self.own) is not True for body in reported)
         holding = [finding for finding in present if finding.holds]
@@ -144,7 +147,7 @@ class Peers:
         return [finding for finding in present if finding not in earlier_findings]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
-        """Take in range and bearing of the neighbours that the lidar may miss.
+        """Take in the measured range (m) and bearing (rad) of neighbours that the lidar may miss.
 
         Each such neighbour becomes a disc in the base frame. The disc contains the body of the
         neighbour and the errors of range and bearing. Skips a neighbour without range or bearing,
@@ -163,6 +166,7 @@ class Peers:
             if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
                 continue
             measured_at = now - max(neighbor.age, 0.0)
+            # The error along the line of sight grows with the range; across it: an angle's arc.
             radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
             error = math.hypot(radial_error, ANGLE_ERROR * distance)
             disc = _PeerDisc(
@@ -211,10 +215,11 @@ class Peers:
     def on_place(self, place: PeerPlace, now: float) -> bool:
         """Take in the pose that a peer reports in a shared frame; True if the pose can be used.
 
-        The pose becomes a disc around the peer in the base frame, at the time of the own pose.
-        False without a fresh own pose in the same frame, for an old report, for a peer that is far
-        away, and for a peer that the lidar sees.
+        The pose becomes a disc around the peer, in the base frame that this robot had at the time
+        of its own last pose. False without a fresh own pose in the same frame, for an old report,
+        for a peer that is far away, and for a peer that the lidar sees.
         """
+        # `_radii` has only the peers whose places are used, since the lidar may miss them.
         own_pose, body_radius = self._own_pose, self._radii.get(place.robot)
         body = self._bodies.get(place.robot)
         if own_pose is None or body_radius is None or body is None:
@@ -228,7 +233,8 @@ class Peers:
         dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
         if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
             return False
-        # The disc grows by the errors of both places, by the error of the own yaw over the
+        # The disc grows by the errors of both places, by the own motion while the time of the own
+        # pose is uncertain (`shift` in m, `turn` in rad), by the arc of the yaw error at the
         # distance, and by the motion of the peer until the time of the own pose.
         error = own_pose.shared.error + own_pose.shift + place.error
         error += (own_pose.shared.yaw_error + own_pose.turn) * math.hypot(dx, dy)
@@ -239,7 +245,7 @@ class Peers:
             y=cos * dy - sin * dx,
             radius=body_radius + error,
             at=own_pose.at,
-            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,
+            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,  # the older pose counts
         )
         _keep_newer(self._located, place.robot, disc)
         self._update_places_until()
@@ -264,9 +270,9 @@ class Peers:
     def holds(self, now: float) -> bool:
         """True if a peer makes this robot stand.
 
-        A peer does so if it is faster than protection assumes, or if the lidar misses the peer and
-        no place of the peer is known. A peer whose platform the operator accepted (`accepts`) never
-        does.
+        This robot stands for a peer that is faster than protection assumes, and for a peer that the
+        lidar misses while no place of that peer is known. It never stands for a peer whose platform
+        the operator accepted (`accepts`).
         """
         return self._holds_always or now > self._places_until
 

@@ -110,7 +110,7 @@ class RequestHandler:
 
         A stop may arrive late, or as a copy that a robot relays or the operator repeats. A run and
         a load (the pattern of the next run) each have a `wish`: the time at which that run was
-        requested. Each ends only if its wish is older than the stop.
+        requested. Each ends only if the stop is not older than its wish.
         """
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
         cause, detail = f"{request.operator} (stop)", f"by {request.operator}"
@@ -121,10 +121,15 @@ class RequestHandler:
         issued_at = min(now - request.age, self._executed.get(request.id, math.inf))
 
         def is_older_than(wish: Wish) -> bool:
+            """At equal times a first copy stops the run: in doubt the robot stops.
+
+            A run with the time of the execution of the first copy was requested after that copy.
+            """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 
-        # 2. A stop that is older than the load, or than the run if there is no load: refused. If
-        #    the stop is newer than the run, the run ends and the load continues.
+        # 2. A stop that is older than the wish of the load (of the run, if there is no load) is
+        #    refused. A run that continues beside the load has a wish of its own: if the stop is
+        #    newer than that wish, the run ends and the load continues.
         if run.wish is not None and is_older_than(run.wish):
             if run.running is not None and not is_older_than(run.running.wish):
                 lifecycle.raise_revision(cause)
@@ -132,9 +137,9 @@ class RequestHandler:
             text = f"run again since, by {run.wish.by}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
             return
-        # 3. A stop that is newer than run and load ends both. A robot that stands obeys a new stop,
-        #    too. A known stop changes nothing there: robots relay a stop for a minute, and a copy
-        #    must not end a trial or reset that was requested after the first copy.
+        # 3. A stop that is newer than run and load ends both. A robot without run and load obeys a
+        #    new stop, too, but not a known stop: robots relay a stop for a minute, and a copy must
+        #    not end a trial or reset that was requested after the first copy.
         is_known = is_copy or issued_at <= self._obeyed_until
         self._obeyed_until = max(self._obeyed_until, issued_at)
         if run.wish is not None or not is_known:
@@ -290,7 +295,8 @@ class RequestHandler:
         lifecycle = self._lifecycle
         state = lifecycle.state_machine.state
         cause = f"{request.operator} (reset)"
-        # 1. Refusals that change nothing: a second robot with this id, or a run under a finding.
+        # 1. Refusals that change nothing: a second robot with this id, or a finding to be cleared
+        #    while the robot runs.
         if lifecycle.duplicate is not None:
             text = f"this id is still held by {lifecycle.duplicate}"
             lifecycle.refuse(effects, request, Refusal.DUPLICATE_ID, text)
@@ -300,7 +306,8 @@ class RequestHandler:
             text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
-        # 2. Clear the named latches. A latch that the request does not name refuses the rest.
+        # 2. Clear the named latches. If a latch remains that the request does not name, the robot
+        #    stays estopped, and the request is refused.
         latches_cleared = [latch for latch in request.ids if latch in lifecycle.latches.held]
         if latches_cleared:
             lifecycle.latches.clear(latches_cleared)
@@ -311,7 +318,8 @@ class RequestHandler:
                 lifecycle.raise_revision(cause)
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
             return
-        # 3. A running or idle robot keeps its state, but joins no goal that was set before now.
+        # 3. A running or idle robot keeps its state, but joins no goal that was set before now
+        #    (`bar`). Joining: a load that the robot began by itself for a peer's goal.
         loading = lifecycle.pattern_run.loading
         is_joining = loading is not None and loading.goal is not None and loading.request is None
         if state is State.RUNNING:
@@ -319,14 +327,15 @@ class RequestHandler:
             lifecycle.applied(effects, request, "running: nothing to reset")
         elif state is State.IDLE and not is_joining:
             lifecycle.goals.bar(effects.now)
-            self._obeyed_until = self.reset_at = effects.now
+            self._obeyed_until = self.reset_at = effects.now  # a copy of an earlier stop is known
             if findings:
                 lifecycle.raise_revision(cause)
                 self._epoch_raised_at = effects.now
                 self._end_findings(findings, request, effects)
             text = f"{len(findings)} findings ended" if findings else "nothing to reset"
             lifecycle.applied(effects, request, f"idle: {text}")
-        # 4. Any other robot becomes idle. A load for a joined goal, which no request made, ends.
+        # 4. An estopped, stopped, faulted or joining robot becomes idle. The load of a joined goal
+        #    ends.
         else:
             lifecycle.raise_revision(cause)
             self._end_findings(findings, request, effects)
@@ -376,7 +385,8 @@ class RequestHandler:
         """Act on the end of the trial of new code that a reload request started.
 
         `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
-        ignored. After a passed trial the next run of the pattern takes the new code.
+        ignored. After a passed trial the next run of the pattern takes the new code. A pushed
+        pattern keeps the present run (`keeps_running`); another reload replaces that run.
         """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
@@ -400,7 +410,8 @@ class RequestHandler:
         elif running.pattern == request.pattern and not request.keeps_running:
             self._replace(trial, effects)
         else:
-            # The run continues, and the next load gets a fresh host.
+            # The run continues. Its host has imported the old code, so the next load gets a fresh
+            # host, and the host of the trial ends.
             run.is_outdated = True
             effects.trial = CancelTrial()
             old_code = " with the old code" if running.pattern == request.pattern else ""
@@ -432,7 +443,7 @@ class RequestHandler:
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = math.inf  # no answer to the present step: its host ends
+        run.awaiting_since = math.inf  # expect no answer to the present step: its host ends
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,

@@ -81,6 +81,11 @@ class Robot(Ticker):
         now: float,
         earlier: EarlierLives = EarlierLives(),  # noqa: B008  # it is frozen
     ) -> None:
+        """`earlier`: counts, latches and goals from the disk, of earlier daemon processes.
+
+        `seed`: of the random choices of this robot. `instance`: the id of this daemon process.
+        `now`: s on the own clock.
+        """
         super().__init__()
         self.id = id
         self.platform = platform
@@ -100,7 +105,7 @@ class Robot(Ticker):
         self._requests = RequestHandler(
             id, self._lifecycle, self._goals, self._protection, self._sensors, now
         )
-        self._duty = DutyCycle()
+        self._duty = DutyCycle()  # counts the ticks of a run in which protection is active
         self._published: tuple[object, ...] = ()  # the values of the last published status
         self._decide(None, now)  # the first decision: zero, since no scan has arrived
 
@@ -417,16 +422,17 @@ class Robot(Ticker):
             )
 
     def _has_new_status(self, now: float) -> bool:
-        """True if the status must be published at `now`, which then counts as done.
+        """True if the status must be published at `now`; the caller then publishes the status.
 
-        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. Also
-        clears `_is_status_due`, which asks for this check.
+        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. The
+        function notes the values and the time of a status that is due as published, and clears
+        `_is_status_due`: the flag that something may have changed.
         """
         self._is_status_due = False
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
-            reason = None  # these two reasons may change with every scan
+            reason = None  # may change with every scan: no reason for a status out of turn
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
         current_values = (
             machine.state,

@@ -84,7 +84,8 @@ class Sensors(InputAges):
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay
         self._needs_odometry = "odometry" in platform.provides
-        # Mode barrier remembers obstacles in the blind zone by itself, more precisely.
+        # Obstacles that vanish in the blind zone of the lidar: the protection mode `barrier`
+        # remembers them itself, more precisely than the conditioner.
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
@@ -105,11 +106,11 @@ class Sensors(InputAges):
         # All else that the driver reports.
         self.hazards = HazardHolds()
         self.readings = {}  # scalar sensors, by name
-        self._forget_option_inputs()
-        self.pose, self.pose_until = None, -math.inf
+        self._forget_option_inputs()  # sets detections and other optional inputs to None
+        self.pose, self.pose_until = None, -math.inf  # in a shared frame; usable until, in s
         self.stale_readings: tuple[str, ...] = ()  # names of readings that are too old
         self.driver_text = "not connected yet"
-        self.gets_zero = False  # a base that counts as lost still takes zero commands
+        self.gets_zero = False  # True: the driver still sends zero to a base that counts as lost
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a scan of the driver; True if the scan is new and valid."""
@@ -198,11 +199,11 @@ class Sensors(InputAges):
         is_program: bool = False,
         size: int = 0,
     ) -> bool:
-        """Keep a message for the next step of the pattern.
+        """Keep a message from `sender` for the next step of the own pattern.
 
         False (rejected) if the sender is neither a neighbour nor a program (`is_program`). `size`:
-        bytes of the encoded value; 0 if unknown, and the value is then encoded to measure it, with
-        CodecError if it is too large.
+        bytes of the encoded value, or 0 if unknown. The function then encodes the value to measure
+        the size, and raises CodecError for a value that is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
@@ -213,6 +214,7 @@ class Sensors(InputAges):
         size = MESSAGE_OVERHEAD + (size or len(encode_value(value)))
         self._inbox.append(_ReceivedMessage(sender, channel, value, now, size))
         self._inbox_bytes += size
+        # A full inbox drops its oldest messages.
         while self._inbox_bytes > MAX_INBOX_BYTES:
             self._inbox_bytes -= self._inbox.popleft().size
             self.overflowed += 1
@@ -336,7 +338,7 @@ class RangeRing:
         return None if self._known_at is None else self._known_at + self._spec.stale_after
 
     def obstacles(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The returns as discs with their ages, for protection.
+        """The returns of the ring as discs with their ages, for protection.
 
         The radius includes the barrier's `unseen_extent`: how far an obstacle may extend beside the
         measured point. The sensors measure in turn, so the oldest value is half a period older than

@@ -185,7 +185,7 @@ class Lifecycle:
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()  # limits the messages of the pattern
         self.revision = 0  # part of the epoch: each change makes earlier requests stale
-        self.changed_by = "no one yet"
+        self.changed_by = "no one yet"  # the cause of the last change of `revision`, as text
         self.duplicate: str | None = None  # the daemon instance that uses the same robot id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
         self.report: Mapping[str, Scalar] = {}  # the last report of the pattern
@@ -309,7 +309,7 @@ class Lifecycle:
         """Enter state running with the pattern that the host has loaded.
 
         A restart after a failure continues the failed run; any other load begins a new run. Both
-        get a new permit: what the pattern permits protection to do.
+        get a new permit: exceptions of this pattern that protection respects, such as a touch zone.
         """
         now = effects.now
         loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
@@ -477,8 +477,9 @@ class Lifecycle:
         """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
         A load (of the next run) ends, too. Exception: a load that an operator requested continues
-        if `keeps_load`, or if the trigger ends the run alone. A trial of new code ends unless the
-        trigger spares trials. Requests for what has ended are refused as `overtaken`.
+        if `keeps_load`, or if the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the
+        end of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose
+        load or trial ends is refused as `overtaken`.
         """
         # 1. The run and the load.
         loading = self.pattern_run.loading
@@ -502,12 +503,12 @@ class Lifecycle:
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
         # 3. The state.
-        self.hold_since = math.inf
+        self.hold_since = math.inf  # a hold is a reason for which a running robot stands
         state_before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
         # 4. The goals, the log, and the end of the run as an effect.
-        if reason is not Reason.LEAVING:  # after a restart the robot offers its goal again
+        if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
         if reason in _BARS_GOALS:
             self.goals.bar(effects.now)
@@ -553,10 +554,11 @@ class Lifecycle:
         """Command the pattern host to load a pattern; the run begins once the host has loaded it.
 
         `wish`: when and by whom the run was requested. `seconds`: the longest time of the run, None
-        without a limit. `until`: conditions; the first that holds ends the run. `request`: answered
-        when the run begins, or refused. `goal`: the goal of the run. Without `request` and `goal`
-        the load is a restart of a failed pattern. `start_at`: the run does not begin before this
-        time, s on the own clock. `is_fresh`: load in a new host process.
+        without a limit. `until`: conditions; the first that holds ends the run. `request`: the
+        request that is answered when the run begins, or refused if the load fails. `goal`: the goal
+        of the run. Without `request` and `goal` the load is a restart of a failed pattern.
+        `start_at`: the run does not begin before this time, s on the own clock. `is_fresh`: load in
+        a new host process; also done if the present host has outdated code.
         """
         run = self.pattern_run
         run.generation += 1
@@ -572,7 +574,7 @@ class Lifecycle:
             goal=goal,
             start_at=start_at,
         )
-        run.restart_at = math.inf
+        run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
             self.load_of(run.generation, pattern, params),
             is_fresh=is_fresh or run.is_outdated,
@@ -683,7 +685,8 @@ class Lifecycle:
         run. Returns the hold of the sensors, else of the pattern; None without a hold or a run.
         """
         run, now = self.pattern_run, effects.now
-        # 1. The load: start a loaded pattern at its time, or time out.
+        # 1. The load. A pattern that is loaded begins to run at `start_at`. A pattern that is not
+        #    loaded yet times out.
         loading = run.loading
         if loading is not None and loading.loaded is not None:
             if loading.start_at is None or now >= loading.start_at - ROUNDING:

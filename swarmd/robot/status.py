@@ -50,7 +50,8 @@ def make_status(
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
-    # The detail says what a load waits for, else which hazard holds the run.
+    # `detail` explains the reason: what a load waits for, else which hazard holds the run, else
+    # the text of the last change of state.
     reason, detail = status_reason(lifecycle, decision), machine.detail
     if loading is not None:
         detail = _loading_text(loading, now)

@@ -168,6 +168,7 @@ class Ticker:
         is_routine: cython.bint = effects.is_routine
         # 1. The hold of the sensors, and the hazard that ends a run.
         running = run.running
+        # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
         hazard_text = ""
@@ -175,8 +176,8 @@ class Ticker:
             hazard_text = sensors.hazard_text(now)
         if sensors._ends_run:
             lifecycle.on_hazard(hazard_text, effects)
-        # 2. Deadlines: checked under a hold, when due, and after an event that changed the
-        #    lifecycle.
+        # 2. Deadlines: checked under a hold, when due, and after an event that may have changed the
+        #    lifecycle (an event that is not routine). `_due_at` is then computed anew.
         if hold is not None or now >= self._due_at or not is_routine:
             self._requests.advance(effects)
             hold = lifecycle.advance(hold, effects, hazard_text if hold is HAZARD else "")
@@ -192,7 +193,8 @@ class Ticker:
         if host_command is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
             inputs = InputAges.inputs(sensors, now, run.stepping(now))
             host_command = _Step(run.running.generation, inputs)
-        # 5. A status is published only at a tick, or after a latch: replies must not wait for it.
+        # 5. A status is made only at a tick, so that replies to requests do not wait for it. The
+        #    exception is a new latch, which peers must learn at once.
         is_latched: cython.bint = effects.is_latched
         has_status: cython.bint = effects.is_tick or is_latched
         if has_status:

@@ -5,7 +5,7 @@ symmetric keys, one key for each class of receivers: robots, operators, viewers.
 with the key of its class. It could also forge a signature with this key, but only towards
 receivers of the same class.
 
-1. A robot signs each datagram to all three times: for robots, for operators and for viewers.
+1. A robot signs each datagram for all with three keys: for robots, for operators, for viewers.
 2. An operator or viewer signs with the key of its own name.
 3. A robot signs its answer to an operator or viewer with the key that the two share.
 

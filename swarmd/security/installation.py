@@ -85,7 +85,7 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
         draft.rename(folder)
         sync_folder(folder.parent)
         yield load_identity(folder)
-    except BaseException:
+    except BaseException:  # also a KeyboardInterrupt restores the old identity
         remove_whole(draft)
         if is_old_moved:
             remove_whole(folder)

@@ -111,7 +111,7 @@ def take_roster(
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
 
-    # 3. Write the roster.
+    # 3. Write the roster, unless another process of this identity has written it already.
     try:
         if load_identity(identity.folder).signed_roster != signed:
             write_roster(identity.folder, RosterFile(signed, keys))
@@ -194,6 +194,7 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
         if digest_of(shared.secret) != roster.secret_digest:
             raise CodecError("a roster with a secret that does not belong to it")
         return robot_keys(roster.generation, shared.secret, present.answer_secret)
+    # An operator or viewer: the keys come from a robot, and are checked by the roster's digest.
     keys = shared.keys
     if keys is None or reader_digest(keys) != roster.readers.get(identity.name):
         raise CodecError("a roster without the keys that belong to it")
@@ -204,6 +205,7 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
         own=keys.own,
         answers=present.answers,
     )
+    # The roster has no digest of pair keys: only the robot that proved its name gives its key.
     pair_key = {robot: key for robot, key in keys.answers.items() if robot == giver}
     return _with_answers(new_keys, roster, pair_key)
 

@@ -5,8 +5,9 @@ rays pass over the same static object. If other rays return the object before an
 without a return has missed it. A sector of the sensor is blind once its rays have missed objects in
 many directions, without any return meanwhile.
 
-No false alarms: an open field, a door and a surface that no ray sees give no ray a return. An
-object that moves is not the same before and after. A sector with a return begins again.
+Why there are no false alarms: in an open field, at a door and at a surface that reflects no ray,
+the other rays have no return either. An object that moves is not the same before and after. A
+return in a sector of the sensor clears the misses of the sector.
 """
 
 from __future__ import annotations
@@ -234,21 +235,24 @@ class BlindSectors:
         A static object is the same object in _STREAK comparisons in a row. A sector of the sensor
         that missed the object in between has missed a static object, which counts against the
         sector. The object is seen only if all rays in the direction return. `x`, `y` in m is the
-        place of the robot.
+        place of the robot. `_pending` has an element for each direction and sector (the sector has
+        missed the object of the direction), `_missed` for each sector and direction.
         """
         k: cython.Py_ssize_t
 
         # 1. Is an object seen there, and is it the object of before?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
-        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]
+        is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
         is_same: cython.bint = is_seen and (
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
-        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+        is_new: cython.bint = is_seen and not is_same
+        self._streak[d] = self._streak[d] + 1 if is_same else is_seen  # 1: new object, 0: no object
 
-        # 2. Sectors that wait for a decision: a static object confirms that they missed it.
+        # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
+        # sector with returns is not blind: its misses are forgotten. A new object ends the wait.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
-        is_decided: cython.bint = is_static or not self._is_known[d] or (is_seen and not is_same)
+        is_decided: cython.bint = is_static or not self._is_known[d] or is_new
         for k in range(_SECTORS):
             if self._return_streak[k]:
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
@@ -256,12 +260,12 @@ class BlindSectors:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
 
-        # 3. Stores the object, once it is new or static.
+        # 3. Stores an object that is new or static. `_seen_at` is set only by a static object.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
-        if is_seen and not is_same:
+        if is_new:
             self._seen_at[d] = -INFINITY
-        if is_seen and (not is_same or self._streak[d] >= _STREAK):
+        if is_new or (is_seen and self._streak[d] >= _STREAK):
             self._range[d] = distance
             self._x[d], self._y[d] = x, y
         return 0

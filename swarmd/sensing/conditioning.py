@@ -47,8 +47,8 @@ class ScanConditioner:
 
     - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
       ray
-    - INVALID_SCAN: fewer than half of the rays known, an unknown sector wider than `max_gap`, or
-      such a sector without rays, unless the sensor never has rays there
+    - INVALID_SCAN: fewer than half of the rays known, or a sector wider than `max_gap` whose rays
+      are unknown, or that has no rays although the sensor has rays there
     - INVALID_SCAN: no return at all after a scan with many far returns
     - FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans
     - FROZEN_STAMP: the stamp is that of the scan before, whose ranges differ
@@ -103,7 +103,8 @@ class ScanConditioner:
         `scan`: the raw scan of the driver. `odometry`: the last reading; None without a reading.
         `now`: s on this machine's clock, the arrival of the scan.
         """
-        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises.
+        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises. The same bearings
+        # object as before was checked before.
         raw_ranges, bearings = scan.ranges, scan.bearings
         stamp: cython.double = scan.stamp
         if raw_ranges.ndim != 1 or not isfinite(stamp):
@@ -119,11 +120,12 @@ class ScanConditioner:
         if reason is not None:
             return reason
 
-        # 2. A frozen sensor sends the same ranges again and again.
+        # 2. A frozen sensor sends the same ranges again and again. With noise (`_is_noisy`) an
+        # exact repeat is implausible for a sensor that measures.
         ranges = np.array(raw_ranges, np.float64)
         values: cython.double[::1] = view_of(ranges)
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
-            now = self._rays.known_at  # a repeat has no new data
+            now = self._rays.known_at  # a repeat has no new data: its rays are as old as before
             if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
 
@@ -194,7 +196,7 @@ class ScanConditioner:
 
     @cython.cfunc
     def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
-        """True if a noisy sensor sends the ranges of one of its last scans again; counts these.
+        """True if a noisy sensor sends the ranges of one of its last scans again; counts repeats.
 
         A scan with hardly any return may repeat by chance if the robot stands, and does not count.
         `ranges` and `values` (n,) are the same array, as numpy array and as buffer.

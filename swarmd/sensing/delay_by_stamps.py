@@ -153,12 +153,13 @@ class DelayByStamps:
             self._period_count += 1
         self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
 
-        # 2. The lowest lag of the last two periods.
-        previous_lowest: cython.double = self._lowest_before
+        # 2. The lowest lag of the last two periods. A sudden rise above the value at the end of the
+        # period before makes the ages of scans invalid, which were computed with that value.
+        lowest_at_last_end: cython.double = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):
             self._lowest_before = min(self._lowest_before, self._minima[k])
-        if previous_lowest + _CLOCK_JUMP < self._lowest_before < INFINITY:
+        if lowest_at_last_end + _CLOCK_JUMP < self._lowest_before < INFINITY:
             self._age_count = 0  # scan and odometry were late together, or their clock was set back
 
         # 3. A clock that does not run at real time, such as the clock of a slow simulator.

@@ -214,7 +214,7 @@ class DelayByTurns:
 
     @cython.cfunc
     def compare(self, scan, arrival: cython.double, now: cython.double):
-        """Compare a scan with the scan before: the measured turn between both updates the delay.
+        """Compare a scan with the scan before: the measured turn of the robot updates the delay.
 
         A pair of scans is used only if the rate of turn changed lately, the robot hardly moved, and
         the candidate delays predict turns that differ enough.
@@ -234,7 +234,8 @@ class DelayByTurns:
         if self._ray_step == 0.0:
             return
 
-        # 2. With enough pairs, two of four scans make a pair; the others are skipped.
+        # 2. With enough pairs, of four scans only the first two (counts 0 and 1 modulo 4) are used,
+        # as a pair.
         self._scan_count += 1
         if self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 > 1:
             return
@@ -247,11 +248,11 @@ class DelayByTurns:
         self._scan_at, self._has_last = arrival, True
         self._x, self._y = self.pose.x, self.pose.y
         if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 == 0):
-            return
+            return  # the first scan of a pair
         if arrival - previous_arrival > _MAX_SCAN_PERIOD or self._end == self._first:
-            return
+            return  # too far apart, or no reading of odometry
         if previous_arrival - _LONGEST_DELAY < self._times[self._first]:
-            return
+            return  # odometry does not reach back over the longest delay
         if hypot(self._x - previous_x, self._y - previous_y) > _MAX_SHIFT:
             return
 
@@ -302,11 +303,11 @@ class DelayByTurns:
 
     @cython.cfunc
     def _store_ranges(self, scan):
-        """Store the ranges of a scan less their mean, and their norm; 0 for a ray without a return.
+        """Store the relief of a scan (its ranges less their mean), and the norm of the relief.
 
-        The ranges are stored twice in a row, so that a circular correlation needs no modulo. A far
-        range instead of 0 would be a feature of the room, but lost rays and a blind sector do not
-        turn with the room.
+        The relief is stored twice in a row, so that a circular correlation needs no modulo. It is 0
+        for a ray without a return: a far range there would count as a feature of the room, but lost
+        rays and a blind sector do not turn with the room. The relief before becomes `_old_relief`.
         """
         ranges: cython.const[cython.double][::1] = view_of(
             np.ascontiguousarray(scan.ranges, np.float64)
@@ -366,6 +367,7 @@ class DelayByTurns:
             correlation = self._correlation(shift)
             if correlation > greatest:
                 greatest, best = correlation, shift
+        # A maximum at the edge of the searched turns may continue beyond the edge.
         if not first < best < last or greatest < _MIN_CORRELATION * self._old_norm * self._norm:
             return NAN
 
@@ -429,6 +431,7 @@ class DelayByTurns:
         candidates far from each other fit nearly as well, or if the longest candidate does.
         """
         # 1. The candidates, from `lowest` to `highest`, that fit nearly as well as the best.
+        # `_weight` is the number of pairs, of which two are spent on fitting scale and delay.
         variance: cython.double = self._errors[best] / (self._weight - 2.0)
         variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
         error_limit: cython.double = self._errors[best] + _SQUARED_DEVIATIONS * variance
@@ -441,7 +444,8 @@ class DelayByTurns:
         if highest == _CANDIDATES - 1 or (highest - lowest) * _DELAY_STEP > _MAX_INTERVAL:
             return 0
 
-        # 2. The minimum of the parabola. Its curvature gives the standard deviation.
+        # 2. The minimum of the parabola. Its curvature gives the standard deviation, which _ALIKE
+        # widens, as errors of pairs are not independent. `best` needs a candidate on each side.
         best = max(best, 1)
         error_before: cython.double = self._errors[best - 1]
         error_after: cython.double = self._errors[best + 1]

@@ -146,7 +146,8 @@ class Deskewer:
             odometry_age: s since the last reading arrived; None without a fresh reading.
             delay: s by which the scan is older than the platform's `latency` says.
         """
-        # 1. The ages of the rays. While the measured sweep is not known, rays are not moved.
+        # 1. The ages of the rays, by the driver, the platform's sweep or the measured sweep (the
+        # order in which the sensor measures its rays). While its order is unknown, no ray moves.
         ages = scan.ages
         if self._measured_sweep is not None:
             ages = self._measured_sweep.ages(scan)
@@ -161,7 +162,8 @@ class Deskewer:
         if bearings is not self._bearings_of_scan or ages is not self._ages_of_scan:
             self._set_rays(bearings, ages)
 
-        # 2. Moves the rays to the stamp of the newest ray, on the clock of odometry.
+        # 2. Moves the rays to the stamp of the newest ray. `latest + age` is `now` on the clock of
+        # odometry: the last stamp, and the time since its reading arrived.
         newest_age: cython.double = self._newest_age + delay
         moved = None
         if odometry_age is not None:
@@ -169,7 +171,7 @@ class Deskewer:
             newest_stamp: cython.double = self._history.latest + age - newest_age
             moved = self._move_scan_rays(ranges, newest_stamp, now - newest_age - self._last_at)
 
-        # 3. The new scan; its first rays may fill a sector.
+        # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
         if moved is None:
             result = _scan_with(scan, ranges, bearings, self._ray_ages, self._newest_age)
             self._filled_count = 0
@@ -208,7 +210,7 @@ class Deskewer:
             return None
         # rad: the sector that the sensor missed, since the robot turned against it.
         unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
-        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
+        is_filled: cython.bint = unmeasured > 0.5 * self._spacing  # half the angle between two rays
         if is_filled and not self._can_fill(stamp, seconds):
             return None
 
@@ -269,7 +271,7 @@ class Deskewer:
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # Begin, direction and width of the sector.
+        # Begin, direction and width of the sector. It begins half a ray beyond the oldest ray.
         self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
         count: cython.Py_ssize_t = rays_in_sector(

@@ -259,7 +259,8 @@ class MeasuredSweep:
             headings: the headings of the robot by odometry.
             base: the pose of the base when the scan arrived.
         """
-        # 1. Skips scans that show nothing new: unusable rays, a known order, or a robot at rest.
+        # 1. Skips scans that show nothing new: unusable rays, rays that are all measured at once (a
+        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest.
         layout, half = self._update_layout(scan), 0.5 * self._longest_scan()
         self._scan_count += 1
         if abs(delay - self._delay) > _MAX_DELAY_CHANGE:  # earlier pairs had wrong headings
@@ -273,9 +274,10 @@ class MeasuredSweep:
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
         stored, skew = self._stored_scans, end_yaw - begin_yaw
         turned = abs(yaw - stored[-1].yaw) if stored else math.inf
-        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
+        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)  # rad since the last pair
         self._yaw = yaw
-        if turned + abs(skew) < _AT_REST and 0.0 < time - stored[-1].at < 0.5 * _MAX_SCAN_PERIOD:
+        age_of_last = time - stored[-1].at if stored else 0.0
+        if turned + abs(skew) < _AT_REST and 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD:
             return
 
         # 2. The partner: the stored scan whose skew differs most.
@@ -289,7 +291,8 @@ class MeasuredSweep:
             if difference > greatest_difference and earlier.is_comparable(scan_at_pose):
                 partner, greatest_difference = earlier, difference
 
-        # 3. Stores the scan; near headings replace each other. Then compares the pair.
+        # 3. Stores the scan, in place of the last scan if that was near the heading of the scan
+        # before. Then compares the pair, once the robot has turned far enough since the last pair.
         if len(stored) > 1 and abs(yaw - stored[-2].yaw) < _SPACING:
             stored.pop()
         stored.append(scan_at_pose)
@@ -398,7 +401,8 @@ class MeasuredSweep:
         means = rows.mean(axis=0)
         best = int(means.argmin())
         worse_by = rows - rows[:, best : best + 1]
-        # Pairs differ in their errors, so votes are limited: how often a candidate is worse counts.
+        # Pairs differ much in their errors. So a vote is the difference in units of the median
+        # difference, limited to 1: it counts how often a candidate is worse, not by how much.
         usual_difference = np.maximum(np.median(np.abs(worse_by), axis=0), 1e-9)
         votes = np.minimum(np.maximum(worse_by / usual_difference, -1.0), 1.0)
         standard_errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))
@@ -409,7 +413,9 @@ class MeasuredSweep:
         is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * means[best]
         is_worse &= (worse_by[is_left].mean(axis=0) > 0.0) & (worse_by[~is_left].mean(axis=0) > 0.0)
 
-        # 2. Sets the order if all others are worse; drops an order that later turns contradict.
+        # 2. Sets the order if all other candidates are worse; but no order if the best candidate
+        # begins within the message (start other than 0). Else keeps the present order, unless the
+        # votes contradict that order.
         orders, order = self._candidates.orders, None
         if np.count_nonzero(is_worse) == len(is_worse) - 1:
             order = orders[best] if orders[best].start == 0.0 else None

@@ -72,8 +72,9 @@ class OdometryHistory:
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
         """Take in a reading that arrived at `now`; True if its stamp is new, None if it is invalid.
 
-        If the stamp of a new reading does not rise, or its pose jumps (beyond MAX_STEP and
-        MAX_SPEED), all earlier readings are dropped. False for a repeated stamp.
+        False for a repeated stamp. A reading that equals the newest reading is not stored. Another
+        reading drops all earlier readings if its stamp does not rise, or if its pose jumps: by more
+        than MAX_STEP, plus MAX_SPEED times the seconds in between.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -99,7 +100,8 @@ class OdometryHistory:
         if is_new and self._delay is not None:
             self._delay.read(stamp, yaw, angular, pose, now)
 
-        # 2. A repeated reading changes nothing; a jump drops the earlier readings.
+        # 2. A repeated reading changes nothing; a jump drops the earlier readings. The same bound
+        # holds for m and for rad.
         r: cython.double[::1] = self._readings
         start: cython.Py_ssize_t = self._place(0)
         if self._count:
@@ -203,7 +205,7 @@ class OdometryHistory:
         self._set_pose(end - seconds)
         self._set_row(rows, seconds, self._x, self._y, self._yaw)
         rows += 1
-        return rows if self._makes_relative(rows) else 0
+        return rows if self._makes_relative(rows) else 0  # false: at rest on the whole path
 
     @cython.cfunc
     def _set_row(

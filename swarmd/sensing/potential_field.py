@@ -1,8 +1,8 @@
 """The potential fields of the ROS2swarm paper over the rays of a scan, vectorised.
 
 Source: Kaiser et al., "ROS2swarm - A ROS 2 Package for Swarm Robot Behaviors", ICRA 2022,
-doi 10.1109/ICRA46639.2022.9812417. Our deviation, off with `ignore_near=True`: a ray nearer than
-`range_min` counts as a ray at `range_min`; in the original, as no return.
+doi 10.1109/ICRA46639.2022.9812417. A deviation from this source: a ray nearer than `range_min`
+counts as a ray at `range_min`. With `ignore_near=True` it counts as no return, as in the original.
 """
 
 from __future__ import annotations

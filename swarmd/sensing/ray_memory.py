@@ -58,7 +58,7 @@ def _nearest_angle(
     high: cython.Py_ssize_t = n
     middle: cython.Py_ssize_t
 
-    # 1. Finds the first angle that is not below: near the hint, else by halving.
+    # 1. Finds the first angle that is not below `wanted`: near the hint, else by halving.
     for middle in range(hint, min(hint + _GUESSES, n)):
         if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
             low = high = middle
@@ -151,7 +151,9 @@ class RayMemory:
         if self._goes_blind(ranges):
             return False
 
-        # 1. Turns the memory with the robot, so that the memory stays with the surroundings.
+        # 1. Turns the memory with the robot, so that the memory stays with the surroundings. Even
+        # rays (one each `_step` of a full turn) need only a shift of indices, kept in [0, count).
+        # `_given` is the array of bearings of the last scan: mostly the same object.
         turned: cython.double = self._turn_of(yaw)
         if (
             bearings is not self._given
@@ -179,6 +181,7 @@ class RayMemory:
         if unknown_count == 0:
             return True
         self.known_at = self._lost_since(now)
+        # The memory leaves a number of rays unknown. A sector too wide to bridge: an invalid scan.
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
     @cython.cfunc
@@ -286,7 +289,7 @@ class RayMemory:
         self._direction = 1.0
         self._bearings, self._order = memoryview(values), memoryview(order)
         self._rising = memoryview(values[order] % TURN)
-        self._place = memoryview(np.argsort(order))
+        self._place = memoryview(np.argsort(order))  # of each ray in `order`, its inverse
         if count > 1:
             last = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last)
@@ -441,7 +444,7 @@ class RayMemory:
     def _widest(self, before: cython.double) -> cython.double:
         """The width in rad of the widest sector of rays that were lost before the time `before`.
 
-        inf if all rays were.
+        inf if all rays were lost before this time.
         """
         n: cython.Py_ssize_t = self._ray_count
         first: cython.Py_ssize_t = 0
@@ -478,7 +481,7 @@ class RayMemory:
         # Angles are unwrapped as in numpy.unwrap, from a known ray on.
         start: cython.double = self._bearings[first]
         angle: cython.double = start
-        before: cython.double = start
+        last_angle: cython.double = start  # of the last known ray
         last_range: cython.double = ranges[first]
         last: cython.Py_ssize_t = first
         unwrap_shift: cython.double = 0.0
@@ -499,17 +502,17 @@ class RayMemory:
             if isnan(ranges[i]):
                 continue
             if k - last > 1 and not self._fill_between(
-                ranges, last, k, before, angle, last_range, ranges[i]
+                ranges, last, k, last_angle, angle, last_range, ranges[i]
             ):
                 is_filled = False
-            last, before = k, angle
+            last, last_angle = k, angle
             last_range = ranges[i]
 
         # The sector between the last known ray and the first known ray, a turn later.
         if last < first + count - 1:
             end_angle = start + math.copysign(TURN, angle - start)
             if not self._fill_between(
-                ranges, last, first + count, before, end_angle, last_range, ranges[first]
+                ranges, last, first + count, last_angle, end_angle, last_range, ranges[first]
             ):
                 is_filled = False
         return is_filled
@@ -520,7 +523,7 @@ class RayMemory:
         ranges: cython.double[::1],
         last: cython.Py_ssize_t,
         next_known: cython.Py_ssize_t,
-        before: cython.double,
+        last_angle: cython.double,
         next_angle: cython.double,
         last_range: cython.double,
         next_range: cython.double,
@@ -532,10 +535,10 @@ class RayMemory:
         Args:
             ranges: (n,) m, the ranges of the scan; indices beyond n wrap around.
             last, next_known: the indices of the two known rays.
-            before, next_angle: rad, the angles of these rays.
+            last_angle, next_angle: rad, the angles of these rays.
             last_range, next_range: m, the ranges of these rays.
         """
-        if not fabs(next_angle - before) <= self._max_gap:
+        if not fabs(next_angle - last_angle) <= self._max_gap:  # true also for NaN
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, next_known):

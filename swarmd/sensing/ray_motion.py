@@ -130,7 +130,8 @@ def move_rays(
             distances[i], angles[i] = distance, wrap(bearings[i] + turn)
             continue
 
-        # 3. The place of the sensor at the age of the ray.
+        # 3. The place of the sensor at the age of the ray, relative to its place at the end: the
+        # motion of the base, plus the turn of the sensor's offset (x, y in `limits`).
         if not has_pose:
             has_pose = True
             cos_turn, sin_turn = cos(turn), sin(turn)
@@ -170,7 +171,7 @@ def rays_in_sector(
         first: the index of the first ray that may count.
         motion: the old pose relative to the new pose: x and y in m, yaw in rad.
         sector: the bearing of its start in rad, 1.0 (counter-clockwise) or -1.0, its width in rad.
-        limits: as in `move_rays`.
+        limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles, kept_ages: (n,) m, rad, s; the arrays to fill.
     """
     x: cython.double = motion[0]
@@ -180,14 +181,14 @@ def rays_in_sector(
     direction: cython.double = sector[1]
     width: cython.double = sector[2]
 
-    # 1. The motion of the sensor.
+    # 1. The motion of the sensor: of the base, plus the turn of the sensor's offset.
     cos_turn: cython.double = cos(turn)
     sin_turn: cython.double = sin(turn)
     x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
     y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
 
-    # 2. No return beyond range_min changes its direction by more than `max_change` rad. Rays
-    # farther from the sector are skipped.
+    # 2. No return beyond range_min (`limits[2]`) changes its direction by more than `max_change`
+    # rad. Rays farther from the sector are skipped.
     max_change: cython.double = PI
     sensor_motion: cython.double = sqrt(x * x + y * y)
     if sensor_motion < _LEAST_SHARE * limits[2]:

@@ -1,8 +1,8 @@
 """Features of a scan: the nearest return, sectors, free gaps, objects.
 
-Rays may come in any order, number and spacing. NaN is unknown and left out, +inf is no return, and
-a range below `range_min` (or -inf) counts as `range_min`. A scan of None, as before the first scan,
-has no returns. Returned bearings are within [-pi, pi).
+Rays may come in any order, number and spacing. A range of NaN is unknown, and the ray is left out.
+A range of +inf is no return. A range below `range_min` (or -inf) counts as `range_min`. `scan` may
+be None, as before the first scan, and then has no returns. Returned bearings are within [-pi, pi).
 """
 
 from __future__ import annotations

@@ -64,7 +64,8 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
     whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
-    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
+    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1. A layout keeps
+    the arrays of a scan and its working arrays from call to call.
     """
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")
@@ -182,7 +183,8 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     if not is_seen:
         return None
 
-    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle or in range.
+    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle (`is_apart`) or
+    # in range. `start` is the ray behind the first break.
     start: cython.Py_ssize_t = 0
     for i in range(ray_count):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]
@@ -191,7 +193,8 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         )
         if start == 0 and is_last[i]:
             start = i + 1
-    # Starts behind a break, so that no object spans the end of the arrays.
+    # Starts behind a break, so that no object spans the end of the arrays. Without any break
+    # (`is_whole`) all rays are a single object, which ends with the last ray.
     is_whole: cython.bint = start == 0
     if is_whole:
         start = 1
@@ -201,12 +204,12 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     first: cython.Py_ssize_t = start
     lowest: cython.double = INFINITY
     for i in range(start, start + ray_count):
-        k = i - ray_count if i >= ray_count else i
+        k = i - ray_count if i >= ray_count else i  # the index wraps around
         if ranges[k] < lowest:
             lowest = ranges[k]
         if is_last[k] or (is_whole and i == start + ray_count - 1):
             if lowest < _UNSEEN:
-                _measure(layout, objects, first, i, lowest)
+                _measure(layout, objects, first, i, lowest)  # stores the object at index `objects`
                 objects += 1
             first, lowest = i + 1, INFINITY
     distances, middles, widths = layout.sizes[:, :objects].copy()

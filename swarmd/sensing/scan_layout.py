@@ -128,8 +128,8 @@ class ScanLayout:
             for i in range(count - 1):
                 self.steps[i] = self.rising[i + 1] - self.rising[i]
             self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
-            self.slopes[:count] = self.steps[:count]
-            self.spacing = _smallest(self.slopes, count, count // 2)
+            self.slopes[:count] = self.steps[:count]  # only to work in: `_smallest` reorders
+            self.spacing = _smallest(self.slopes, count, count // 2)  # the median step
             self.is_ordered = True
         if grazing != self.grazing:  # 2. slopes, once for an angle
             slope: cython.double = tan(grazing)
@@ -145,7 +145,7 @@ class ScanLayout:
         """Set `order` and `rising` by an insertion sort of the bearings; False if it is too slow.
 
         The sort begins at the smallest bearing. The bearings of most sensors rise or fall from
-        there on, with few exceptions.
+        there on, with few exceptions. Equal bearings are in the order of their indices.
         """
         count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t

@@ -191,7 +191,7 @@ def platform_names() -> tuple[str, ...]:
 
 
 def load_platform(name: str, near: Path | None = None) -> Platform:
-    """The platform of that name, or of that file if it ends in .yaml (relative to `near`).
+    """The platform with the name `name`; a `name` that ends in .yaml is a path relative to `near`.
 
     ConfigError names file, key, value, what was expected and the nearest valid key.
     """
@@ -363,8 +363,9 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 def _check_sight(platform: Platform) -> Iterator[Fault]:
     """Check that rate and range of the scan sensor suffice to stop before obstacles.
 
-    In mode `barrier` the needed range follows from speed, deceleration and age of scans. The fault
-    of a short range also names the greatest `limits.linear` with which the range suffices.
+    In mode `barrier` the needed range follows from speed, deceleration and age of scans. The other
+    modes need no range. The fault of a short range also names the greatest `limits.linear` with
+    which the range suffices.
     """
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)

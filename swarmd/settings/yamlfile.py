@@ -1,7 +1,7 @@
 """Reads YAML files strictly; each error is one line with file and line number.
 
-Plain values follow YAML 1.2's core schema. Duplicate keys, keys that are not text, and tags are
-refused, and anchors, with which a file could refer to itself. `swarmd.settings.layered` checks the
+Plain values follow YAML 1.2's core schema. Duplicate keys, keys that are not text, tags and anchors
+are refused: with an anchor a file could refer to itself. `swarmd.settings.layered` checks the
 values.
 """
 

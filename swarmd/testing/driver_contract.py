@@ -507,6 +507,7 @@ class DriverContract:
         for before, after in itertools.pairwise(sink.rings):
             assert after.seq > before.seq
             assert after.stamp > before.stamp
+        # No scan of the ring counts as a scan of the lidar, which has another number of rays.
         assert all(len(scan.ranges) != len(ranges) for scan in sink.scans)
         assert sink.threads == {threading.get_ident()}
 
@@ -538,6 +539,7 @@ class DriverContract:
                         number = next(numbers)
                         seq = 1000 + number
                         bearings = _regular(harness, ray_count)
+                        # Ranges change with each scan: a driver may take a repeat for a fault.
                         ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)
                         rig.publish_scan(
                             Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
@@ -553,7 +555,8 @@ class DriverContract:
                     break
             assert has_arrived
             assert sink.is_up
-            assert "lost" not in sink.order[sink.order.index("up") :]
+            after_connection = sink.order[sink.order.index("up") :]
+            assert "lost" not in after_connection
 
         self.play(story)
 
@@ -718,7 +721,7 @@ async def _sent_scan(harness: DriverHarness, rig: ScriptedRig, seq: int, ranges:
         is_equal = scan.ranges.shape == ranges.shape
         return is_equal and np.allclose(scan.ranges, ranges, rtol=1e-6, equal_nan=True)
 
-    def has_arrived() -> bool:
+    def has_arrived() -> bool:  # called again and again by `harness.until`
         nonlocal publish_at
         if loop.time() >= publish_at:
             publish_at = loop.time() + 1.0

@@ -80,6 +80,7 @@ def no_side_effects(module: str) -> Iterator[None]:
         setattr(owner, name, value)
 
     try:
+        # `forbidden` raises the AssertionError in place of the callable `original`.
         for owner, name, original, forbidden in _GUARDS:
             guard = _only_in(thread, forbidden, original)
             replace(owner, name, guard)

@@ -45,7 +45,8 @@ def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
             raise ConfigError(f"{option} {word}: {unknown('condition', kind, KINDS)}")
         if kind in values:
             raise ConfigError(f"{option} {word}: {kind} is there already; keep one")
-        if bool(equals_sign) == (kind == "goal"):  # of all kinds, only goal has no value
+        needs_value = kind != "goal"
+        if bool(equals_sign) != needs_value:
             expected = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
             raise ConfigError(f"{option} {word}: expected {expected}")
         if kind in _VALUES and value not in _VALUES[kind]:

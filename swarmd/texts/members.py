@@ -27,9 +27,10 @@ def row(member: SeenMember) -> tuple[str, ...]:
     """The cells of a member's line in the table, below HEADER.
 
     A member that answered shows its status. For any other member, STATE says why there is no
-    status, and REASON and PATTERN come from its last beacon.
+    status. REASON and PATTERN then come from the head of the status, the part that is readable also
+    in a status of another version; without a head they stay empty.
     """
-    status, beacon = member.status, member.header
+    status, status_head = member.status, member.header
     if member.contact is Contact.ANSWERED and status is not None:
         return (
             member.robot,
@@ -47,8 +48,8 @@ def row(member: SeenMember) -> tuple[str, ...]:
     return (
         member.robot,
         state_texts.get(member.contact, member.contact.value),
-        (beacon.reason if beacon else None) or NOTHING,
-        (beacon.pattern if beacon else None) or NOTHING,
+        (status_head.reason if status_head else None) or NOTHING,
+        (status_head.pattern if status_head else None) or NOTHING,
         NOTHING,
         _seen(member),
         NOTHING,

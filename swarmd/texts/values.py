@@ -26,9 +26,9 @@ def seconds(value: float) -> str:
 
 
 def sandbox_text(sandbox: Sandbox) -> str:
-    """The accesses that the sandbox denies to plugin code: `files, network, processes denied`.
+    """The accesses that the sandbox denies to plugin code, such as `files, network denied`.
 
-    Accesses that are not denied are listed, too.
+    Accesses that the sandbox fails to deny are listed behind these.
     """
     denied = f"{', '.join(sandbox.denied)} denied" if sandbox.denied else "not confined"
     return f"{denied}; not denied: {sandbox.missing}" if sandbox.missing else denied

@@ -143,9 +143,10 @@ def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
 
 
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
-    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with its first row.
+    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with the first of its rows.
 
-    Rows within 10 deg of one another count as one obstacle.
+    A row is an obstacle point that constrains the command. Rows within 10 deg of one another count
+    as one obstacle.
     """
     seen: list[LimitingObstacle] = []
     for row in rows:

@@ -1,7 +1,7 @@
 """One open page: the frames it has acknowledged, its state, and the next messages to it.
 
 A page gets a frame only while at most MAX_UNACKED earlier frames are not acknowledged, and only
-after the message before was sent. So a slow page gets fewer frames, and no queue grows.
+after the preceding message was sent. So a slow page gets fewer frames, and no queue grows.
 """
 
 from __future__ import annotations

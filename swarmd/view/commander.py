@@ -130,9 +130,9 @@ class LiveCommander:
     ) -> CommandProgress:
         """Send a request of a page to robots and wait for their replies; runs in a thread.
 
-        `names`: the robots that the page shows or has selected. `fields`: the texts that the user
-        typed. `cancelled` ends the wait for robots. Returns the final answer for the page;
-        ConfigError for a mistake in a text.
+        `verb`: run, param, reset or label. `names`: the robots that the page shows or has selected.
+        `fields`: the texts that the user typed. `cancelled` ends the wait for robots. Returns the
+        final answer for the page; ConfigError for a mistake in a text.
         """
         # 1. Parse the texts, before anything is sent.
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")

@@ -119,7 +119,8 @@ class Controls:
             self.selected ^= {self.cursor}
             self._move("down", robots)
         elif key == "a":  # selects all shown robots; if all are selected: none
-            self.selected = set() if self.selected.issuperset(robots) else {*self.selected, *robots}
+            are_all_selected = self.selected.issuperset(robots)
+            self.selected = set() if are_all_selected else {*self.selected, *robots}
         # 3. The filter.
         elif key == "/":
             self.mode, self.text = Mode.FILTER, self.filter

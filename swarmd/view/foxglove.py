@@ -91,6 +91,7 @@ class FoxgloveServer:
         for robot in robots:
             if robot.name not in self._statuses:
                 self._add(robot.name)
+        # The source gets the scans of selected robots only.
         self._source.select([name for name, channel in self._scans.items() if channel.is_read])
         _, frame = self._source.frame()
         # `frame`: rows of robot index, x, y (m), yaw (rad).

@@ -169,8 +169,8 @@ def measured(
       left out if `link` is None.
     - `speed`: the mean over robots in m/s, from their places.
     - `active`: the share of running robots whose command protection changes.
-    - each report and reading, as `report:NAME`: the mean of numbers; of words the share of the most
-      frequent word.
+    - each report and reading, as `report:NAME` or `readings:NAME`: the mean of numbers; of words
+      the share of the most frequent word.
     """
     values: dict[str, float] = {}
     if link is not None and len(places):

@@ -2,9 +2,9 @@
 
 To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `programs`, `playback`, `plots`, `marks`,
 `notice`, `overload`, `answer` and `estop` as JSON, frames and scans as bytes (see
-`source.pack_frame`). From the page: `ack` of a frame, `select`, `play`, `seek`, `choose`, `past`, a
-time to look back at, and `act`, a command. The server keeps the emergency stop that lacks
-acknowledgements, so that a page which opens later shows it too.
+`source.pack_frame`). From the page: `ack` (of a frame), `select`, `play`, `seek`, `choose`, `past`
+(a time to look back at) and `act` (a command). The server keeps an emergency stop that not all
+robots have acknowledged, so that a page which opens later shows this stop, too.
 """
 
 from __future__ import annotations
@@ -182,10 +182,12 @@ class ViewServer:
             return
         open_pages = sum(client.role == role for client in self._clients)
         if open_pages >= MAX_PAGES[role]:
+            # A page shows the reason of this code, and does not connect again.
             await connection.close(WRONG_TOKEN, f"{MAX_PAGES[role]} pages are open already.")
             return
         self._waiting.pop(connection, None)  # `_waiting`: the connections without a role
-        # 2. The present state, then the commands of the page. A task of the server sends frames.
+        # 2. Send the present state, then take the commands of the page until it closes. Meanwhile a
+        #    task of the server sends the frames (poses).
         client = Client(connection, role)
         self._clients.add(client)
         try:

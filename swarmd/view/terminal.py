@@ -52,7 +52,8 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     bottom = [_line(text, style) for text, style in scene.below]
     bottom.append(_line(scene.footer, scene.footer_style))
     min_map_width, min_map_height = MIN_MAP
-    # 1. The room for table and map: lines, columns beside the table, lines below all robots.
+    # 1. The room for table and map: lines, columns beside the table, lines below the table (a
+    #    header, and a line for each robot).
     body_height = max(height - 1 - len(bottom), 2)
     width_beside = width - TABLE_WIDTH - MARGIN
     height_below = body_height - len(scene.order) - 1
@@ -67,7 +68,8 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
         if height_below >= min_map_height + FRAME:
             size = map_size(scene.area, width - MARGIN, height_below - FRAME)
             body += map_of(scene, *size)
-    # 3. On a low screen the bottom lines come first, the prompt before all.
+    # 3. A low screen has less of the table, then less of the answers; the prompt, the last line,
+    #    always stays.
     top_height = max(height - len(bottom), 0)
     lines = [title, *body][:top_height] + bottom[-max(height, 1) :]
     for line in lines:

@@ -205,9 +205,9 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
             tracks[robot] = Track(about, _platform(about, f"the recording of {robot}"))
         tracks[robot].add(1e-9 * (at - start), robot_topic, kind, payload)
     tracks = dict(sorted(tracks.items()))
-    return Timeline(
-        tracks, first_file.about if is_merged else {}, notes, _is_shared(tracks.values())
-    )
+    merged_about = first_file.about if is_merged else {}
+    is_shared = _is_shared(tracks.values())  # all robots recorded poses in one frame
+    return Timeline(tracks, merged_about, notes, is_shared)
 
 
 def _placed(

@@ -59,7 +59,7 @@ def test_ranges_beyond_the_limits_become_infinite() -> None:
 
 
 @pytest.mark.parametrize(
-    ("zero", "meaning"), [("no_return", np.inf), ("too_close", -np.inf), ("unknown", 1.0)]
+    ("zero", "meaning"), [("too_close", -np.inf), ("no_return", np.inf), ("unknown", 1.0)]
 )
 def test_meaning_of_zero_comes_from_the_platform(zero: str, meaning: float) -> None:
     conditioner = ScanConditioner(replace(SPEC, zero=zero))

@@ -141,6 +141,7 @@ class ZenohBus:
         self._loop = asyncio.get_running_loop()
         self._queryables: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
+        # DROP: a full link loses a value and does not block the loop. express: no batching.
         self._publishers = {
             name: session.declare_publisher(
                 build(swarm, robot, STATE, name),
@@ -150,7 +151,8 @@ class ZenohBus:
             for name in PUBLISHED
         }
         # Asking Zenoh whether a publisher has subscribers takes 50 us. So `_has_subscriber` keeps
-        # the answer, and Zenoh reports the names whose answer may have changed.
+        # the answer. Zenoh calls `_on_viewers` with each name whose answer may have changed, which
+        # adds the name to `_unsure_names`.
         self._has_subscriber = dict.fromkeys(self._publishers, False)
         self._unsure_names = set(self._publishers)
         for name, publisher in self._publishers.items():
@@ -224,8 +226,9 @@ class ZenohBus:
                     question = ZenohQuery(self._session, query, reply_key, asker, bytes(payload))
                     if queue.offer(handle, question):
                         return
-            query.drop()
+            query.drop()  # refused, or the queue was full
 
+        # A key of `control` or `shared` ends with the name of its asker, a key of `state` does not.
         any_asker = ANY if plane in (CONTROL, SHARED) else ""
         served_key = build(self.swarm, self.robot, plane, name, any_asker)
         self._queryables.append(self._session.declare_queryable(served_key, on_query))

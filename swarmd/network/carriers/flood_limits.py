@@ -81,9 +81,9 @@ class _Budget:
         return False
 
     def begins_flood(self, now: float) -> bool:
-        """True once for each flood; then sets `blocked_until`, and `share` of urgent to pass.
+        """True if a flood begins now; called after `take` has refused a datagram.
 
-        Called after `take` has refused a datagram.
+        Then sets `blocked_until`, and `share`: the part of the urgent datagrams to pass meanwhile.
         """
         if self._excess < EXCESS:
             return False

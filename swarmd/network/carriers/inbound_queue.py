@@ -54,7 +54,7 @@ class DropCounter:
         1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
         2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`
            gets Code.FAILED and the text FAILED, since the handler may have carried out a part.
-        3. `CoreFault` is not caught.
+        3. `CoreFault`, an error of the robot's core, is not caught: it ends the daemon.
         """
         try:
             yield
@@ -68,7 +68,7 @@ class DropCounter:
             if self._faults.take(1.0, boottime()):
                 log.exception("%s: refused, since its handler failed", kind)
         if refuse is not None:
-            with self.refusing(kind):
+            with self.refusing(kind):  # an error of `refuse` itself is counted, too
                 refuse(code, text)
 
     def add(self, kind: str) -> None:

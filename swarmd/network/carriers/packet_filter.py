@@ -61,9 +61,11 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     with an operand. The first block whose tests all hold decides. The first stage (`heads`) tests
     the head of the datagram. The blocks of the second stage (`limits`) stand in this order:
 
-    1. Drop a share of the urgent datagrams (`URGENT`) of thinned sources.
+    1. Drop at random a part of the urgent datagrams (kinds in `URGENT`) of each source in
+       `rules.thinned`, which gives the share to keep.
     2. Accept datagrams of known sources.
-    3. Drop a share of the urgent datagrams of other sources, and accept the rest of the urgent.
+    3. Accept the share `rules.share` of the urgent datagrams of all further sources, and drop
+       the rest.
     4. Drop datagrams of blocked sources.
     5. Drop every other datagram if `only_known`, else accept it.
     """
@@ -87,6 +89,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     limits += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
     limits += [(_DROP, [_is_from(key)]) for key in _source_keys(rules.blocked, is_ipv6)]
     limits.append((_DROP if rules.only_known else _ACCEPT, []))
+    # Between the stages: store the source's key (a hash of its address) and the kind, for `limits`.
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
     return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
 

@@ -60,6 +60,8 @@ class Programs:
     ) -> None:
         """Declare the liveliness token of `robot`, and subscribe to the tokens of programs.
 
+        A program is a Zenoh session that takes part in the swarm and is no robot.
+
         With `takes_messages`, also subscribe to the messages of programs, and declare the publisher
         by which `put` learns whether any program subscribes.
         """
@@ -77,7 +79,8 @@ class Programs:
             liveliness.declare_subscriber(token(swarm, ANY), on_token, history=True),
         ]
         self._messages: Any = None  # the subscriber, with a ring of the last MAX_TAKEN messages
-        # `_has_subscriber` may be out of date while `_is_unsure`.
+        # `_has_subscriber`: a program subscribes to messages of this robot. While `_is_unsure`, the
+        # value may be out of date, and Zenoh is asked again.
         self._is_unsure, self._has_subscriber = takes_messages, False
         if takes_messages:
             # Without Locality.REMOTE this session's subscriber and publisher would match each

@@ -202,8 +202,9 @@ class RobotServer:
     ) -> None:
         """Listen on TCP at `endpoint` for the daemons of `robots`.
 
-        `what` names the server in errors. `clock` gives the arrival times of frames, in s. Raises
-        NetworkError if the server cannot listen there, ConfigError if `endpoint` cannot be read.
+        A daemon connects and sends a hello with its robot's name. `what` names the server in
+        errors. `clock` gives the arrival times of frames, in s. Raises NetworkError if the server
+        cannot listen there, ConfigError if `endpoint` cannot be read.
         """
         address = read_endpoint(endpoint, "endpoint is ")
         self.dropped = 0
@@ -370,8 +371,8 @@ class RobotClient:
     async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         """Send the hello, and hand frames to `on_frames` until the connection ends; then close it.
 
-        The first frame of the server is its answer to the hello: it sets `is_known`, and is not
-        handed on.
+        The server's first frame answers the hello. The answer sets `is_known`, and is not handed
+        to `on_frames`. `self._read` lets other methods read at once, without the event loop.
         """
         ended: asyncio.Future[None] = loop.create_future()
 
@@ -393,9 +394,10 @@ class RobotClient:
         try:
             await ended
         finally:
-            if not ended.done() or ended.cancelled():  # this task was cancelled
+            if not ended.done() or ended.cancelled():  # cancelled: `on_readable` removed no reader
                 loop.remove_reader(file)
-            self._connection, self._read, self.is_known = None, None, False
+            self._connection = self._read = None
+            self.is_known = False
             connection.close()
 
     @property

@@ -359,8 +359,8 @@ def _options(
         "scouting/gossip/enabled": False,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
-        # A peer with a timeout of 0 would dial its endpoints one after the other. A client with
-        # a timeout other than 0 would wait for its first router only.
+        # -1: dial without end. A peer with a timeout of 0 would dial its endpoints one after the
+        # other. A client with a timeout other than 0 would wait for its first router only.
         "connect/timeout_ms": 0 if mode == "client" else -1,
         "connect/exit_on_failure": False,
         "connect/retry": {

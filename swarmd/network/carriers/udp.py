@@ -137,7 +137,11 @@ class UdpCarrier:
         is_secured: bool = False,
         clock: Clock = boottime,
     ) -> None:
-        """Open the sockets. `tag`: the bytes in the head of a datagram that mark the swarm."""
+        """Open the sockets.
+
+        `tag`: the bytes in the head of a datagram that mark the swarm. A way (`_Way`) is how a
+        datagram came: by unicast, multicast or broadcast.
+        """
         self._clock = clock
         self._tag = tag
         self._is_secured = is_secured
@@ -161,11 +165,13 @@ class UdpCarrier:
         self._beacons = 0  # sent to all
         self._multicast_at = _NEVER  # when a robot was last heard by multicast
         self._ipv6_only_at = _NEVER  # when a robot without an IPv4 address was last heard
-        self._unconfirmed: dict[Address, _Way] = {}  # sources that wait for `confirm`
+        # Sources of beacons whose signature is not verified so far: they wait for `confirm`.
+        self._unconfirmed: dict[Address, _Way] = {}
 
         # Receiving.
-        self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}  # when, which way
-        self._detach: Callable[[], None] = lambda: None
+        # By source and payload: when and by which way the first copy of a datagram came.
+        self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
+        self._detach: Callable[[], None] = lambda: None  # ends the reading, from `attach` on
         self._is_full = False  # the last `receive` has left datagrams in a socket
         self._emptied_at = clock()  # when the sockets were last empty
         self._limits = FloodLimits()
@@ -173,7 +179,7 @@ class UdpCarrier:
         self._turns = 0  # calls of `receive`
         self._reads = 0  # datagrams read since `_weigh`
         self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
-        self._lost: dict[socket.socket, int] = {}
+        self._lost: dict[socket.socket, int] = {}  # datagrams that the kernel had dropped
         self.recipients = Recipients(self._lease, with_group=self._multicast)
         # Every fifth beacon is a broadcast.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
@@ -280,12 +286,12 @@ class UdpCarrier:
         received: list[Received] = []
         with self._lock:
             now = self._clock()
-            self._refresh(now)
+            self._refresh(now)  # of the addresses of the interface
             self._is_full = False
             self._turns += 1
             first = self._turns % max(len(self._listeners), 1)
             budget = BATCH * _COST
-            self._weigh(now)
+            self._weigh(now)  # in an overload a datagram counts more in the flood limits
             for listener in (*self._listeners[first:], *self._listeners[:first]):
                 budget -= self._take_from(listener, budget // 2, now, received)
 
@@ -323,14 +329,17 @@ class UdpCarrier:
     ) -> int:
         """Append the datagrams of a listener to `received`; returns their cost.
 
-        A datagram costs _COST, or _DROP_COST if it is dropped. Reading ends once the cost has
-        reached `budget`; then `_is_full` is set, since more datagrams may wait in the socket.
+        A datagram costs _COST units, or _DROP_COST if it is dropped, which takes less time. Reading
+        ends once the cost has reached `budget`. Then `_is_full` is set, since more datagrams may
+        wait in the socket.
         """
+        # A datagram waits at most since the sockets were last empty. Only after a longer time, such
+        # as a freeze of the process, is its wait read from the kernel's time stamp.
         cost, waited = 0, 0.0
         longest_wait = now - self._emptied_at
         while cost < budget:
             try:
-                if longest_wait <= SHORT_WAIT:  # too short to count: `waited` stays 0
+                if longest_wait <= SHORT_WAIT:  # `waited` stays 0
                     payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
                 else:
                     payload, ancillary, _, name = listener.socket.recvmsg(
@@ -356,8 +365,8 @@ class UdpCarrier:
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
-        of this swarm shows by which way its robot is heard: `_note_robot` takes that at once, in a
-        secured swarm only after `confirm`.
+        of this swarm shows by which way its robot is heard. `_note_robot` notes this way at once.
+        In a secured swarm it does so only after `confirm`: until then the beacon may be forged.
         """
         host, port = name[0], name[1]
         self._reads += 1
@@ -371,6 +380,7 @@ class UdpCarrier:
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
+            # COPY is multicast by IPv6, of a robot that also sends by IPv4.
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)
         if self._is_second_copy(payload, source, way, now):
@@ -513,7 +523,8 @@ class UdpCarrier:
     def _open_unicast(self, port: int) -> int:
         """Open the sockets that send, for IPv4 and IPv6 with one port; returns the port.
 
-        With `port` 0 the port that is free for IPv4 may be in use for IPv6: then another is tried.
+        With `port` 0 the system chooses a port that is free for IPv4. If this port is in use for
+        IPv6, another port is tried.
         """
         tries = 1 if port else 1 + _PORT_TRIES
         for is_last in (*[False] * (tries - 1), True):

@@ -93,9 +93,10 @@ class Admission:
     ) -> Datagram | Flaw:
         """Check a datagram whose signature by `author` is verified; returns it, or its flaw.
 
-        A member list comes back without the robots that the roster lacks; every other datagram
-        comes back unchanged. `is_claiming`: this robot does not own its id yet, so that beacons of
-        other claimers of the id are checked.
+        A flaw is a wrong role, a false author, or a datagram that is no longer fresh (a replay). A
+        member list comes back without the robots that the roster lacks. Every other datagram comes
+        back unchanged. `is_claiming`: this robot does not own its id yet, so that beacons of other
+        claimers of the id are checked.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
@@ -107,18 +108,20 @@ class Admission:
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
-            case Solicit() | ClockQuery() | Swarm():
+            case Solicit() | ClockQuery() | Swarm():  # questions
                 return body  # a repeated question costs an answer, which is limited
             case MemberList():  # must answer a question of this robot, by its echo
-                is_fresh = self.freshness.is_own_echo(body.echo, now)
-                is_fresh &= membership.is_present(body.robot, body.instance)
+                is_own_echo = self.freshness.is_own_echo(body.echo, now)
+                is_fresh = is_own_echo and membership.is_present(body.robot, body.instance)
                 body = only_names(body, self.names)
             case Message():
-                is_fresh = membership.is_present(body.robot, body.instance)
-                is_fresh &= self.freshness.is_new_message(body.robot, body.instance, body.sequence)
+                is_present = membership.is_present(body.robot, body.instance)
+                is_fresh = is_present and self.freshness.is_new_message(
+                    body.robot, body.instance, body.sequence
+                )
             case Place():
-                is_fresh = membership.is_present(body.robot, body.instance)
-                is_fresh = is_fresh and self.freshness.is_new_place(
+                is_present = membership.is_present(body.robot, body.instance)
+                is_fresh = is_present and self.freshness.is_new_place(
                     body.robot, body.instance, body.sent
                 )
             case Latches():  # must be those of the sender's newest beacon, by their digest

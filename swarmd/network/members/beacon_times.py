@@ -61,7 +61,7 @@ class BeaconTimes:
     def number_due(self, content: tuple[object, ...], now: float, *, is_claiming: bool) -> int:
         """The number of the beacon that is due now, from 1; 0 if no beacon is due.
 
-        `content`: the values in the beacon, whose change makes it due earlier.
+        `content`: the values in the beacon. A change of these makes the beacon due earlier.
         """
         if content != self._content:
             self._content = content

@@ -64,8 +64,9 @@ class Life(Struct):
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
         """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        1. A beacon with a lower number than the newest beacon counts as delayed for LATE_TIME after
-           the newest. Later such a beacon is taken: a forged high number must not hide the robot.
+        1. A beacon with a lower number than the newest beacon counts as delayed, for LATE_TIME from
+           the arrival of the newest. Later such a beacon is taken: a forged high number must not
+           hide the robot.
         2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) is always taken.
         3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
            this life counts.
@@ -190,7 +191,7 @@ class Membership:
                 robot = self._robots[name] = _Robot(first=now)
             self._indirect.pop(name, None)  # the robot is heard directly from now on
             life = robot.lives[beacon.instance] = Life(now, now, beacon, address, beacon.version)
-            for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:
+            for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:  # all but the newest
                 del robot.lives[oldest_instance]
             change = Change.FOUND
         else:
@@ -204,6 +205,7 @@ class Membership:
                 change = Change.FOUND
             else:
                 change = Change.REFRESHED
+        # The body is the outline of the base. An earlier life gives it only while no body is known.
         if beacon.body is not None and (robot.body is None or life is robot.latest):
             robot.body = beacon.body
         return change
@@ -348,11 +350,12 @@ class Membership:
         """The member list for other robots: the robots heard here, then the indirect members.
 
         An indirect member is a robot that only other robots hear. `age` in a report: ms since the
-        last beacon of a robot that is alive, or since the robot left or failed.
+        last beacon of a robot that is alive, or since the robot left or failed. `hops` in a report:
+        the robots that have handed on the report so far.
         """
         reports = []
         for robot, entry in sorted(self._robots.items()):
-            if entry.shown is None:
+            if entry.shown is None:  # not yet reported as a member
                 continue
             instance, presence = entry.shown
             latest = entry.latest
@@ -363,7 +366,7 @@ class Membership:
                     instance=instance,
                     presence=PRESENCES.index(presence),
                     age=round(max(now - since, 0.0) * 1000),
-                    host=latest.address[0].partition("%")[0],
+                    host=latest.address[0].partition("%")[0],  # without the scope, known only here
                     port=latest.address[1],
                 )
             )

@@ -78,14 +78,19 @@ class Discovery:
         is_secured: bool = False,
         needs_status: bool = True,
     ) -> None:
-        """Begin a look (a query of all members) at `now` in s; the arguments as in the class."""
+        """Begin a look (a query of all members) at `now` in s.
+
+        `roster`: robots that are expected in any case. `first_robot_timeout`: s to wait for a first
+        robot. `earlier`: the result of an earlier look. `is_local`: all robots are on this machine.
+        `is_secured`: links take longer to open. `needs_status`: only a status counts as an answer.
+        """
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news_at = now  # when anything new was heard or reported of any robot
-        self._prolonging_news_at = now  # the same, of a robot for which the look waits
+        self._prolonging_news_at = now  # the same, counting only robots for which the look waits
         self._roster = set(roster)
         self._programs: set[str] = set()  # Zenoh programs that robots hear
         self._members = Membership("", FRESH_TIME)  # by the beacons heard here
@@ -93,13 +98,14 @@ class Discovery:
         self._reports = MemberReports(is_local=is_local)  # of robots on other robots
         self._statuses = StatusTable()
         self._mentioned: dict[str, float] = {}  # each robot heard or reported, and since when
-        # When a report last named a robot; inf for a robot that an earlier look has heard.
+        # When a report last named a robot; inf for a robot that an earlier look has heard, which
+        # is never forgotten.
         self._named: dict[str, float] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")  # when member lists were last asked for
 
-        # The robots of an earlier look count as failed until they are heard again. A member with
-        # `by` was known only from the report of another robot.
+        # The robots of an earlier look count as failed until they are heard again. `member.by` is
+        # the robot whose report was the only source for a member; empty for a member heard here.
         for robot, member in (earlier.members if earlier else {}).items():
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
@@ -327,8 +333,8 @@ class Discovery:
         The latest of these ends counts. All waits grow with the round trip:
 
         1. `quiet_time` after the last news.
-        2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found. This
-           wait grows with the loss of datagrams, too.
+        2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found, since
+           robots are dialled together. This wait grows with the loss of datagrams, too.
         3. For a robot that only other robots report as alive: UNREACHABLE_WAIT after it was first
            mentioned.
         4. For any other robot: GONE_WAIT after it was first mentioned.
@@ -339,8 +345,8 @@ class Discovery:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news_at + self.quiet_time]
-        # A robot that was found late and is not confirmed does not prolong the look: an attacker
-        # may invent robots.
+        # A robot that was found late does not prolong the look without an answer or another
+        # robot's report: an attacker may invent robots.
         prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
         last_found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
         for robot in lacking:

@@ -100,7 +100,7 @@ class MemberReports:
 
     # Events
 
-    def add_list(self, word: MemberList, now: float) -> dict[str, list[PeerReport]]:
+    def add_list(self, new_part: MemberList, now: float) -> dict[str, list[PeerReport]]:
         """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
 
         A list comes in parts, in several datagrams; the `echo` of the solicit marks the parts of
@@ -108,8 +108,9 @@ class MemberReports:
         of the last MAX_PARTIAL_LISTS lists are kept.
         """
         # 1. Keep the part, and drop parts of older lists.
-        parts = self._lists.setdefault(word.robot, {})
-        parts[word.echo, word.part] = (word, now)
+        # `parts` is in the order of arrival. A list is named by its echo.
+        parts = self._lists.setdefault(new_part.robot, {})
+        parts[new_part.echo, new_part.part] = (new_part, now)
         whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]
         lists = list(dict.fromkeys(echo for echo, _ in parts))
         oldest_kept = whole_lists[-1] if whole_lists else lists[-MAX_PARTIAL_LISTS:][0]
@@ -128,7 +129,7 @@ class MemberReports:
                         instance=member.instance.hex(),
                         presence=PRESENCES[member.presence],
                         at=at - member.age / 1000.0,
-                        by=word.robot,
+                        by=new_part.robot,
                         address=address,
                     )
                     reports.setdefault(member.robot, []).append(report)

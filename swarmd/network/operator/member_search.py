@@ -43,13 +43,13 @@ class MemberSearch:
         """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
         Threads of the carrier and of Zenoh put the answers into `discovery`. The look ends after
-        `timeout` s at the latest. With `timeout` None it ends once `discovery.is_over`, and after
-        `cap` s at the latest. `needs_status` False: a robot's datagram is an answer, so that its
-        status is asked for only after STATUS_DELAY.
+        `timeout` s at the latest. With `timeout` None the look ends once `discovery.is_over`, and
+        after `cap` s at the latest. `needs_status` False: a robot's datagram counts as its answer,
+        so that statuses are asked for only after STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
-        over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))
+        over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY
         while True:
@@ -63,7 +63,8 @@ class MemberSearch:
                     is_capped = now - discovery.started >= cap
                     is_over = is_capped or (over_timer.is_due(now) and discovery.is_over(now))
             if is_complete or is_over:
-                # Dial robots that were found last: `dial` waits for more robots to dial together.
+                # Robots found last may still wait in `dial`, which gathers robots to dial together:
+                # the caller needs links to these robots for its requests.
                 while is_complete and (wait := self._sessions.dial(discovery, now)) < float("inf"):
                     time.sleep(wait)
                     now = boottime()
@@ -77,7 +78,7 @@ class MemberSearch:
             if now >= ask_status_at and status_timer.is_due(now):
                 self._ask_members(discovery)
 
-            # 3. Wait for an answer, or until something is due.
+            # 3. Wait for an answer that came after `count` was read, or until something is due.
             to_end_check = OVER_PERIOD if deadline is None else deadline - now
             due_in = min(solicit_timer.pause(now), status_timer.pause(now), to_end_check, wait)
             self._arrivals.wait(count, due_in)
@@ -85,8 +86,8 @@ class MemberSearch:
     def _ask_members(self, discovery: Discovery) -> None:
         """Ask all linked robots for status and members, by Zenoh; the replies go to `discovery`.
 
-        Robots that have answered do not answer again. The status of a robot of another version is
-        asked for on its own, and only the head of such a status is read.
+        The query names the robots that have answered, which stay silent. The status of a robot of
+        another version is asked for on its own, and only the head of such a status is read.
         """
         if not self._sessions.is_open:
             return

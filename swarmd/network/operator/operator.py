@@ -97,8 +97,9 @@ class Operator:
     ) -> None:
         """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
 
-        `name`: of the operator in a swarm without keys; None: the name of this user. `carrier`: a
-        carrier in place of UDP or routers, for tests.
+        `name`: of the operator in a swarm without keys; None: the name of this user. `roster`:
+        robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
+        tests. `takes_rosters` False: a newer roster that robots show is not taken.
         """
         settings.check()
         self.settings = settings
@@ -174,16 +175,18 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        `notices` gets a line. Raises NetworkError if the new roster lacks the own name.
+        `notices` gets a line for the user. Raises NetworkError if the new roster lacks the name of
+        this operator.
         """
         before = self.identity
         self._rosters.update()
         return self.identity is not before
 
     def take_identity(self, identity: Identity) -> None:
-        """Use this identity's keys, and new links, from the next look on.
+        """Use the keys of `identity`, on new links, from the next look (query of all members) on.
 
-        An identity with the same roster and keys of more robots is used at once, on the same links.
+        If only keys of further robots differ from the present identity, `identity` is used at once,
+        on the present links.
         """
         with self._arrivals.lock:
             admission, before = self._datagrams.answers, self.identity
@@ -249,7 +252,7 @@ class Operator:
     def ways(self, robot: str) -> tuple[str, ...]:
         """The ways (such as `multicast`) by which beacons of a robot came lately.
 
-        Empty if none came, and in profile routed.
+        Empty if no beacon came, and always in profile routed.
         """
         from swarmd.network.carriers.udp import UdpCarrier
 
@@ -275,7 +278,8 @@ class Operator:
     def watch(self, name: str, handler: Callable[[str, bytes], object], robot: str = ANY) -> None:
         """Call `handler(robot, payload)` for each sample that robots publish on `state/<name>`.
 
-        Zenoh's threads call it, for robots that are found now and by later looks, until `unwatch`.
+        Zenoh's threads call the handler, for robots that are found now and by later looks, until
+        `unwatch`.
         """
         self._sessions.watch(name, handler, robot)
 
@@ -284,9 +288,10 @@ class Operator:
         self._sessions.unwatch(name, robot)
 
     def listen(self, kind: type[D], handler: Callable[[D, float], object] | None) -> None:
-        """Call `handler(datagram, now)` for each datagram of a kind; `handler` None ends it.
+        """Call `handler(datagram, now)` for each datagram of a kind; `handler` None ends the calls.
 
-        The carrier's thread calls it with the lock held: the handler must not block or take a lock.
+        The carrier's thread calls the handler with the lock held: the handler must not block or
+        take a lock.
         """
         with self._arrivals.lock:
             self._listeners.pop(kind, None)
@@ -296,7 +301,7 @@ class Operator:
     def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
         """Send a datagram to each robot in `robots` that the last look has found.
 
-        `make` is called for each robot.
+        `make()` returns the datagram, and is called once for each robot.
         """
         with self._arrivals.lock:
             to_dial = {} if self._discovery is None else self._discovery.to_dial(boottime())
@@ -339,6 +344,7 @@ class Operator:
         outcome, linked = self._requests.send(
             request, targets, asked, last_view, self._discovery, timeout, is_ended
         )
+        # Robots that have a link and sent no reply: they may lack this operator in their roster.
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:

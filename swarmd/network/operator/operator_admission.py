@@ -81,6 +81,8 @@ class OperatorAdmission:
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)
             return None
+        # `_has_key`: this operator has the key that it shares with the robot, which verifies acks.
+        # `_is_own`: the robot has signed the datagram as an answer for this operator.
         match body:
             case Ack() if body.robot in self._names:
                 # An ack that another robot handed on does not come from the acking robot's address.

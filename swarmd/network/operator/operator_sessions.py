@@ -116,7 +116,7 @@ class OperatorSessions:
             lacks_answer = robot not in answered and now - waits_since >= redial_after
             if dialled_address != address or lacks_answer:
                 to_dial[robot, instance] = address
-        if not to_dial or not self.needs_links:
+        if not to_dial or not self.needs_links:  # routers link all robots of profile routed
             self._waiting_since = None
             return float("inf")
 
@@ -176,13 +176,14 @@ class OperatorSessions:
         `handler(robot, payload)` takes each reply, on a thread of Zenoh with the lock held. Replies
         on other keys are dropped. A reply inherits the congestion control of the query: DROP, so
         that a reply does not block a daemon's loop. The caller repeats a query without a reply.
+        Consolidation is off: with it, Zenoh would hold back replies until the query ends.
         """
         import zenoh
         from zenoh.handlers import Callback
 
         from swarmd.network.carriers.session import MAX_WIRE
 
-        asker = self._asker if plane == CONTROL else ""
+        asker = self._asker if plane == CONTROL else ""  # keys of `state` end without an asker
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok

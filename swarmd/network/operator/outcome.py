@@ -132,7 +132,7 @@ class Acks:
         """Take the ack of a stop, as the reply of its robot; False if the ack is not kept.
 
         `ack.via`: the robot that has handed the ack on; empty if the ack came directly. An ack that
-        was handed on is dropped once a direct ack of the same instance has come.
+        was handed on is dropped once the same instance has itself acked that its base rests.
         """
         # 1. Drop acks of other requests, and older acks.
         instance = ack.instance.hex()
@@ -154,7 +154,7 @@ class Acks:
             robot=ack.robot,
             code=code,
             refusal=refusal,
-            text=text[:1000],
+            text=text[:1000],  # the bound of `Reply.text`
             epoch=Epoch(instance, ack.revision),
             is_moving=ack.is_moving,
         )
@@ -206,9 +206,10 @@ class Acks:
         """
         worst_replies: dict[str, Reply] = {}
         for robot in sorted(self._replies.keys() - set(silent)):
+            # Of the instances that replied for one robot id, the most severe reply counts.
             replies = [_settled(reply) for reply in self._replies[robot].values()]
             worst_replies[robot] = max(replies, key=lambda reply: _SEVERITY[reply.code])
-        # Two replies with one robot id come from two daemons.
+        # Replies of two instances with one robot id come from two daemons.
         duplicates = sorted(robot for robot, replies in self._replies.items() if len(replies) > 1)
         return Outcome(
             replies=worst_replies,

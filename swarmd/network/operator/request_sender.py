@@ -97,6 +97,7 @@ class RequestSender:
             if is_repeat_due:
                 repeat_at = now + REPEAT_PERIOD
             if is_repeat_due or new_links:
+                # The age of the request at its arrival, so that a robot can refuse it as too old.
                 payload = encode(aged(request, now - started + view.round_trip))
                 # One query to all robots replaces many queries.
                 for robot in (ANY,) if len(receivers) == len(asked) else sorted(receivers):

@@ -1,6 +1,7 @@
 """Takes the newer roster, or the missing keys, of an operator or viewer from robots.
 
-Robots do not answer a datagram that is signed with keys of an earlier generation of the roster.
+Robots do not answer a datagram that is signed with keys of an earlier generation of the roster. So
+an operator with such keys needs the newer roster first.
 """
 
 from __future__ import annotations

@@ -70,12 +70,13 @@ def silent_member(
 ) -> SeenMember | None:
     """The member `robot`, whose beacons do not arrive at this operator now.
 
-    `heard`: the last life of the robot that this operator heard. `report`: the most certain report
-    of other robots on the robot. None for a robot that was neither heard nor reported.
+    `heard`: the last life (start to end of a daemon) that this operator heard. `answer`: the last
+    answer to a query of the robot's status. `report`: the most certain report of other robots on
+    the robot. Returns None for a robot that was neither heard nor reported.
 
     1. If this operator's last beacon of the robot is newer than the report, the robot has failed.
     2. If another robot heard the robot within INDIRECT_TIME, the robot is alive and unreachable.
-    3. Otherwise the robot has failed or left, as reported.
+    3. Otherwise the robot has left, if so reported, or else has failed.
     """
     if heard is not None and (report is None or report.at <= heard.heard):
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)

@@ -70,7 +70,8 @@ class PendingStop:
 
         The caller sends each datagram by multicast, and by unicast to these addresses. A stop of
         all robots is one datagram. The names of a stop of named targets may need several datagrams.
-        No datagram while no target is known. `names`: only for these targets; None: all targets.
+        Without a known target no such datagram is due, since it would stop nobody. `names`: only
+        for these targets; None: all targets.
         """
         age_ms = round((now - self._started) * 1000)
         stop = replace(self._stop, age=age_ms, repeated=age_ms)
@@ -82,6 +83,7 @@ class PendingStop:
             return
         targets: list[str] = []  # of the next datagram
         for name in sorted(self.selected() if names is None else names):
+            # The datagram is full once its names, with `name`, exceed _MAX_TARGET_BYTES.
             size = sum(len(target) + _NAME_OVERHEAD for target in (*targets, name))
             if targets and size > _MAX_TARGET_BYTES:
                 addresses = self._addresses(lacking.intersection(targets))

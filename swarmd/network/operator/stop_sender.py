@@ -83,12 +83,15 @@ class StopSender:
                 if is_repeat_due or new_targets:
                     for stop_part, addresses in stops:
                         self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
-                self._rosters.begin()
+                self._rosters.begin()  # takes a newer roster, if a robot shows one, on a thread
 
                 # 3. Find more robots, and report progress.
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                is_change = silent != reported and bool(silent or not lacking)
+                # All robots may have acked while some bases still move. An empty `silent` is
+                # reported only once all bases rest.
+                is_reportable = bool(silent) or not lacking
+                is_change = silent != reported and is_reportable
                 if until_all and is_change and progress_timer.is_due(now):
                     reported = silent
                     on_progress(silent)

@@ -69,9 +69,9 @@ class GoalSync:
     def wants(
         self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
     ) -> int | None:
-        """The number of the question to the sender of a beacon; None if it is not asked.
+        """The number of the question to the sender of a beacon; None if no question is due.
 
-        `digest`: of the goal in the beacon.
+        `digest`: of the goal in the beacon. `own`: the goal of this robot.
         """
         if own is not None and digest == own.digest:
             is_due = _lacks_age(own) and now - self._age_asked >= AGE_PERIOD
@@ -121,9 +121,10 @@ class GoalSync:
         return FoundGoal(goal, min(report.age / 1000.0 + trip, MAX_SECONDS))
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
-        """True if a robot shows a goal that may be greater than the own, and must be asked for.
+        """True if a robot shows a goal that may be greater than this robot's goal.
 
-        False once the robot has answered for this digest.
+        `digest`: of the shown goal. `own`: of this robot's goal. The robot must then be asked for
+        its goal. False once it has answered for this digest.
         """
         return may_replace(digest, own) and not self._asks.knows(instance, digest)
 

@@ -116,8 +116,8 @@ class Puller:
         No pull is begun while another pull is under way, or beyond PULL_RATE: try again later.
         `what`, `name`: the kind of blob, such as a table of patterns, and the name of the blob of
         this kind. `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the
-        digest that the peer states. At the end the loop calls
-        `on_done(blob, reason)`; a blob of None means that the pull failed for this reason.
+        digest that the peer states. At the end the loop calls `on_done(blob, reason)`. A blob of
+        None means that the pull failed for this reason.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
@@ -168,15 +168,15 @@ async def pull(
 
     `asker`: the name of this robot or operator. `digest`: the SHA-256 that the blob must have;
     None: the digest that the peer states. Raises NetworkError in one line if the peer is not
-    reached, lacks the blob, or sends more than `limit` bytes or another digest. Raises TimeoutError
-    after `timeout` s.
+    reached, lacks the blob, or sends more than `limit` bytes or bytes with another digest. Raises
+    TimeoutError after `timeout` s.
     """
     key = build(settings.swarm, peer, SHARED, what, asker)
     async with asyncio.timeout(timeout):
         session = await open_in_thread(partial(open_pull_session, settings, address, identity))
         try:
             return await _pieces(session, key, f"{peer}: {what}", name, limit, digest)
-        finally:
+        finally:  # to close a session may block, so a thread does this
             asyncio.get_running_loop().run_in_executor(None, _close, session)
 
 

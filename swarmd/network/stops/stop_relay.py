@@ -86,10 +86,11 @@ class StopRelay:
     ) -> list[Send]:
         """Take a copy of a stop, and relay the stop from now on if it is new.
 
-        `source`: the sender of this copy, the operator or another robot. `is_member` False: the
-        sender is no member of the swarm, so that its copy does not count for REDUNDANCY. Returns
-        acks of other robots for the operator, if the operator sent this copy again. `wants_ack`
-        decides on this robot's own ack.
+        In each interval of the Trickle algorithm (RFC 6206) this robot sends the stop once, unless
+        REDUNDANCY other members have sent copies. `source`: the sender of this copy, the operator
+        or another robot. `is_member` False: the sender is no member of the swarm, so that its copy
+        does not count for REDUNDANCY. Returns acks of other robots for the operator, if the
+        operator sent this copy again. `wants_ack` decides on this robot's own ack.
         """
         # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
@@ -109,8 +110,10 @@ class StopRelay:
                 due=self._moment(now, FIRST_INTERVAL),
             )
 
-        # 2. Update the ages. Copies by several ways have different ages, and an age may be forged:
-        # a stop that looks older than the present run would not end that run.
+        # 2. Update the ages. Copies by several ways have different ages, and the greatest age
+        # counts. An age may be forged: a stop that looks older than the present run would not end
+        # that run. So later copies add at most MAX_AGE_SHIFT. `repeated` is the greatest age at
+        # which the operator itself has sent a copy.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
         repeated = min(stop.repeated / 1000.0, now - relayed.issued)
         relayed.repeated = max(relayed.repeated, repeated)
@@ -165,8 +168,10 @@ class StopRelay:
         """Take another robot's ack of a relayed stop; returns copies of it to hand on.
 
         The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. Each ack is handed on to each receiver once. A stop with many
-        targets is relayed in parts, all with one id.
+        names this robot as `via`. Each ack is handed on to each receiver once, except a refusal as
+        replayed that comes from the refusing robot itself. A stop with many targets is relayed in
+        parts, all with one id. An ack that the base rests is not replaced by an ack that the base
+        moves.
         """
         parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
         sends: list[Send] = []
@@ -177,9 +182,8 @@ class StopRelay:
             receivers = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
-                # A robot may refuse each new origin, so that a refusal is handed on once for each
-                # origin. The robot's own refusal always goes on. A refusal by way of a third robot
-                # could travel in circles, and is handed on only once.
+                # A refusal that comes from the robot itself is always handed on. A refusal by way
+                # of a third robot could travel in circles: it is handed on once for each origin.
                 origin = relayed.stop.origin
                 if not ack.via:
                     sends += [(handed, address) for address in receivers]
@@ -204,6 +208,7 @@ class StopRelay:
         """
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
+            # LIFETIME counts from the last copy that the operator itself has sent.
             if now - relayed.issued - relayed.repeated > LIFETIME:
                 del self._stops[key]
                 continue

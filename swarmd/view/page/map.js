@@ -165,7 +165,7 @@ export class SwarmMap {
     if (!this.hasFitted && [...model.robots.values()].some((one) => one.x === one.x)) this.fit();
     if (this.isFollowing) this.follow();
     const robots = [...model.robots.values()].filter((one) => one.x === one.x), now = performance.now();
-    if (this.hasFitted && !this.isTouched && !this.isFollowing && now - this.fittedAt > REFIT && this.isLeft(robots)) this.fit();
+    if (this.hasFitted && !this.isTouched && !this.isFollowing && !this.mode && now - this.fittedAt > REFIT && this.isLeft(robots)) this.fit();
     const style = getComputedStyle(document.documentElement);
     const [line, text, dim, back] = ['--line', '--text', '--dim', '--pane'].map((name) => style.getPropertyValue(name));
     const zoom = this.scale * this.ratio;

@@ -341,6 +341,7 @@ def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
     [
         (STEP, -1.5, SWEEP, True, "0.2 s, clockwise, as time_increment says"),
         (STEP, 1.5, SWEEP, True, "and counts; time_increment says 0.2 s a scan, counter-clockwise"),
+        (-STEP, -1.5, SWEEP, True, "counts; time_increment says 0.2 s a scan, counter-clockwise"),
         (STEP / 18, -1.5, SWEEP, True, "and counts; time_increment says 0.0111 s a scan"),
         (0.0, 1.5, SWEEP, True, "time_increment is 0"),
         (STEP, 1.5, None, True, "all rays count as of one instant; time_increment says 0.2 s"),
@@ -355,6 +356,15 @@ def test_check_compares_time_increment_with_the_sweep_of_the_platform(
     finding = conversion.sweep_finding(laser(step, increment), spec, is_upside_down=False)
     assert finding.is_well is is_well
     assert text in finding.text
+
+
+@pytest.mark.parametrize("step", [STEP, -STEP])
+def test_an_upside_down_lidar_turns_the_other_way(step: float) -> None:
+    upright, upside_down = (
+        conversion.sweep_finding(laser(step), WITHOUT_SWEEP, is_upside_down=is_upside_down).text
+        for is_upside_down in (False, True)
+    )
+    assert (", clockwise" in upright) != (", clockwise" in upside_down)
 
 
 @pytest.mark.parametrize(("step", "is_well"), [(STEP, True), (0.0, True), (7.0, False)])
