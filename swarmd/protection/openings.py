@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.values import Pose, Scan
+from swarmd.core.values import Array, Pose, Scan
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -24,6 +24,7 @@ else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
     from cython.cimports.libc.math import (
+        INFINITY,
         atan,
         atan2,
         cos,
@@ -34,6 +35,7 @@ if cython.compiled:
     )
 else:
     from swarmd.core.cython_shadow import (
+        INFINITY,
         atan,
         atan2,
         cos,
@@ -47,7 +49,7 @@ _MAX_RANGE = cython.declare(cython.double, 2.5)  # m from the lidar within which
 _JUMP = cython.declare(cython.double, 0.25)  # m between neighbouring ranges at the end of a wall
 # Widths of the robot, and m: through a wider opening two robots pass side by side.
 _NARROWEST_SHARE, _WIDEST = 1.5, 1.0
-_MIN_RETURNS = 10  # a scan with fewer returns shows no opening
+_MIN_RETURNS = cython.declare(cython.int, 10)  # a scan with fewer returns shows no opening
 _MIN_RAYS = cython.declare(cython.int, 3)  # between the posts of an opening
 # m by which a return between the posts may be nearer than the farther post
 _POST_SLACK = cython.declare(cython.double, 0.02)
@@ -76,8 +78,16 @@ _half_turn = cython.declare(cython.double, math.pi)
 
 
 @cython.cfunc
-def _view(values):
-    """An array as the kernel reads it: in CPython a memoryview, which is faster to index."""
+def _numbers(values):
+    """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
+    values = np.ascontiguousarray(values, np.float64)
+    return values if cython.compiled else values.tolist()
+
+
+@cython.cfunc
+def _table(values):
+    """`values` (n, m) as the kernel reads them: in CPython a memoryview."""
+    values = np.ascontiguousarray(values, np.float64)
     return values if cython.compiled else memoryview(values)
 
 
@@ -114,15 +124,90 @@ class _ScanReturns:
     """The returns of one scan in order of bearing, in the frame of the odometry. All in m."""
 
     ranges: cython.double[::1]
+    bearings: cython.double[::1]  # rad
     x: cython.double[::1]
     y: cython.double[::1]
-    tracks: cython.double[:, ::1]  # (k, 3) x, y, radius of moving objects
+    tracks: cython.double[::1]  # x, y, radius of each moving object
+    # The place of the sensor in the base frame, and the pose of the base by odometry.
+    offset_x: cython.double
+    offset_y: cython.double
+    pose_x: cython.double
+    pose_y: cython.double
+    pose_cos: cython.double
+    pose_sin: cython.double
     is_wall: cython.uchar[::1]  # the return is near, and no part of a track
     # The `count` returns of walls in the frame of one opening, and room for a number for each.
     count: cython.Py_ssize_t
     along: cython.double[::1]
     side: cython.double[::1]
     places: cython.double[::1]
+
+    @cython.cfunc
+    def sort(self, scan) -> cython.bint:
+        """Set `ranges` and `bearings`; False with less than _MIN_RETURNS returns.
+
+        Conditioned bearings rise, up to a place where a scan of a robot that turns may cross half a
+        turn. So most scans need no sorting. Returns of one bearing keep their order.
+        """
+        ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
+        bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
+        i: cython.Py_ssize_t
+        count: cython.Py_ssize_t = 0
+        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is not above that before
+        begin: cython.Py_ssize_t = 0  # the last of these returns
+        before: cython.double = 0.0
+        first: cython.double = 0.0
+        for i in range(len(ranges)):
+            if ranges[i] > 0.0 and ranges[i] < INFINITY:
+                if count == 0:
+                    first = bearings[i]
+                elif not bearings[i] >= before:
+                    falls, begin = falls + 1, count
+                before, count = bearings[i], count + 1
+        if count < _MIN_RETURNS:
+            return False
+        is_rotated: cython.bint = falls == 1 and before < first
+        k: cython.Py_ssize_t = count - begin if is_rotated else 0
+        self.ranges, self.bearings = _doubles(count), _doubles(count)
+        for i in range(len(ranges)):
+            if ranges[i] > 0.0 and ranges[i] < INFINITY:
+                self.ranges[k], self.bearings[k] = ranges[i], bearings[i]
+                k = k + 1 if k + 1 < count else 0
+        if falls > 0 and not is_rotated:
+            order = np.asarray(self.bearings).argsort(kind="stable")
+            self.ranges = memoryview(np.asarray(self.ranges)[order])
+            self.bearings = memoryview(np.asarray(self.bearings)[order])
+        return True
+
+    @cython.cfunc
+    def place_from(self, offset, pose) -> cython.int:
+        """Make room for the places of returns, which the sensor at `offset` saw from `pose`."""
+        n: cython.Py_ssize_t = len(self.ranges)
+        yaw: cython.double = pose.yaw
+        self.x, self.y = _doubles(n), _doubles(n)
+        self.offset_x, self.offset_y = offset
+        self.pose_x, self.pose_y = pose.x, pose.y
+        self.pose_cos, self.pose_sin = cos(yaw), sin(yaw)
+        return 0
+
+    @cython.cfunc
+    def place(self, row: cython.Py_ssize_t) -> cython.int:
+        """Set `x` and `y` of a return."""
+        x: cython.double = self.offset_x + self.ranges[row] * cos(self.bearings[row])
+        y: cython.double = self.offset_y + self.ranges[row] * sin(self.bearings[row])
+        self.x[row] = self.pose_x + self.pose_cos * x - self.pose_sin * y
+        self.y[row] = self.pose_y + self.pose_sin * x + self.pose_cos * y
+        return 0
+
+    @cython.cfunc
+    def set_tracks(self, tracks: tuple) -> cython.int:
+        """Set `tracks`, each given as (x, y, radius)."""
+        k: cython.Py_ssize_t = 0
+        self.tracks = _doubles(3 * len(tracks))
+        for x, y, radius in tracks:
+            self.tracks[k], self.tracks[k + 1], self.tracks[k + 2] = x, y, radius
+            k += 3
+        return 0
 
     @cython.cfunc
     def ends(self) -> list:
@@ -147,22 +232,24 @@ class _ScanReturns:
     def is_free(self, row: cython.Py_ssize_t) -> cython.bint:
         """True for a return that is no part of a track."""
         i: cython.Py_ssize_t
-        for i in range(len(self.tracks)):
-            dx: cython.double = self.x[row] - self.tracks[i, 0]
-            dy: cython.double = self.y[row] - self.tracks[i, 1]
-            radius: cython.double = self.tracks[i, 2] + _TRACK_SLACK
+        for i in range(0, len(self.tracks), 3):
+            dx: cython.double = self.x[row] - self.tracks[i]
+            dy: cython.double = self.y[row] - self.tracks[i + 1]
+            radius: cython.double = self.tracks[i + 2] + _TRACK_SLACK
             if dx * dx + dy * dy <= radius * radius:
                 return False
         return True
 
     @cython.cfunc
     def mark_walls(self) -> cython.int:
-        """Set `is_wall` of each return."""
+        """Set `is_wall` of each return, and the places of the near returns."""
         n: cython.Py_ssize_t = len(self.ranges)
         row: cython.Py_ssize_t
         self.is_wall = memoryview(np.empty(n, np.uint8))
         self.along, self.side, self.places = _doubles(n), _doubles(n), _doubles(n)
         for row in range(n):
+            if self.ranges[row] < _MAX_RANGE:
+                self.place(row)
             self.is_wall[row] = self.ranges[row] < _MAX_RANGE and self.is_free(row)
         return 0
 
@@ -474,26 +561,18 @@ class Openings:
         openings: list = []
 
         # 1. The returns in the order of their bearings.
-        ranges, bearings = scan.ranges, scan.bearings
-        rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
-        if len(rays) < _MIN_RETURNS:
-            return openings
-        bearings = bearings[rays]
-        order = bearings.argsort(kind="stable")
-        ranges = ranges[rays[order]].astype(np.float64, copy=False)
         returns: _ScanReturns = _ScanReturns()
-        returns.ranges = _view(ranges)
+        if not returns.sort(scan):
+            return openings
 
         # 2. The ends of walls: returns where the range jumps. An end on a track is no wall.
         wall_ends: list = returns.ends()
         if not wall_ends:
             return openings
-        bearings = bearings[order]
-        x, y = np.empty(len(rays)), np.empty(len(rays))
-        returns.x, returns.y = _view(x), _view(y)
-        returns.tracks = _view(np.array(tracks, np.float64).reshape(-1, 3))
-        indices = np.array([end[2] for end in wall_ends])
-        x[indices], y[indices] = _places(ranges[indices], bearings[indices], offset, pose)
+        returns.place_from(offset, pose)
+        returns.set_tracks(tracks)
+        for _, _, post, _ in wall_ends:
+            returns.place(post)
         wall_ends = [end for end in wall_ends if returns.is_free(end[2])]
         if not wall_ends:
             return openings
@@ -503,8 +582,6 @@ class Openings:
             wall_ends.sort()
             del wall_ends[_MAX_WALL_ENDS:]
             wall_ends.sort(key=itemgetter(1))
-        indices = (ranges < _MAX_RANGE).nonzero()[0]
-        x[indices], y[indices] = _places(ranges[indices], bearings[indices], offset, pose)
         returns.mark_walls()
 
         # 4. An opening lies between a wall's end and its partner, with walls beside both.
@@ -525,16 +602,6 @@ class Openings:
 
 
 @cython.cfunc
-def _places(ranges, bearings, offset, pose) -> tuple:
-    """The places of returns in the frame of the odometry, x and y."""
-    x, y = offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)
-    yaw: cython.double = pose.yaw
-    c: cython.double = cos(yaw)
-    s: cython.double = sin(yaw)
-    return pose.x + c * x - s * y, pose.y + s * x + c * y
-
-
-@cython.cfunc
 def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_ssize_t) -> Opening:
     """The opening between two returns, measured."""
     opening: Opening = Opening()
@@ -545,3 +612,60 @@ def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_
     opening.angle, opening.half, opening.hits = atan2(dx, -dy), 0.5 * hypot(dx, dy), 1
     opening.measure(returns)
     return opening
+
+
+def gap_middle(
+    points: Array, place: tuple, span: tuple, width: tuple, middle: tuple
+) -> float | None:
+    """The middle of a gap between two neighbouring returns, in m to the left of an axis.
+
+    None without such a gap. Of several gaps, the gap nearest to the expected middle.
+
+    Args:
+        points: (n, 2) returns in m in the base frame.
+        place: of the robot in the frame of the axis: m along it, m to its left, rad.
+        span: m along the axis between which returns count, both excluded.
+        width: m of the gap, and by how much less than which it may be off.
+        middle: m, the expected middle, and the greatest distance from the axis.
+    """
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    count: cython.Py_ssize_t = 0
+    table: cython.const[cython.double][:, ::1] = _table(points)
+    robot_along: cython.double = place[0]
+    robot_aside: cython.double = place[1]
+    cos_heading: cython.double = cos(place[2])
+    sin_heading: cython.double = sin(place[2])
+    begin: cython.double = span[0]
+    end: cython.double = span[1]
+    wanted_width: cython.double = width[0]
+    width_error: cython.double = width[1]
+    expected: cython.double = middle[0]
+    greatest: cython.double = middle[1]
+    sides: cython.double[::1] = _doubles(len(table))
+
+    # 1. The returns that count, sorted by insertion: they are in the order of the scan.
+    for i in range(len(table)):
+        x: cython.double = table[i, 0]
+        y: cython.double = table[i, 1]
+        along: cython.double = robot_along + cos_heading * x - sin_heading * y
+        if begin < along < end:
+            aside: cython.double = robot_aside + sin_heading * x + cos_heading * y
+            k = count
+            while k > 0 and sides[k - 1] > aside:
+                sides[k] = sides[k - 1]
+                k -= 1
+            sides[k] = aside
+            count += 1
+
+    # 2. The gap.
+    is_measured: cython.bint = False
+    best: cython.double = 0.0
+    least: cython.double = 0.0
+    for i in range(1, count):
+        if not fabs(sides[i] - sides[i - 1] - wanted_width) < width_error:
+            continue
+        gap: cython.double = 0.5 * (sides[i] + sides[i - 1])
+        if fabs(gap) < greatest and (not is_measured or fabs(gap - expected) < least):
+            is_measured, best, least = True, gap, fabs(gap - expected)
+    return best if is_measured else None

@@ -28,11 +28,12 @@ from swarmd.protection.recovery import Allows, Clearance, Points
 from swarmd.protection.tracks import Surroundings, Track
 
 if TYPE_CHECKING:
-    from swarmd.protection.openings import SIGHTINGS, Opening, Openings
+    from swarmd.protection.openings import SIGHTINGS, Opening, Openings, gap_middle
     from swarmd.protection.tracks import pose_after
 else:
     _kernel = load_kernel("swarmd.protection.openings")
     SIGHTINGS, Openings = _kernel.SIGHTINGS, _kernel.Openings
+    gap_middle = _kernel.gap_middle
     pose_after = load_kernel("swarmd.protection.tracks").pose_after
 
 _TURNING = 0.6  # rad/s: scans during a faster turn are not exact enough to show openings
@@ -633,20 +634,18 @@ class RightOfWay:
         """
         if not -_LINE_UP - _NEARLY_LINED_UP < place.s < place.depth + _PAST_POSTS:
             return
-        x, y = points().T
-        cos, sin = math.cos(place.heading), math.sin(place.heading)
-        along, aside = place.s + cos * x - sin * y, place.side + sin * x + cos * y
-        is_at_post = (along > max(place.s - _POSTS_BEHIND, -_AT_POST)) & (
-            along < max(place.s, 0.0) + _POSTS_AHEAD
-        )
-        places_aside = np.sort(aside[is_at_post & (along < place.depth + _AT_POST)])
-        gap_middles = 0.5 * (places_aside[1:] + places_aside[:-1])
-        gap_middles = gap_middles[np.abs(np.diff(places_aside) - 2.0 * place.half) < _SAME_WIDTH]
-        gap_middles = gap_middles[np.abs(gap_middles) < place.half + _AT_POST]
-        if not len(gap_middles):
-            return
         offset = self._middle_offset
-        measured = float(gap_middles[np.abs(gap_middles - (offset or 0.0)).argmin()])
+        from_m = max(place.s - _POSTS_BEHIND, -_AT_POST)
+        to_m = min(max(place.s, 0.0) + _POSTS_AHEAD, place.depth + _AT_POST)
+        measured = gap_middle(
+            points(),
+            (place.s, place.side, place.heading),
+            (from_m, to_m),
+            (2.0 * place.half, _SAME_WIDTH),
+            (offset or 0.0, place.half + _AT_POST),
+        )
+        if measured is None:
+            return
         self._middle_offset = measured if offset is None else offset + _WEIGHT * (measured - offset)
 
     def _fastest(self, twist: Twist, safe_for: Allows) -> Twist:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Pose, Scan
@@ -77,6 +80,38 @@ def test_an_opening_that_is_not_seen_again_is_forgotten_unless_it_is_kept() -> N
     assert list(openings) == [one]
     openings.observe(nothing, (0.0, 0.0), NEAR, 100.0, (), None)
     assert list(openings) == []
+
+
+@pytest.mark.parametrize(
+    "order",
+    [np.roll(np.arange(360), 100), np.random.default_rng(1).permutation(360)],
+    ids=["rotated", "in any order"],
+)
+def test_the_order_of_rays_does_not_matter(order: NDArray[np.intp]) -> None:
+    in_order, other = Openings(BODY), Openings(BODY)
+    seen = scan(NEAR, noise=0.01, lost=0.1)
+    in_order.observe(seen, (0.0, 0.0), NEAR, 0.0, (), None)
+    mixed = replace(seen, ranges=seen.ranges[order], bearings=seen.bearings[order])
+    other.observe(mixed, (0.0, 0.0), NEAR, 0.0, (), None)
+    assert known(other) == known(in_order) != []
+
+
+@pytest.mark.parametrize("form", both_forms("swarmd.protection.openings"))
+@given(st.lists(st.tuples(MOVES, MOVES), max_size=12), MOVES, MOVES, MOVES)
+@settings(max_examples=examples(30))
+def test_the_middle_of_a_gap(
+    form: Any, points: list[tuple[float, float]], along: float, aside: float, heading: float
+) -> None:
+    table = np.array(points).reshape(-1, 2)
+    x, y = table.T
+    cos, sin = math.cos(heading), math.sin(heading)
+    is_in = np.abs(along + cos * x - sin * y) < 0.2
+    sides = np.sort((aside + sin * x + cos * y)[is_in])
+    middles = 0.5 * (sides[1:] + sides[:-1])[np.abs(np.diff(sides) - 0.2) < 0.08]
+    middles = middles[np.abs(middles) < 0.15]
+    expected = middles[np.abs(middles - 0.02).argmin()] if len(middles) else None
+    place = along, aside, heading
+    assert form.gap_middle(table, place, (-0.2, 0.2), (0.2, 0.08), (0.02, 0.15)) == expected
 
 
 @compares_forms
