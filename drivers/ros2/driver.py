@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -175,14 +175,16 @@ class RosDriver:
         return diagnosis.DriverCheck(
             graph=graph,
             endpoint=self._options.endpoint,
-            connection_fault="" if is_connected else self._unreachable(),
+            connection_fault=""
+            if is_connected
+            else diagnosis.unreachable(self._scheme, self._options.endpoint),
             subscriptions=self._subscriptions,
             spec=self._platform.scan,
             cmd_vel=self._cmd_vel,
             command_types=self._options.command_types,
             has_subscriber=self._has_subscriber(),
             foreign=self._foreign,
-            unpassed=self._unpassed(graph),
+            unpassed=route_faults(self._bridges.nodes.dds, graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
             unlisted=""
             if self._bridges.is_known(self._announcing())
@@ -257,7 +259,9 @@ class RosDriver:
             if session is not None:
                 return session
             within = MAX_OPEN_TIME
-            self._report_state(sink, False, self._unreachable())
+            self._report_state(
+                sink, False, diagnosis.unreachable(self._scheme, self._options.endpoint)
+            )
 
     def _subscribe(
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
@@ -543,7 +547,7 @@ class RosDriver:
         last_conflict, self._conflict = self._conflict, self._find_conflict()
         is_open = self._gate.is_open
         if is_open and not hubs:
-            self._close_gate(sink, self._unreachable())
+            self._close_gate(sink, diagnosis.unreachable(self._scheme, self._options.endpoint))
         elif is_open and last_hubs and hubs != last_hubs:
             self._close_gate(sink, f"{self._place()} was started again")
         elif is_open and silence_s > self._sensor_timeout:
@@ -576,7 +580,11 @@ class RosDriver:
                 sink, self._gate.is_open, fault or self._topic_fault(now) or self._place()
             )
         else:
-            self._report_state(sink, self._gate.is_open, self._unreachable())
+            self._report_state(
+                sink,
+                self._gate.is_open,
+                diagnosis.unreachable(self._scheme, self._options.endpoint),
+            )
 
     def _command_fault(self, now: float) -> str:
         """Why the base must not be commanded although its messages arrive; empty otherwise."""
@@ -605,7 +613,7 @@ class RosDriver:
             )
         graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
-        unpassed = self._unpassed(graph)
+        unpassed = route_faults(self._bridges.nodes.dds, graph)
         faults = (
             self._conflict.text if self._conflict else "",
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
@@ -615,9 +623,6 @@ class RosDriver:
         )
         fault = next(filter(None, faults), "") or self._incompleteness()
         return fault or graph.doubt(topics, self._platform.scan)
-
-    def _unpassed(self, graph: diagnosis.Graph) -> Mapping[str, str]:
-        return route_faults(self._bridges.nodes.dds, graph)
 
     def _find_conflict(self) -> diagnosis.Conflict | None:
         topics = self._subscriptions.topics.values()
@@ -634,9 +639,6 @@ class RosDriver:
         fault = "" if scan is None else diagnosis.incomplete(stats, scan, self._platform.scan)
         self._was_incomplete = bool(fault)
         return fault if was_incomplete else ""
-
-    def _unreachable(self) -> str:
-        return diagnosis.unreachable(self._scheme, self._options.endpoint)
 
     def _place(self) -> str:
         return f"{self._scheme.hub} at {self._options.endpoint}"

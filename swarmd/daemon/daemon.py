@@ -71,6 +71,7 @@ from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import base_options, may_rest
@@ -115,6 +116,35 @@ async def serve(settings: DaemonSettings) -> int:
     daemon = Daemon(settings, make_driver(settings))
     await daemon.run(stop)
     return 0
+
+
+class _ViewerValues:
+    """What viewers get of a robot: each method encodes a value as it is now; None if there is none.
+
+    The network calls a method only if somebody listens.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+
+    def motion(self) -> bytes | None:
+        motion = self._robot.motion(boottime())
+        return None if motion is None else encode(motion)
+
+    def pose(self) -> bytes | None:
+        pose = self._robot.shared_pose(boottime())
+        return None if pose is None else encode(pose)
+
+    def decision(self) -> bytes:
+        return encode(self._robot.shown_decision(boottime()))
+
+    def tracks(self) -> bytes | None:
+        tracks = self._robot.tracks(boottime())
+        return None if tracks is None else encode(tracks)
+
+    def message(self, channel: str, value: Value) -> bytes:
+        shown = ShownMessage(robot=self._robot.id, at=boottime(), channel=channel, value=value)
+        return encode(shown)
 
 
 class Daemon:
@@ -598,9 +628,11 @@ class Daemon:
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
 
     def _publish_motion(self) -> None:
-        self._network.publish("motion", self._motion)
-        self._network.publish("pose", self._pose)
-        self._network.publish("decision", self._decision)
+        """Publish what viewers follow: motion, pose and decision, and each new scan with tracks."""
+        values = _ViewerValues(self._robot)
+        self._network.publish("motion", values.motion)
+        self._network.publish("pose", values.pose)
+        self._network.publish("decision", values.decision)
         if self._display is not None:
             status, self._shown_status = self._shown_status, None
             now = boottime()
@@ -609,26 +641,7 @@ class Daemon:
         if scan is not None and scan.seq != self._shown_scan:
             self._shown_scan = scan.seq
             self._network.publish("scan", lambda: encode_scan(scan))
-            self._network.publish("tracks", self._tracks)
-
-    def _motion(self) -> bytes | None:
-        motion = self._robot.motion(boottime())
-        return None if motion is None else encode(motion)
-
-    def _pose(self) -> bytes | None:
-        pose = self._robot.shared_pose(boottime())
-        return None if pose is None else encode(pose)
-
-    def _decision(self) -> bytes:
-        return encode(self._robot.shown_decision(boottime()))
-
-    def _tracks(self) -> bytes | None:
-        tracks = self._robot.tracks(boottime())
-        return None if tracks is None else encode(tracks)
-
-    def _message(self, channel: str, value: Value) -> bytes:
-        shown = ShownMessage(robot=self._robot.id, at=boottime(), channel=channel, value=value)
-        return encode(shown)
+            self._network.publish("tracks", values.tracks)
 
     def _check_storage(self) -> None:
         """Try to write to the state folder, also latches not yet written; log a change."""
@@ -706,7 +719,9 @@ class Daemon:
             log.debug("message on %s not sent: %s", channel, error)
             self._drops.add(f"msg/{channel}:unsendable")
             return
-        self._network.publish("message", partial(self._message, channel, value))
+        self._network.publish(
+            "message", partial(_ViewerValues(self._robot).message, channel, value)
+        )
         if self._carrier is None:
             self._network.publish_message(channel, payload)
         else:  # the base has a radio for the messages of patterns

@@ -177,6 +177,51 @@ def _grown(old, n):
     return new
 
 
+@cython.cfunc
+def _finite_range(ranges: cython.double[::1], ray: cython.Py_ssize_t) -> cython.double:
+    """The range in m of a ray; 1e9 without a finite range."""
+    return ranges[ray] if isfinite(ranges[ray]) else 1e9
+
+
+@cython.cfunc
+def _crosses_rim(
+    ranges: cython.double[::1],
+    ray_count: cython.Py_ssize_t,
+    radius: cython.double,
+    ray: cython.Py_ssize_t,
+    direction: cython.Py_ssize_t,
+    is_flat: cython.bint,
+) -> cython.bint:
+    """True if an obstacle beside an empty sector crosses the rim (at `radius` m) into the sector.
+
+    In a narrow sector (`is_flat`: so narrow that a face is level at its ends) the range at the ray
+    beside the sector must be near the rim. In a wide sector the ranges must fall towards the
+    sector, so that the extrapolated face lies within the rim one ray further.
+
+    `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index away
+    from the sector.
+    """
+    if is_flat:
+        return ranges[ray] <= radius + _MAX_SLOPE
+    edge_range: cython.double = _finite_range(ranges, ray)
+    far_range: cython.double = edge_range
+    face_rays: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t = ray
+    # 1. Follows the face away from the sector, up to a step in the ranges.
+    while face_rays < _EDGE_RAYS:
+        i = (i + direction + ray_count) % ray_count
+        next_range: cython.double = _finite_range(ranges, i)
+        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:
+            break
+        far_range = next_range
+        face_rays += 1
+    # 2. Extrapolates the face by one ray into the sector.
+    approach: cython.double = far_range - edge_range
+    if face_rays < 3 or approach < _MIN_APPROACH:
+        return False
+    return edge_range - min(approach / face_rays, _MAX_SLOPE) <= radius + _RANGE_NOISE
+
+
 @cython.cclass
 class BlindZoneMemory:
     """The hidden obstacles of one sensor, in the base frame of the last scan.
@@ -286,11 +331,9 @@ class BlindZoneMemory:
         """
         table = np.ascontiguousarray(scan.ranges, np.float64)
         ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         obstacle_step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
         near_range: cython.double = self._radius + 2.0 * obstacle_step
-
         # 2. The near points become those of the scan before.
         self._x, self._old_x = self._old_x, self._x
         self._y, self._old_y = self._old_y, self._y
@@ -299,7 +342,6 @@ class BlindZoneMemory:
             return  # the usual case: no obstacle is near, was near or is hidden
         if scan.bearings is not self._given_bearings:
             self._set_bearings(scan.bearings)
-
         # 3. Ranges in the order of rising bearings, and the near points in the base frame.
         ray_count: cython.Py_ssize_t = self._ray_count
         range_min: cython.double = scan.range_min
@@ -315,11 +357,9 @@ class BlindZoneMemory:
                 self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
                 self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
                 self._point_count += 1
-
         # 4. Finds what is hidden now.
         self._leave(driven.x, driven.y, moved.yaw)
         self._find(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
-
         # 5. Stores the empty rays for the next scan.
         self._old_empty_count = 0
         for i in range(ray_count):
@@ -361,13 +401,11 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-
         # 1. The ray with the lowest angle, and whether most angles rise.
         for i in range(1, ray_count):
             rising_count += 1 if values[i] > values[i - 1] else -1
             if self._turned_angle[i] < self._turned_angle[lowest]:
                 lowest = i
-
         # 2. Inserts the rays from the lowest angle on.
         for i in range(ray_count):
             ray = _wrapped(lowest + i if rising_count >= 0 else lowest - i + ray_count, ray_count)
@@ -447,7 +485,6 @@ class BlindZoneMemory:
         if not self._sector_count:
             self._keep(0)
             return
-
         # 1. Marks the rays of sectors that an obstacle enters across the rim.
         is_entered: cython.bint = False
         for i in range(ray_count):
@@ -459,7 +496,6 @@ class BlindZoneMemory:
                     self._sector_first[k], self._sector_first[k] + self._sector_width[k]
                 ):
                     self._is_in_entered_sector[_wrapped(i, ray_count)] = True
-
         # 2. The hidden obstacles approach. Adds the returns that have vanished.
         for i in range(self._hidden_count):
             self._hidden_bearing[i] -= turned
@@ -475,7 +511,6 @@ class BlindZoneMemory:
             return
         if self._candidate_count > self._hidden_count or is_entered:
             self._entered_x = self._entered_y = 0.0
-
         # 3. Gives each candidate a ray, extends obstacles over their sectors, and stores the rays.
         self._place(turned, obstacle_step)
         self._fill(seconds)
@@ -547,54 +582,17 @@ class BlindZoneMemory:
         is_flat: cython.bint = half_angle < _FLAT
         self._sector_first[k], self._sector_width[k] = first, width
         self._crossings[k] = 0
-        if self._crosses_rim((first + ray_count - 1) % ray_count, -1, is_flat):
+        if _crosses_rim(
+            self._range, ray_count, self._radius, (first + ray_count - 1) % ray_count, -1, is_flat
+        ):
             self._crossings[k] += 1
-        if self._crosses_rim((first + width) % ray_count, 1, is_flat):
+        if _crosses_rim(
+            self._range, ray_count, self._radius, (first + width) % ray_count, 1, is_flat
+        ):
             self._crossings[k] += 1
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
         return 0
-
-    @cython.cfunc
-    def _crosses_rim(
-        self, ray: cython.Py_ssize_t, direction: cython.Py_ssize_t, is_flat: cython.bint
-    ) -> cython.bint:
-        """True if an obstacle beside an empty sector crosses the rim into the sector.
-
-        In a narrow sector (`is_flat`) the range at the ray beside the sector must be near the rim.
-        In a wide sector the ranges must fall towards the sector, so that the extrapolated face lies
-        within the rim one ray further.
-
-        `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index
-        away from the sector. `is_flat`: the sector is so narrow that a face is level at its ends.
-        """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        if is_flat:
-            return self._range[ray] <= self._radius + _MAX_SLOPE
-        edge_range: cython.double = self._finite(ray)
-        far_range: cython.double = edge_range
-        face_rays: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t = ray
-
-        # 1. Follows the face away from the sector, up to a step in the ranges.
-        while face_rays < _EDGE_RAYS:
-            i = (i + direction + ray_count) % ray_count
-            next_range = self._finite(i)
-            if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:
-                break
-            far_range = next_range
-            face_rays += 1
-
-        # 2. Extrapolates the face by one ray into the sector.
-        approach: cython.double = far_range - edge_range
-        if face_rays < 3 or approach < _MIN_APPROACH:
-            return False
-        return edge_range - min(approach / face_rays, _MAX_SLOPE) <= self._radius + _RANGE_NOISE
-
-    @cython.cfunc
-    def _finite(self, ray: cython.Py_ssize_t) -> cython.double:
-        """The range in m of a ray; 1e9 without a finite range."""
-        return self._range[ray] if isfinite(self._range[ray]) else 1e9
 
     @cython.cfunc
     def _vanish(
@@ -636,7 +634,6 @@ class BlindZoneMemory:
             x, y = cos_turn * old_x + sin_turn * old_y, cos_turn * old_y - sin_turn * old_x
             if not hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
                 continue
-
             # 2. Compares the place with the near returns of this scan, every `stride`-th of them.
             is_gone = True
             for j in range(count):
@@ -652,7 +649,6 @@ class BlindZoneMemory:
                 ):
                     is_gone, last_match = False, k
                     break
-
             # 3. An empty ray there: this width of the obstacle went out of view.
             bearing = atan2(y - sensor_y, x - sensor_x)
             ray = _nearest(self._rising, self._ray_count, bearing)
@@ -660,7 +656,6 @@ class BlindZoneMemory:
                 return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
-
             # 4. Adds the candidate. A return still in view only continues a face, and is doubtful.
             if is_gone or (is_entered and self._is_in_entered_sector[ray]):
                 k = self._candidate_count
@@ -683,14 +678,12 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-
         # 1. rad by which a hidden obstacle may have moved around the sensor between two scans.
         farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
         sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-
         # 2. Rules 4 and 5: which candidates are still hidden. `_angles`: of reappeared returns.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
@@ -704,7 +697,6 @@ class BlindZoneMemory:
                     self._is_hidden[k] = False
                 elif angle_off <= farthest_shift:
                     self._age[k] = max(self._age[k], _DOUBTFUL)
-
         # 3. Clears the rays, and lists the empty rays in `_angles`.
         self._angle_total = 0
         for i in range(ray_count):
@@ -715,7 +707,6 @@ class BlindZoneMemory:
                 self._angles[self._angle_total] = self._rising[i]
                 self._angle_rays[self._angle_total] = i
                 self._angle_total += 1
-
         # 4. Rule 3: each hidden candidate moves to the nearest empty ray.
         for k in range(self._candidate_count):
             if not self._is_hidden[k]:

@@ -235,13 +235,9 @@ class Constraints:
         """Place the returns that `begin` counted, and add their constraints.
 
         The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
-        A return is left out if it is too far away to constrain any command within the limits.
-
-        Args:
-            near: the near returns of the scan; its contacts come first.
-            frame: the pose at which the scan was taken, in the predicted base frame.
-            age: s from the newest ray of the scan until the command takes effect.
-            free: m that must stay free around each return.
+        A return too far away to constrain any command within the limits is left out. `near`: near
+        returns of the scan, contacts first. `frame`: the pose of the scan in the predicted base
+        frame. `age`: s from the newest ray until the command takes effect. `free`: m around each.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -272,7 +268,6 @@ class Constraints:
                     placed.scan_gap[first_placed + in_chunk] = gaps[seen]
                     in_chunk += 1
                 seen += 1
-
             # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
             chunk.count = in_chunk
             self._add_chunk(first_placed, assumptions.blind_radius)
@@ -373,7 +368,6 @@ class Constraints:
         turning: cython.double = assumptions.braking_angular
         others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
-
         # 1. Finds the nearest place of the outline for each point, and the cap.
         self._outline.separate(chunk, blind)
         for j in range(count):
@@ -381,7 +375,6 @@ class Constraints:
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others_speed, is_passive)
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
-
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -390,7 +383,6 @@ class Constraints:
         for j in range(count):
             row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
             row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
-
         # 3. Stores the points, then adds the constraints against approach from the side.
         self._place_chunk(first)
         rows.count = first_row + count
@@ -589,7 +581,6 @@ class Constraints:
         back_cap: cython.double = axes.limit
         ahead_point: cython.Py_ssize_t = -1
         back_point: cython.Py_ssize_t = -1
-
         # 1. Finds the strictest limits. A point of -1 means: no limit below that of the platform.
         for j in range(chunk.count):
             nx: cython.double = chunk.normal_x[j]
@@ -613,7 +604,6 @@ class Constraints:
                 ahead_cap, ahead_point = side_speed / (aside + along) + braked_speed, j
             if aside - along > 0.0 and side_speed / (aside - along) + braked_speed < back_cap:
                 back_cap, back_point = side_speed / (aside - along) + braked_speed, j
-
         # 2. Adds the strictest limit ahead, and the strictest limit back.
         if ahead_point >= 0:
             gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
@@ -659,13 +649,11 @@ class Constraints:
         turning: cython.double = assumptions.braking_angular
         others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
-
         # 1. Leaves out points at the end of the chunk that are not near.
         while end > begin and not (
             gap[end - 1] <= 2.0 * free[end - 1] + others_speed * (age[end - 1] + DECISION_PERIOD)
         ):
             end -= 1
-
         # 2. For each corner: the unit vector to each point, and the cap in this direction.
         for k in range(outline.edges):
             corner_x: cython.double = outline.corner_x[k]
@@ -770,14 +758,12 @@ class Constraints:
         placed: PlacedPoints = self.placed
         touch: TouchSector = self.touch
         corners: cython.double[:, ::1] = touch.corners
-
         # 1. Raises the caps of the returns in the zone.
         for i in range(placed.seen):
             placed.in_touch_zone[i] = touch.holds(placed.normal_x[i], placed.normal_y[i])
         for i in range(rows.count):
             if placed.in_touch_zone[rows.source[i]]:
                 rows.cap[i] = maximum(rows.cap[i], touch.speed)
-
         # 2. Limits each corner in each direction. Rows: direction (x, y), corner (x, y) in m.
         for i in range(len(corners)):
             nx: cython.double = corners[i, 0]
