@@ -127,9 +127,9 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `platforms` overrides values of a platform's own file, or describes a new platform. `start`
     applies to all groups together that have no `start` of their own. `parameters`, by pattern,
     apply to all robots; the parameters of a group prevail. `accepts_unseen`, `accepts_faster` and
-    `fence` are as in swarm.yaml; the frame of the world is `world`. `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys
-    of `realism` and `radio`, within which each seed draws values, such as
-    `{realism.lidar.dropout: [0, 0.1]}`, or true for the bounds of `pseudo_reality.BOUNDS`.
+    `fence` are as in swarm.yaml; the frame of the world is `world`. `plugin_dir` is relative to the
+    file. `pseudo_reality` has bounds of keys of `realism` and `radio`, within which each seed draws
+    values: `{realism.lidar.dropout: [0, 0.1]}`, or true for the bounds of `pseudo_reality.BOUNDS`.
     """
 
     name: str | None = None
