@@ -182,7 +182,7 @@ class RosDriver:
             spec=self._platform.scan,
             cmd_vel=self._cmd_vel,
             command_types=self._options.command_types,
-            has_subscriber=self._has_subscriber(),
+            has_subscriber=any(map(has_subscriber, self._publishers.values())),
             foreign=self._foreign,
             unpassed=route_faults(self._bridges.nodes.dds, graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
@@ -350,7 +350,7 @@ class RosDriver:
         # 2. Without a server (the publisher of the action's states) no state ends its goals.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
-            if not self._is_published(end.topic):
+            if not self._foreign_graph().publishers(end.topic):
                 self._ended_servers.add(end.topic)
                 self._foreign.end_goals(end.topic, now)
         # 3. A base has come or left: the command type may change. The next base gets zero first.
@@ -364,7 +364,7 @@ class RosDriver:
         if end.is_publisher and end.topic in self._kept and self._session:
             if not is_declared:
                 self._subscriptions.forget(end.topic)
-            if is_declared or self._is_published(end.topic):
+            if is_declared or self._foreign_graph().publishers(end.topic):
                 key = self._scheme.subscription_key(end.topic)
                 query_kept(self._session, key, self._kept[end.topic])
 
@@ -442,13 +442,10 @@ class RosDriver:
         topic = name.removesuffix(KEPT)
         if topic == name:
             return self._subscriptions.read(name, payload, now)
-        if not self._is_published(self._subscriptions.topics[topic].topic):
+        if not self._foreign_graph().publishers(self._subscriptions.topics[topic].topic):
             # The publisher of the kept message has left meanwhile.
             return partial(self._subscriptions.deliver_inputs, now=now)
         return self._subscriptions.read(topic, payload, now, is_kept=True)
-
-    def _is_published(self, topic: str) -> bool:
-        return bool(self._foreign_graph().publishers(topic))
 
     def _on_command(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
         """Take the command of another node; a zero does not count as driving.
@@ -483,7 +480,7 @@ class RosDriver:
             return
         self._conflict = self._find_conflict()
         self._gate.open()
-        self._report_state(sink, True, self._connected_text())
+        self._report_state(sink, True, self._conflict.text if self._conflict else self._place())
         self._subscriptions.deliver_inputs(sink, now, again=True)
         if self._scheme.is_node and not is_check:
             self._announce(self._command_type)
@@ -561,7 +558,7 @@ class RosDriver:
                 sink, f"the base wants another type of commands on {self._cmd_vel} now"
             )
         elif is_open and last_conflict != self._conflict:
-            self._report_state(sink, True, self._connected_text())
+            self._report_state(sink, True, self._conflict.text if self._conflict else self._place())
         elif self._reported is not None and was_linked != self._was_linked:
             # Report the same state again: `gets_zero` has changed with the link.
             self._report_state(sink, *self._reported[:2])
@@ -597,12 +594,9 @@ class RosDriver:
             return f"{self._place()} has not listed its nodes yet"
         # Where nothing was ever announced, the subscribers of the base are unknown.
         is_unknown = not graph.endpoints and math.isinf(self._withdrawn_at)
-        has_subscriber = is_unknown or self._has_subscriber()
+        is_heard = is_unknown or any(map(has_subscriber, self._publishers.values()))
         allowed = self._options.command_types
-        return graph.no_subscriber(self._cmd_vel, allowed, has_subscriber=has_subscriber)
-
-    def _has_subscriber(self) -> bool:
-        return any(has_subscriber(publisher) for publisher in self._publishers.values())
+        return graph.no_subscriber(self._cmd_vel, allowed, has_subscriber=is_heard)
 
     def _topic_fault(self, now: float) -> str:
         """The first fault of the robot's topics; empty without a fault."""
@@ -627,10 +621,6 @@ class RosDriver:
     def _find_conflict(self) -> diagnosis.Conflict | None:
         topics = self._subscriptions.topics.values()
         return self._foreign_graph().conflict(topics, self._platform.scan)
-
-    def _connected_text(self) -> str:
-        """The text to report of a base that is connected."""
-        return self._conflict.text if self._conflict else self._place()
 
     def _incompleteness(self) -> str:
         """What scans lack, if the last two calls both found a fault; empty otherwise."""

@@ -593,17 +593,14 @@ class Daemon:
         def is_due(interval: int) -> bool:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
-
         # 1. The readings of a resting driver: while the robot is at rest, the driver keeps its
         # readings back until this call, which saves wake-ups.
         if self._resting_driver is not None and self._is_driver_resting:
             self._resting_driver.read()
-
         # 2. The robot. A call between two periods does not repeat an unchanged command.
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
-
         # 3. The network.
         self._network.advance()
         if self._recording.recorder.is_on:
@@ -612,7 +609,6 @@ class Daemon:
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
             self._publish_motion()
-
         # 4. Log, disk, CPU use and neighbors.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
@@ -671,7 +667,6 @@ class Daemon:
         if actions.is_quiet:  # nothing but a command
             return
         robot = self._robot
-
         # 1. Disk, pattern host and gripper.
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
@@ -684,7 +679,6 @@ class Daemon:
                 self._runner.send(command)
         if actions.grip is not None and self._gripper is not None:
             self._gripper.grip(actions.grip)
-
         # 2. Messages of the pattern, and the robot's state.
         for channel, value in actions.messages.items():
             self._send_message(channel, value)
@@ -694,7 +688,6 @@ class Daemon:
                 self._shown_status = self._status()
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-
         # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
         # restart the robot must not join a goal that this request has ended. No wait while the
         # robot runs (no goal was ended), or holds a latch (which forbids a run).
@@ -706,7 +699,6 @@ class Daemon:
                 answer.add_done_callback(self._answers.discard)
             else:
                 self._requests.reply(reply, is_stored=is_stored)
-
         # 4. The next call of `_on_tick`, if the robot asks for one between two periods.
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())

@@ -210,7 +210,6 @@ class Protection:
             permit: what the pattern permits: recovery, avoidance, a touch zone.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-
         # 1. Switches avoidance on or off. A hold has no permit and leaves avoidance unchanged.
         if recovery is not None and (hold is None or not is_running):
             may_avoid = self._avoids if permit.avoids is None else permit.avoids
@@ -220,7 +219,6 @@ class Protection:
                 self._tracker.reset()  # objects have moved meanwhile
                 self._avoidance.reset()
                 self._right_of_way.reset()
-
         # 2. Clips the request. Most requests are judged more than once, so the result is stored.
         if requested is not self._requested:
             self._requested, self._clipped_request = requested, _zero
@@ -229,7 +227,6 @@ class Protection:
         clipped = candidate = self._clipped_request
         self._ring_points = context.near_points if context.near else None
         self._points_context = context
-
         # 3. Decides zero outside `running` and under a hold.
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
@@ -243,7 +240,6 @@ class Protection:
                 self._avoidance.reset()
                 self._right_of_way.reset()
             return self._decision(clipped, _zero, False, (), hold, context)
-
         # 4. Right of way, avoidance and recovery may replace the request by a candidate.
         if recovery is not None and permit.may_recover:
             self._may_recover = True
@@ -253,13 +249,11 @@ class Protection:
                 passing_request, self._mode_command, context, self._points, others, safe_for
             )
             self._is_recovering = recovery.is_active
-
         # 5. Repeats the last decision for the same case in the same context.
         if context is self._last_context:
             case = clipped, candidate, candidate is clipped, self._is_recovering, touch
             if case == self._last_case:
                 return self._last_decision
-
         # 6. The mode limits the candidate.
         mode_request = candidate if candidate is clipped else self._limits.clip(candidate)
         is_fenced: cython.bint = False
@@ -382,7 +376,6 @@ class Protection:
         if twist is not clipped_request and twist is not _zero:
             safe = self._limits.clip(twist)
         self._mode_command = safe
-
         # 1. The share that the driver gets.
         share: cython.double = 1.0
         if monitor is not None:
@@ -392,7 +385,6 @@ class Protection:
             text = monitor.on_command(safe)
             if text:
                 self.events.append(text)
-
         # 2. Stores and reports the command.
         self.following.on_command(safe)
         if safe is not _zero and not safe.is_zero:

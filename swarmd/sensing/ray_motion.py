@@ -108,7 +108,6 @@ def move_rays(
     sin_turn: cython.double = 0.0
     for i in range(count):
         distance = ranges[i]
-
         # 1. The turn of the pose at the age of the ray.
         if age != ages[i]:
             age, has_pose = ages[i], False
@@ -124,12 +123,10 @@ def move_rays(
                 turn_change = path[row, 3] - turn_begin
             fraction = min(max((age - begin_age) / (end_age - begin_age), 0.0), 1.0)
             turn = turn_begin + fraction * turn_change
-
         # 2. A ray without a finite range only turns.
         if not isfinite(distance):
             distances[i], angles[i] = distance, wrap(bearings[i] + turn)
             continue
-
         # 3. The place of the sensor at the age of the ray, relative to its place at the end: the
         # motion of the base, plus the turn of the sensor's offset (x, y in `limits`).
         if not has_pose:
@@ -138,7 +135,6 @@ def move_rays(
             x, y = x_begin + fraction * x_change, y_begin + fraction * y_change
             x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
             y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
-
         # 4. The return in the frame of its old ray, then as range and bearing.
         ahead = cos_turn * cosines[i] - sin_turn * sines[i]
         left = sin_turn * cosines[i] + cos_turn * sines[i]
@@ -180,13 +176,11 @@ def rays_in_sector(
     start: cython.double = sector[0]
     direction: cython.double = sector[1]
     width: cython.double = sector[2]
-
     # 1. The motion of the sensor: of the base, plus the turn of the sensor's offset.
     cos_turn: cython.double = cos(turn)
     sin_turn: cython.double = sin(turn)
     x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
     y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
-
     # 2. No return beyond range_min (`limits[2]`) changes its direction by more than `max_change`
     # rad. Rays farther from the sector are skipped.
     max_change: cython.double = PI
@@ -194,7 +188,6 @@ def rays_in_sector(
     if sensor_motion < _LEAST_SHARE * limits[2]:
         max_change = asin(sensor_motion / limits[2]) + _ROUNDING
     n: cython.Py_ssize_t = ranges.shape[0]
-
     # 3. Moves the rays, and counts those in the sector.
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
