@@ -593,6 +593,7 @@ class Daemon:
         def is_due(interval: int) -> bool:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
+
         # 1. The readings of a resting driver: while the robot is at rest, the driver keeps its
         # readings back until this call, which saves wake-ups.
         if self._resting_driver is not None and self._is_driver_resting:
