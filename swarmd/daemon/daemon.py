@@ -119,10 +119,7 @@ async def serve(settings: DaemonSettings) -> int:
 
 
 class _ViewerValues:
-    """What viewers get of a robot: each method encodes a value as it is now; None if there is none.
-
-    The network calls a method only if somebody listens.
-    """
+    """What viewers get of a robot: each method encodes a present value; None without a value."""
 
     def __init__(self, robot: Robot) -> None:
         self._robot = robot
