@@ -12,12 +12,10 @@ from msgspec import to_builtins
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import line_width, print_json, print_section, print_table
-from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.send import exit_code_of, known_members, report, session_of
 from swarmd.client.targets import check_known
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
-from swarmd.plugins import pattern_names
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
 from swarmd.texts.status import sections
@@ -94,6 +92,9 @@ def _secured(identity: Identity | None) -> Iterator[str]:
 
 def _described(status: Status) -> Mapping[str, Any]:
     """The robot's pattern as this machine describes it; empty if this machine cannot."""
+    from swarmd.cli.plugin_check import describe_patterns  # `members` does without
+    from swarmd.plugins import pattern_names
+
     if status.pattern is None or status.pattern not in pattern_names(None):
         return {}
     try:
