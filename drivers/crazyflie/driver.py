@@ -43,7 +43,6 @@ from swarmd.core.values import (
 )
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink
-from swarmd.drivers.crazyflie.firmware import CAN_FLY, IS_CRASHED, IS_FLYING, IS_LOCKED, IS_TUMBLED
 from swarmd.drivers.crazyflie.flight import (
     LANDING_RESERVE,
     Flight,
@@ -53,7 +52,16 @@ from swarmd.drivers.crazyflie.flight import (
     Seen,
     Wish,
 )
-from swarmd.drivers.crazyflie.link import MISSING, DroneLink, has_cflib
+from swarmd.drivers.crazyflie.link import (
+    CAN_FLY,
+    IS_CRASHED,
+    IS_FLYING,
+    IS_LOCKED,
+    IS_TUMBLED,
+    MISSING,
+    DroneLink,
+    has_cflib,
+)
 from swarmd.drivers.crazyflie.sensors import SENSORS, ranges_of
 from swarmd.settings.layered import Layered
 
@@ -432,7 +440,7 @@ class CrazyflieDriver:
         return setpoint
 
     def _put(self, setpoint: HoverSetpoint) -> None:
-        """Send a set-point on the executor's thread: the newest replaces one that waits."""
+        """Send a set-point on the executor's thread; it replaces a set-point that waits there."""
         link = self._link
         if link is None:
             return
@@ -446,7 +454,7 @@ class CrazyflieDriver:
 
     def _on_sent(self, sending: asyncio.Future[None]) -> None:
         if not sending.cancelled():
-            sending.exception()  # a lost link is told by its own callback
+            sending.exception()  # the callback of a lost link reports it
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             self._sending = None

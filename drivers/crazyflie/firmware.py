@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from swarmd.core.values import ZERO, Pose, Twist
+from swarmd.drivers.crazyflie.link import CAN_FLY, IS_FLYING
 
 LEVEL_TIMEOUT, OFF_TIMEOUT = 0.5, 2.0
 """s without a set-point until the drone levels, and until its motors stop."""
@@ -52,8 +53,6 @@ _CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
 _HOVER, _MOTORS_STOP = 10, 0
 _GET_STATE = 0x0C
 _NO_SUCH_BLOCK = 2  # ENOENT
-CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
-"""Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
 
 
 @dataclass(slots=True)

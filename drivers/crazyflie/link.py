@@ -15,6 +15,9 @@ from typing import Any
 
 from swarmd.drivers.crazyflie.flight import HoverSetpoint
 
+CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
+"""Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
+
 MISSING = "driver crazyflie needs cflib; expected: pip install 'swarmd[crazyflie]'"
 LOG_BLOCKS = {
     "ranges": (100, ("range.front", "range.left", "range.back", "range.right")),

@@ -173,7 +173,7 @@ COUNTERPARTS: Mapping[str, Counterpart] = MappingProxyType(
         "magnetometer": Counterpart("", note="no driver reads a magnetometer"),
         "rat_search": Counterpart("", note="`follow_wall` follows walls, without a maze"),
         "voter_model_with_limiter": Counterpart(
-            "", note="`voter_model` with `radio.range` limits who hears a vote"
+            "", note="`voter_model` with `radio.range` limits the receivers of a vote"
         ),
         "flocking": Counterpart("", note=_COMBINED),
         "flocking2": Counterpart("", note=_COMBINED),

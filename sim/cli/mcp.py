@@ -208,9 +208,7 @@ class Rehearsal:
     @classmethod
     def of(cls, name: str) -> Rehearsal:
         """The rehearsal in a scenario by name or file; ConfigError if it cannot be used."""
-        from swarmd.sim.scenarios.scenariofile import load_scenario
-
-        return cls(load_scenario(name), name)
+        return cls(_load(name), name)
 
     def simulate(
         self, pattern: str, params: Mapping[str, Any], seconds: float, cancelled: threading.Event
@@ -355,14 +353,15 @@ class SwarmTools:
         """
         _check_pattern(pattern)
         _check_bounds("seconds", seconds, MAX_RUN)
-        stops, epochs = self._stops, await self._epochs()
         rehearsal: Answer | None = None
         if self._rehearse is not None:
             if self._simulating.locked():  # a run that waits would start motion late
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
+            stops = self._stops
             async with self._simulating:
+                epochs = await self._epochs()
                 rehearsal = await _cancellable(
                     partial(self._rehearse, pattern, params or {}, seconds)
                 )

@@ -25,7 +25,7 @@ _DRAWS = 256  # steps drawn at once
 
 
 class Hovering:
-    """Drift and height of the robots that hover; false if there is none."""
+    """Drift and height of the robots that hover; false if no robot hovers."""
 
     def __init__(
         self, platforms: Sequence[Platform], ids: Sequence[str], drift: Array, dt: float, seed: int

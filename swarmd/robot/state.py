@@ -196,7 +196,7 @@ class Lifecycle:
         self.wrong_type_count = 0  # messages with a value of an undeclared type
         self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
         self._last_fault_text = ""  # of the pattern
-        self._load_command: host_messages.Load | None = None  # the last one that was sent
+        self._load_command: host_messages.Load | None = None  # the last sent
         if self.latches.held:
             self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
 

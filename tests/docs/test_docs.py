@@ -30,6 +30,7 @@ from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
+from tests.support.swarmctl import parse_line
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted(
@@ -158,7 +159,7 @@ def test_commands_are_as_swarmctl_takes_them(monkeypatch: pytest.MonkeyPatch) ->
     for page, words in commands_of_pages("swarmctl"):
         with click.Context(cli) as ctx:
             try:
-                _parse(cli, ctx, words)
+                parse_line(cli, words, ctx)
             except click.UsageError as error:
                 wrong.append(f"{name_of(page)}: {' '.join(words)}: {error.format_message()}")
             except click.exceptions.Exit:  # --help
@@ -178,7 +179,7 @@ def test_each_verb_has_an_example_as_swarmctl_takes_it(
         assert command is not None
         _, _, example = (command.epilog or "").rpartition("swarmctl ")
         assert example.split()[0] == verb
-        _parse(cli, ctx, shlex.split(example))
+        parse_line(cli, shlex.split(example), ctx)
 
 
 def test_commands_are_as_swarmd_takes_them() -> None:
@@ -187,7 +188,7 @@ def test_commands_are_as_swarmd_takes_them() -> None:
         line = f"{name_of(page)}: {' '.join(words)}"
         with click.Context(swarmd) as ctx:
             try:
-                _parse(swarmd, ctx, words)
+                parse_line(swarmd, words, ctx)
             except click.UsageError as error:
                 wrong.append(f"{line}: {error.format_message()}")
                 continue
@@ -354,16 +355,6 @@ def test_a_class_is_marked_by_the_scenario_of_the_page(number: str, tmp_path: Pa
     assert wanted.pop("plugin_dir") == "."
     assert group.pop("pattern") == lesson.pattern
     assert lesson.scenario == wanted
-
-
-def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:
-    """Parse the words of a command line down to its verb, and run nothing."""
-    made = command.make_context(command.name, words, parent=ctx)
-    if isinstance(command, click.Group) and made._protected_args:
-        rest = [*made._protected_args, *made.args]
-        _, verb, rest = command.resolve_command(made, rest)
-        assert verb is not None
-        _parse(verb, made, rest)
 
 
 def _is_there(name: str) -> bool:

@@ -9,11 +9,11 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 
-import click
 import pytest
 
-from swarmd.cli.daemon import swarmd as swarmd
+from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import cli as swarmctl
+from tests.support.swarmctl import parse_line
 
 PACKAGE = Path(__file__).parents[2] / "drivers" / "swarmd_bringup"
 LAUNCH_FILES = sorted((PACKAGE / "launch").glob("*.launch.xml"))
@@ -30,20 +30,10 @@ VARIABLE = re.compile(r"\$\(var (\w+)\)")
 
 
 def filled(text: str, values: Mapping[str, str]) -> str:
-    """A text with its variables; KeyError for one that no <arg> declares."""
+    """A text with its variables; KeyError for a variable without an <arg>."""
     text = VARIABLE.sub(lambda match: values[match[1]], text)
     text = text.replace("$(find-pkg-share swarmd_bringup)", str(PACKAGE))
     return text.replace("$(env ROS_DOMAIN_ID 0)", "0")
-
-
-def parse(command: click.Command, context: click.Context | None, words: list[str]) -> None:
-    """Parse the words of a command line down to its verb, and run nothing; UsageError if wrong."""
-    made = command.make_context(command.name, words, parent=context)
-    if isinstance(command, click.Group) and made._protected_args:
-        rest = [*made._protected_args, *made.args]
-        _, verb, rest = command.resolve_command(made, rest)
-        assert verb is not None
-        parse(verb, made, rest)
 
 
 @pytest.mark.parametrize("file", LAUNCH_FILES, ids=lambda file: file.name.split(".")[0])
@@ -60,4 +50,4 @@ def test_a_launch_file_starts_commands_that_we_have(file: Path) -> None:
     commands = [shlex.split(filled(one.attrib["cmd"], values)) for one in root.iter("executable")]
     ours = [words for words in commands if words[0] != "zenoh-bridge-ros2dds"]
     assert len(ours) == 1
-    parse({"swarmctl": swarmctl, "swarmd": swarmd}[ours[0][0]], None, ours[0][1:])
+    parse_line({"swarmctl": swarmctl, "swarmd": swarmd}[ours[0][0]], ours[0][1:])

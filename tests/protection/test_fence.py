@@ -278,7 +278,7 @@ def test_the_fence_acts_in_every_mode(mode: str) -> None:
 
 
 class Told:
-    """A `FencePose` of a robot at rest that is told poses each 0.1 s."""
+    """A `FencePose` of a robot at rest that gets a pose each 0.1 s."""
 
     def __init__(self, **changes: Any) -> None:
         self.known = FencePose(replace_settings(SQUARE, **changes), TIMEOUT)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Self, TextIO
 from unittest import mock
 
+import click
 import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
@@ -55,6 +56,18 @@ class Finished:
             return json.loads(self.out)
         except ValueError:
             return None
+
+
+def parse_line(
+    command: click.Command, words: list[str], context: click.Context | None = None
+) -> None:
+    """Parse the words of a command line down to its verb, and run nothing; UsageError if wrong."""
+    made = command.make_context(command.name, words, parent=context)
+    if isinstance(command, click.Group) and made._protected_args:
+        rest = [*made._protected_args, *made.args]
+        _, verb, rest = command.resolve_command(made, rest)
+        assert verb is not None
+        parse_line(verb, rest, made)
 
 
 def swarmctl(*words: str, environ: Mapping[str, str] | None = None) -> Finished:

@@ -19,8 +19,8 @@ from swarmd.driver_api.driver import Driver
 from swarmd.drivers.crazyflie import driver as driver_module
 from swarmd.drivers.crazyflie.driver import make_driver
 from swarmd.drivers.crazyflie.emulator import CrtpRobots
-from swarmd.drivers.crazyflie.firmware import IS_TUMBLED
 from swarmd.drivers.crazyflie.flight import LANDED_HEIGHT
+from swarmd.drivers.crazyflie.link import IS_TUMBLED
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, DriverHarness, play
 

@@ -9,13 +9,11 @@ import pytest
 
 from swarmd.core.values import ZERO, Pose, Twist
 from swarmd.drivers.crazyflie.firmware import (
-    CAN_FLY,
-    IS_FLYING,
-    IS_LOCKED,
     LEVEL_TIMEOUT,
     OFF_TIMEOUT,
     Firmware,
 )
+from swarmd.drivers.crazyflie.link import CAN_FLY, IS_FLYING, IS_LOCKED
 
 TICK = 0.02
 
