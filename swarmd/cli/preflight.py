@@ -131,8 +131,11 @@ def protection_text(protection: Mapping[str, Any]) -> str:
             f" their returns, and braking with {barrier['braking_linear']:g} m/s2 and"
             f" {barrier['braking_angular']:g} rad/s2; keeps {barrier['margin']:g} m of margin"
         )
-        keep_out = barrier["keep_out"]
-        return text if keep_out is None else f"{text}, and {keep_out:g} m around the sensor"
+        keep_out, walls = barrier["keep_out"], barrier["walls_stand"]
+        text = text if keep_out is None else f"{text}, and {keep_out:g} m around the sensor"
+        if walls is None:
+            return text
+        return f"{text}; walls of {walls['length']:g} m that stood for {walls['seconds']:g} s stand"
     if mode == "stop_zone":
         zone = protection["stop_zone"]
         share = f"{zone['slow_share']:.0%} of the requested speed"

@@ -286,6 +286,18 @@ class NarrowestPassage(Struct, frozen=True):
     meeting: Metres
 
 
+class WallsStandSummary(Struct, frozen=True):
+    """The assumption that walls which have stood do not begin to move (`walls_stand`).
+
+    Such a wall is straight for `length` m, and has stood for `seconds`. `is_used`: False after
+    walls were found to move.
+    """
+
+    length: Metres
+    seconds: Seconds
+    is_used: bool = True
+
+
 class FenceSummary(Struct, frozen=True, kw_only=True):
     """The fence of a robot, in the shared frame `frame`.
 
@@ -411,9 +423,10 @@ class Status(Struct, frozen=True, kw_only=True):
     `kernels`: which code decides, see `describe_kernels`. `body`: the body that the robot's beacons
     report. `peers`: the peers that the robot may not see, or that are faster than the robot
     assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
-    protection mode has no such width. `fence`: None without a fence. `findings`: the violated
-    assumptions for which the robot drives slower, each with its evidence. `not_following`: how the
-    base does not follow its commands, or follows late. `goal`: None before the robot has seen a
+    protection mode has no such width. `walls_stand`: None unless assumed. `fence`: None without a
+    fence. `findings`: the violated assumptions for which the robot drives slower, each with its
+    evidence. `not_following`: how the base does not follow its commands, or follows late. `goal`:
+    None before the robot has seen a
     goal. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness tokens
     the robot sees.
     """
@@ -449,6 +462,7 @@ class Status(Struct, frozen=True, kw_only=True):
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
+    walls_stand: WallsStandSummary | None = None
     fence: FenceSummary | None = None
     findings: tuple[Line, ...] = ()
     not_following: Line = ""

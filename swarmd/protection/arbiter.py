@@ -86,6 +86,7 @@ class Protection:
     _is_avoiding: cython.bint  # as the permit says
     _right_of_way: object
     _latency: cython.double
+    _has_walls: cython.bint  # walls that have stood are assumed to stand on
     _is_running: cython.bint
     _has_followed: cython.bint  # `following` has had a reading since its reset
     _scan_seq: cython.Py_ssize_t
@@ -117,6 +118,7 @@ class Protection:
         self._monitor = monitors.AssumptionMonitor(platform) if is_barrier(self._arbiter) else None
         self.following = load_kernel("swarmd.protection.following").FollowingMonitor(platform)
         self._latency = platform.scan.latency
+        self._has_walls = is_barrier(self._arbiter) and self._arbiter.has_walls
         self.events, self._scan_seq, self.moved_at = [], -1, -math.inf
         self._safe = self._mode_command = self._clipped_request = ZERO
         self._is_recovering = False
@@ -142,6 +144,10 @@ class Protection:
         arbiter.observe(scan, geometry, context)
         if is_barrier(arbiter):  # which has looked at all returns
             self._min_gap = arbiter.min_gap
+            moved = arbiter.moved_wall
+            if moved is not None and self._is_running:
+                self.events.append(self._monitor.on_moved_wall(scan.stamp, moved))
+                arbiter.trust_walls(self._monitor.trusts_walls)
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._is_avoiding:
@@ -188,6 +194,7 @@ class Protection:
         """End these findings: they do not slow the robot until the monitor raises them again."""
         if self._monitor is not None:
             self._monitor.forget(findings)
+            self._arbiter.trust_walls(self._monitor.trusts_walls)
 
     def decide(
         self,
@@ -245,6 +252,10 @@ class Protection:
             self._may_recover = True
             safe_for = partial(self._safe_for, context, touch)
             passing_request, others = self._pass_others(clipped, context, safe_for)
+            if self._has_walls:
+                patience = self._arbiter.wall_patience(context.now)
+                if patience > 0.0:
+                    others = others._replace(patience=patience)
             candidate = recovery.replacement(
                 passing_request, self._mode_command, context, self._points, others, safe_for
             )

@@ -21,6 +21,9 @@ over several scans. All motion of the robot itself and the standard deviations a
 rest is compared with `others_speed`. The test finds an object that approaches, but no object that
 passes.
 
+Walls that stand (`walls_stand`): standing_walls.py tells each wall that moved. The second such wall
+within 10 min is a violation. No wall counts as standing until an operator ends the violation.
+
 A violation reduces the speed of the robot to `speed_share` until an operator ends the violation,
 since nothing that happens later proves the assumption again. For braking, the share is the measured
 braking (less two standard deviations) over the declared braking: with it the time to stop is as
@@ -41,6 +44,7 @@ import msgspec
 import numpy as np
 
 from swarmd.core.values import MAX_SPEED, MAX_STEP, ZERO, Odometry, Platform, Twist
+from swarmd.protection.decision import MOVING_WALL, MovedWall
 from swarmd.protection.settings import BarrierSettings
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -556,6 +560,7 @@ class AssumptionMonitor:
 
     speed_share = cython.declare(cython.double, visibility="readonly")
     _settings: object
+    _standing_speed: cython.double  # m/s, of a wall that stands
     _radius: cython.double
     _linear: _Brake
     _angular: _Brake
@@ -581,10 +586,17 @@ class AssumptionMonitor:
     _approach_text: object  # text on objects that are too fast; empty without a violation
     _approach_share: cython.double  # of `speed_share`
     _approaches: object  # the approaches that were too fast: stamp, m/s, standard deviation
+    # The same for walls that moved: a text, the share of `speed_share`; stamp and m/s of each.
+    _wall_text: object
+    _wall_share: cython.double
+    _wall_moves: object
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
-        self._settings = settings
+        self._settings, self._standing_speed = settings, settings.others_speed
+        if settings.walls_stand is not None:
+            surface_speed = settings.surface_speed or settings.others_speed
+            self._standing_speed = settings.walls_stand.standing_speed(surface_speed)
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
@@ -594,6 +606,7 @@ class AssumptionMonitor:
         self._command, self._stamp = ZERO, -math.inf
         self._gaps, self._approaches = deque(maxlen=64), deque()
         self._approach_text, self._approach_share, self.speed_share = "", 1.0, 1.0
+        self._wall_text, self._wall_share, self._wall_moves = "", 1.0, deque()
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
@@ -607,7 +620,12 @@ class AssumptionMonitor:
         evidence = []
         for brake in self._brakes():
             evidence.append(brake.evidence)
-        return tuple(text for text in (*evidence, self._approach_text) if text)
+        return tuple(text for text in (*evidence, self._approach_text, self._wall_text) if text)
+
+    @property
+    def trusts_walls(self) -> bool:
+        """False after walls were found to move that had stood, until the finding ends."""
+        return not self._wall_text
 
     @property
     def late(self) -> str:
@@ -632,6 +650,9 @@ class AssumptionMonitor:
         if self._approach_text in findings:
             self._approach_text, self._approach_share = "", 1.0
             self._approaches.clear()
+        if self._wall_text in findings:
+            self._wall_text, self._wall_share = "", 1.0
+            self._wall_moves.clear()
         self._reduce()
 
     def on_command(self, command: Twist) -> str:
@@ -756,6 +777,31 @@ class AssumptionMonitor:
         self._approach_share = min(assumed / speed, self._approach_share)
         return self._reduced(self._approach_text)
 
+    def on_moved_wall(self, stamp: float, moved: MovedWall) -> str:
+        """Take in a wall that had stood and has moved; return the text of an event.
+
+        A second one, 5 s to 600 s after the first, is a violation, which slows the robot.
+        """
+        moves = self._wall_moves
+        evidence = (
+            f"{MOVING_WALL}: a wall that stood for {moved.stood:.0f} s moved"
+            f" {moved.distance:.2f} m at {moved.speed:.2f} m/s"
+        )
+        if moves and stamp - moves[len(moves) - 1][0] < _MIN_APART:
+            return evidence
+        while moves and stamp - moves[0][0] > _MAX_APART:
+            moves.popleft()
+        moves.append((stamp, moved.speed))
+        if len(moves) < 2:
+            return evidence
+        _, speed = sorted(moves, key=itemgetter(1), reverse=True)[1]
+        self._wall_text = (
+            f"{MOVING_WALL}: {len(moves)} walls moved at {speed:.2f} m/s or faster, declared to"
+            f" stand; the last one had stood for {moved.stood:.0f} s"
+        )
+        self._wall_share = min(self._standing_speed / speed, self._wall_share)
+        return self._reduced(self._wall_text)
+
     def _approach(self) -> tuple[float, float]:
         """The speed in m/s of the object that approaches, and its standard deviation.
 
@@ -795,7 +841,7 @@ class AssumptionMonitor:
     def _reduce(self) -> None:
         """Set `speed_share` by all violations."""
         brake: _Brake
-        share: cython.double = self._approach_share
+        share: cython.double = min(self._approach_share, self._wall_share)
         for brake in self._brakes():
             share = min(share, brake.braking / brake.declared)
         self.speed_share = max(share, MIN_SHARE)

@@ -45,7 +45,7 @@ from swarmd.protection.buffers import view
 from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
 from swarmd.protection.envelope import Creeping
 from swarmd.protection.feasible_set import FeasibleSet
 from swarmd.protection.footprint import ScanGeometry
@@ -56,6 +56,7 @@ from swarmd.protection.passage import Room
 from swarmd.protection.projection import Projection
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.stopping import Speeds, StopCheck
 from swarmd.sensing.rays import unit_vectors
 
@@ -70,6 +71,7 @@ else:
 
 SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
 """m/s: a robot with a faster request does not creep towards an obstacle."""
+_RIPE_TIME = 0.6  # s in which a robot begins to move once walls have stood
 CREEP_GAIN = cython.declare(cython.double, 1e-6)
 """How much nearer to the request creeping must come; the distance is that of the projection."""
 
@@ -86,6 +88,7 @@ class Barrier:
     _limits: Limits
     _scan: ScanSpec
     _hidden: object  # the memory of a lidar's blind zone; None where nothing is lost there
+    _walls: StandingWalls  # None unless walls are assumed to stand
     _feasible: FeasibleSet
     _projection: Projection
     _stop: StopCheck
@@ -114,7 +117,9 @@ class Barrier:
             )
         assumptions = Assumptions(platform, settings)
         outline = Outline(platform)
-        self._feasible = feasible = FeasibleSet(assumptions, outline)
+        if settings.walls_stand is not None:
+            self._walls = StandingWalls(platform, settings.walls_stand)
+        self._feasible = feasible = FeasibleSet(assumptions, outline, self._walls)
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
         self._limiting = LimitingRows(feasible.constraints, outline)
@@ -136,6 +141,31 @@ class Barrier:
     def min_gap(self) -> float | None:
         """The m from the outline to the nearest return of the last scan; None without a return."""
         return self._feasible.near.min_gap
+
+    @property
+    def has_walls(self) -> bool:
+        """True if walls that have stood are assumed to stand on (`walls_stand`)."""
+        return self._walls is not None
+
+    @property
+    def moved_wall(self) -> MovedWall | None:
+        """The wall that the last scan showed to move, against `walls_stand`; None without one."""
+        return None if self._walls is None else self._walls.moved
+
+    def wall_patience(self, now: float) -> float:
+        """The s that a robot should be blocked before it drives elsewhere, for near walls to stand.
+
+        0 if all near walls had stood _RIPE_TIME s before `now`.
+        """
+        walls = self._walls
+        if walls is None or not walls.is_trusted or not walls.ripe_at > now - _RIPE_TIME:
+            return 0.0
+        return float(walls.patience)
+
+    def trust_walls(self, is_trusted: bool) -> None:
+        """Whether the assumption `walls_stand` holds; False after it was found violated."""
+        if self._walls is not None:
+            self._walls.is_trusted = is_trusted
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.

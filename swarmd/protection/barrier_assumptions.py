@@ -35,6 +35,7 @@ class Assumptions:
     """The settings of mode `barrier` for one platform, and what follows from them."""
 
     others_speed: cython.double  # m/s, fastest surface of any other object
+    standing_speed: cython.double  # m/s, the same for a wall that stands (standing_walls.py)
     is_passive: cython.bint  # others may approach; else each of two robots uses half of the gap
     unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
     margin: cython.double  # m kept free for range noise
@@ -61,6 +62,10 @@ class Assumptions:
         self.linear_limit, self.angular_limit = platform.limits.linear, platform.limits.angular
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
+        self.standing_speed = settings.others_speed
+        if settings.walls_stand is not None:
+            speed = settings.walls_stand.standing_speed(self.surface_speed)
+            self.standing_speed = min(speed, settings.others_speed)
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         within = settings.envelope_within
         self.envelope_range = binding.for_envelope() if within is None else within

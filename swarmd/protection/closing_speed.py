@@ -26,6 +26,11 @@ CREEP_SPEED = cython.declare(cython.double, 0.015)
 
 A robot may also creep at this speed towards an obstacle that stops any faster robot.
 """
+WALL_MARGIN = cython.declare(cython.double, 0.03)
+"""m before a wall that stands, beside all margins, within which the outline closes slowly."""
+WALL_SPEED = cython.declare(cython.double, 0.05)
+"""m/s at which the outline may close on a wall within WALL_MARGIN: noise would else stop a robot
+that slides along the wall."""
 MIN_BRAKING = cython.declare(cython.double, 0.02)
 """m/s2: the least braking assumed, for places that hardly close on an obstacle at any speed."""
 
@@ -55,6 +60,23 @@ def closing_cap(
     first: cython.double = braking * DECISION_PERIOD + others
     root: cython.double = sqrt(first * first + 2.0 * braking * maximum(left, 0.0))
     return maximum(root - first, 0.0)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def wall_cap(
+    room: cython.double, braking: cython.double, unseen: cython.double, error_speed: cython.double
+) -> cython.double:
+    """As `closing_cap`, towards a wall that stands: slow within the last WALL_MARGIN m.
+
+    `error_speed`: m/s at which the place of the wall may be wrong for each s of its age.
+    """
+    cap: cython.double = closing_cap(room - WALL_MARGIN, braking, unseen, error_speed, True)
+    if cap > WALL_SPEED:
+        return cap
+    cap = closing_cap(room, braking, unseen, error_speed, True)
+    return cap if cap < WALL_SPEED else WALL_SPEED
 
 
 @cython.cfunc

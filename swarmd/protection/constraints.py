@@ -27,6 +27,7 @@ from swarmd.protection.closing_speed import (
     closing_cap,
     closing_deceleration,
     reciprocal_cap,
+    wall_cap,
 )
 from swarmd.protection.dead_reckoning import PlanarPose
 from swarmd.protection.obstacles import NearObstacles, Points
@@ -144,6 +145,7 @@ class PlacedPoints:
     contact: cython.double[::1]  # m: within this gap the obstacle may touch the robot unseen
     scan_gap: cython.double[::1]  # m, of a seen point when it was measured
     radius: cython.double[::1]  # m, of a disc
+    others: cython.double[::1]  # m/s at which the obstacle may approach
     normal_x: cython.double[::1]  # the unit vector from the outline
     normal_y: cython.double[::1]
     first_row: cython.longlong[::1]  # the index of the first constraint of each point
@@ -166,6 +168,7 @@ class PlacedPoints:
         self.gap, self.free = doubles(room), doubles(room)
         self.age, self.radius = doubles(room), doubles(room)
         self.contact, self.scan_gap = doubles(room), doubles(room)
+        self.others = doubles(room)
         self.normal_x, self.normal_y = doubles(room), doubles(room)
         self.first_row, self.in_touch_zone = indices(room), indices(room)
 
@@ -252,6 +255,7 @@ class Constraints:
         ages: cython.p_double = checked(near.points.age, count)
         xs: cython.p_double = checked(near.points.x, count)
         ys: cython.p_double = checked(near.points.y, count)
+        others: cython.p_double = checked(near.points.others, count)
         while seen < count:
             # 1. Transforms the next returns that may constrain the robot into the chunk.
             in_chunk = 0
@@ -264,7 +268,7 @@ class Constraints:
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk], chunk.age[in_chunk] = free, age + ages[seen]
-                    chunk.radius[in_chunk] = 0.0
+                    chunk.radius[in_chunk], chunk.others[in_chunk] = 0.0, others[seen]
                     placed.scan_gap[first_placed + in_chunk] = gaps[seen]
                     in_chunk += 1
                 seen += 1
@@ -329,6 +333,7 @@ class Constraints:
         chunk.x[0], chunk.y[0] = x, y
         chunk.free[0] = least + moved
         chunk.age[0], chunk.radius[0] = age + REACTION, radius
+        chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)
         return self._add_corners(point, 0)
 
@@ -366,6 +371,7 @@ class Constraints:
         angular_limit: cython.double = axes.angular_limit
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
+        others: cython.p_double = chunk.others
         others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
         # 1. Finds the nearest place of the outline for each point, and the cap.
@@ -373,8 +379,10 @@ class Constraints:
         for j in range(count):
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
-            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others_speed, is_passive)
+            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j], is_passive)
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
+        if assumptions.standing_speed < others_speed:
+            self._limit_to_walls()
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -388,6 +396,30 @@ class Constraints:
         rows.count = first_row + count
         self._add_approaching(first)
         return self._add_sides(first)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _limit_to_walls(self) -> cython.int:
+        """Set the caps of the points of the chunk that are on walls that stand.
+
+        Such a wall is straight, so no part of it extends unseen into the blind zone.
+        """
+        j: cython.Py_ssize_t
+        chunk: Chunk = self._chunk
+        axes: SpeedAxes = self.axes
+        assumptions: Assumptions = self._assumptions
+        for j in range(chunk.count):
+            if chunk.others[j] < assumptions.others_speed:
+                linear: cython.double = (
+                    chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
+                )
+                braking: cython.double = closing_deceleration(
+                    linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
+                )
+                room: cython.double = chunk.gap[j] - chunk.free[j]
+                chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+                chunk.hidden[j] = 0.0
+        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -421,6 +453,8 @@ class Constraints:
         placed_normal_x: cython.p_double = checked(placed.normal_x, end)
         placed_normal_y: cython.p_double = checked(placed.normal_y, end)
         placed_radius: cython.p_double = checked(placed.radius, end)
+        others: cython.p_double = chunk.others
+        placed_others: cython.p_double = checked(placed.others, end)
         for j in range(count):
             i = first + j
             placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
@@ -428,6 +462,7 @@ class Constraints:
             placed_contact[i] = free[j] + hidden[j]
             placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
             placed_gap[i], placed_radius[i] = gap[j], radius[j]
+            placed_others[i] = others[j]
         first_row: cython.p_longlong = checked_indices(placed.first_row, end)
         source: cython.p_longlong = checked_indices(self.rows.source, row + count)
         for j in range(count):
@@ -468,7 +503,8 @@ class Constraints:
         other until their corners meet. So the function limits two corners of the outline: the
         foremost corners in the two directions 60 degrees to either side of the direction to the
         point. Under these limits, two such robots do not touch before both have a new scan.
-        CREEP_SPEED is always allowed, and moving away stays free.
+        CREEP_SPEED is always allowed, and moving away stays free. A wall that stands has no such
+        constraints.
 
         Points behind the last cap of 0 in the chunk are skipped.
         """
@@ -524,6 +560,7 @@ class Constraints:
         rows: ConstraintRows = self.rows
         axes: SpeedAxes = self.axes
         reserve: cython.double = self._assumptions.side_reserve
+        others_speed: cython.double = self._assumptions.others_speed
         gap: cython.p_double = chunk.gap
         cap: cython.p_double = chunk.cap
         lever: cython.p_double = chunk.greatest_height
@@ -535,7 +572,7 @@ class Constraints:
         row_cap: cython.p_double = checked(rows.cap, row + count)
         row_gap: cython.p_double = checked(rows.gap, row + count)
         for j in range(count):
-            if cap[j] <= 0.0:
+            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:
                 # m, then m/s: half of the gap, used up when the next command takes effect
                 allowed: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 allowed /= chunk.age[j] + DECISION_PERIOD
@@ -583,6 +620,8 @@ class Constraints:
         back_point: cython.Py_ssize_t = -1
         # 1. Finds the strictest limits. A point of -1 means: no limit below that of the platform.
         for j in range(chunk.count):
+            if chunk.others[j] < others_speed:
+                continue  # a wall that stands does not approach
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]
             age: cython.double = chunk.age[j] + DECISION_PERIOD
@@ -647,11 +686,12 @@ class Constraints:
         angular_limit: cython.double = axes.angular_limit
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
+        others: cython.p_double = chunk.others
         others_speed: cython.double = assumptions.others_speed
         is_passive: cython.bint = assumptions.is_passive
         # 1. Leaves out points at the end of the chunk that are not near.
         while end > begin and not (
-            gap[end - 1] <= 2.0 * free[end - 1] + others_speed * (age[end - 1] + DECISION_PERIOD)
+            gap[end - 1] <= 2.0 * free[end - 1] + others[end - 1] * (age[end - 1] + DECISION_PERIOD)
         ):
             end -= 1
         # 2. For each corner: the unit vector to each point, and the cap in this direction.
@@ -667,9 +707,9 @@ class Constraints:
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
-                new_cap[j] = closing_cap(
-                    distance - free[j], braking, age[j], others_speed, is_passive
-                )
+                new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j], is_passive)
+                if others[j] < others_speed:
+                    new_cap[j] = wall_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
             self._add_corner(first, begin, end)
@@ -689,7 +729,7 @@ class Constraints:
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         rows: ConstraintRows = self.rows
-        others_speed: cython.double = self._assumptions.others_speed
+        others: cython.p_double = chunk.others
         gap: cython.p_double = chunk.gap
         free: cython.p_double = chunk.free
         age: cython.p_double = chunk.age
@@ -700,7 +740,7 @@ class Constraints:
         for j in range(begin, end):
             if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
                 continue  # |x| and |y| are at most 1 within the limits
-            if gap[j] <= 2.0 * free[j] + others_speed * (age[j] + DECISION_PERIOD):
+            if gap[j] <= 2.0 * free[j] + others[j] * (age[j] + DECISION_PERIOD):
                 rows.x[row], rows.y[row] = new_x[j], new_y[j]
                 rows.cap[row], rows.gap[row] = new_cap[j], chunk.row_gap[j] - chunk.radius[j]
                 rows.source[row] = first + j

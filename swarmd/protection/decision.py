@@ -88,6 +88,21 @@ class Permit(Struct, frozen=True):
 NO_PERMIT = Permit()
 
 
+MOVING_WALL = "moving_wall"
+"""How events and the finding about walls that moved begin."""
+
+
+class MovedWall(Struct, frozen=True, gc=False):
+    """A wall that had stood and that the last scans show elsewhere, against `walls_stand`."""
+
+    stood: float
+    """s for which the wall had stood"""
+    distance: float
+    """m by which it has moved since it was last confirmed"""
+    speed: float
+    """m/s, the mean since then"""
+
+
 class ModeDecision(Struct, frozen=True, gc=False):
     """The command of a mode; `is_active` if it differs from the requested command."""
 

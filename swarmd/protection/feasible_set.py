@@ -21,6 +21,7 @@ from swarmd.protection.dead_reckoning import (
 from swarmd.protection.envelope import Creeping
 from swarmd.protection.obstacles import NearObstacles, ObstacleDiscs
 from swarmd.protection.outline import Outline
+from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.touch_zone import TouchSector
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -103,11 +104,13 @@ class FeasibleSet:
     _frame: PlanarPose  # of the last scan in the predicted base frame
     _disc_pose: PlanarPose  # at which a disc was measured, in the same frame
 
-    def __init__(self, assumptions: Assumptions, outline: Outline) -> None:
+    def __init__(
+        self, assumptions: Assumptions, outline: Outline, walls: StandingWalls | None = None
+    ) -> None:
         self.assumptions, self.outline = assumptions, outline
         self.reckoning = DeadReckoning(assumptions)
         self.motion = ScanMotion(assumptions, self.reckoning)
-        self.near = NearObstacles(assumptions, outline, self.motion)
+        self.near = NearObstacles(assumptions, outline, self.motion, walls)
         self.discs, self.touch = ObstacleDiscs(), TouchSector()
         self.situation = Situation()
         self.constraints = Constraints(assumptions, outline, self.touch)

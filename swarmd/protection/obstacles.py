@@ -13,6 +13,7 @@ from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import checked, checked_indices, doubles, indices, take, view
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
+from swarmd.protection.standing_walls import StandingWalls
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -33,17 +34,22 @@ _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 @cython.final
 @cython.cclass
 class Points:
-    """Points: places, gaps to the outline in m, and ages in s. The first `count` are in use."""
+    """Points: places, gaps to the outline in m, and ages in s. The first `count` are in use.
+
+    `others`: m/s at which the obstacle may approach.
+    """
 
     count: cython.Py_ssize_t
     x: cython.double[::1]
     y: cython.double[::1]
     gap: cython.double[::1]
     age: cython.double[::1]
+    others: cython.double[::1]
 
     def __init__(self, room: int) -> None:
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
+        self.others = doubles(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -54,16 +60,23 @@ class Points:
         room += room // 2  # else each further point would make new arrays
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.age = doubles(room), doubles(room)
+        self.others = doubles(room)
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
     def add(
-        self, x: cython.double, y: cython.double, gap: cython.double, age: cython.double
+        self,
+        x: cython.double,
+        y: cython.double,
+        gap: cython.double,
+        age: cython.double,
+        others: cython.double,
     ) -> cython.int:
         """Add a point; `reserve` must have made room."""
         at: cython.Py_ssize_t = self.count
         self.x[at], self.y[at], self.gap[at], self.age[at] = x, y, gap, age
+        self.others[at] = others
         self.count = at + 1
         return 0
 
@@ -93,10 +106,17 @@ class NearObstacles:
     _assumptions: Assumptions
     _outline: Outline
     _motion: ScanMotion
+    _walls: StandingWalls  # None unless walls are assumed to stand
 
-    def __init__(self, assumptions: Assumptions, outline: Outline, motion: ScanMotion) -> None:
+    def __init__(
+        self,
+        assumptions: Assumptions,
+        outline: Outline,
+        motion: ScanMotion,
+        walls: StandingWalls | None,
+    ) -> None:
         self._assumptions, self._outline = assumptions, outline
-        self._motion = motion
+        self._motion, self._walls = motion, walls
         self.points, self._unsorted = Points(_ROOM), Points(_ROOM)
         self._order, self._spare = indices(_ROOM), indices(_ROOM)
         self.rays = Points(16)
@@ -125,6 +145,18 @@ class NearObstacles:
         """Put the direction of a ray into `_directions`."""
         bearing: cython.double = self._bearings[ray]
         self._directions[2 * ray], self._directions[2 * ray + 1] = cos(bearing), sin(bearing)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_directions(
+        self, ranges: cython.const[cython.double][::1], reach: cython.double
+    ) -> cython.int:
+        """Find the directions of all rays with a range up to `reach` m."""
+        i: cython.Py_ssize_t
+        for i in range(len(ranges)):
+            if ranges[i] <= reach and self._directions[2 * i] != self._directions[2 * i]:
+                self._find_direction(i)
         return 0
 
     @cython.cfunc
@@ -194,7 +226,13 @@ class NearObstacles:
         self.has_contact = False
         self.points.count = self.rays.count = self._unsorted.count = self.contacts = 0
 
-        # 2. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the
+        # 2. Which returns stand.
+        walls: StandingWalls = self._walls
+        if walls is not None:
+            self._find_directions(ranges, walls.reach)
+            walls.observe(ranges, self._directions, ages, self._motion)
+
+        # 3. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the
         # oldest ray may be.
         extra_age: cython.double = self._motion.extra_age
         envelope_range: cython.double = (
@@ -207,7 +245,7 @@ class NearObstacles:
             envelope_range if envelope_range > binding_range else binding_range
         ) + self._outline.outer
 
-        # 3. Takes returns and hidden obstacles, and sorts them.
+        # 4. Takes returns and hidden obstacles, and sorts them.
         closest: cython.double = self._take_returns(ranges, range_min, ages, reach, binding_range)
         closest_hidden: cython.double = self._take_hidden(hidden, binding_range)
         if closest_hidden < closest:
@@ -244,6 +282,10 @@ class NearObstacles:
         near_y: cython.p_double = checked(unsorted.y, count)
         near_gap: cython.p_double = checked(unsorted.gap, count)
         near_age: cython.p_double = checked(unsorted.age, count)
+        near_others: cython.p_double = checked(unsorted.others, count)
+        walls: StandingWalls = self._walls
+        has_standing: cython.bint = walls is not None and walls.has_standing
+        others_speed: cython.double = self._assumptions.others_speed
         near_count: cython.Py_ssize_t = 0
         nearest: cython.double = _least_of(ranges)
         # m: the return nearest to the outline has at most this range; see `Outline.nearest_within`.
@@ -259,7 +301,7 @@ class NearObstacles:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
             if measured_range == -INFINITY:
-                rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age)
+                rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, others_speed)
                 continue
             measured_range = range_min if measured_range < range_min else measured_range
             # Writes the return behind the near returns; `near_count` rises if it is near.
@@ -267,6 +309,9 @@ class NearObstacles:
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
             near_gap[near_count], near_age[near_count] = gap, age
+            near_others[near_count] = others_speed
+            if has_standing and walls.standing[i]:
+                near_others[near_count] = self._assumptions.standing_speed
             if gap < smallest_gap:
                 smallest_gap = gap
             if ranges[i] <= longest_range:
@@ -292,6 +337,7 @@ class NearObstacles:
         i: cython.Py_ssize_t
         outline: Outline = self._outline
         age: cython.double = self._motion.oldest
+        others_speed: cython.double = self._assumptions.others_speed
         closest_gap: cython.double = INFINITY
         for i in range(len(hidden)):
             ray_x: cython.double = hidden[i, 0]
@@ -303,9 +349,9 @@ class NearObstacles:
                 if gap < closest_gap:
                     closest_gap = gap
                 if gap <= binding_range:
-                    self._unsorted.add(x, y, gap, age)
+                    self._unsorted.add(x, y, gap, age, others_speed)
             else:
-                self.rays.add(ray_x, ray_y, 0.0, age)
+                self.rays.add(ray_x, ray_y, 0.0, age, others_speed)
         return closest_gap
 
     @cython.cfunc
@@ -324,12 +370,14 @@ class NearObstacles:
         for i in range(rays.count):
             to_outline: cython.double = outline.along_ray(rays.x[i], rays.y[i])
             x: cython.double = outline.lidar_x + to_outline * rays.x[i]
-            points.add(x, outline.lidar_y + to_outline * rays.y[i], 0.0, rays.age[i])
+            y: cython.double = outline.lidar_y + to_outline * rays.y[i]
+            points.add(x, y, 0.0, rays.age[i], rays.others[i])
         self.contacts = rays.count
         take(unsorted.x, self._order, unsorted.count, points.x, rays.count)
         take(unsorted.y, self._order, unsorted.count, points.y, rays.count)
         take(unsorted.gap, self._order, unsorted.count, points.gap, rays.count)
         take(unsorted.age, self._order, unsorted.count, points.age, rays.count)
+        take(unsorted.others, self._order, unsorted.count, points.others, rays.count)
         points.count = rays.count + unsorted.count
         return 0
 

@@ -39,13 +39,14 @@ class Chunk:
     """
 
     count: cython.Py_ssize_t
-    # Of each point: place in m, distance in m that must stay free around the point, age in s, and
-    # radius in m.
+    # Of each point: place in m, distance in m that must stay free around the point, age in s,
+    # radius in m, and m/s at which the obstacle may approach.
     x: cython.double[64]
     y: cython.double[64]
     free: cython.double[64]
     age: cython.double[64]
     radius: cython.double[64]
+    others: cython.double[64]
     # From `Outline.separate`: gap in m, unit vector from the outline to the point, lever in m of
     # the nearest place about the axle, and m by which the blind zone reaches beyond the outline.
     gap: cython.double[64]

@@ -81,6 +81,7 @@ class Others(NamedTuple):
     are_near: bool = False  # moving objects are near
     are_avoided: bool = False  # the request leads past a moving object
     is_settled: bool = False  # the request gives way at an opening or passes it: recovery ends
+    patience: float = 0.0  # s of blocked motion before recovery begins, at least
 
 
 NO_OTHERS = Others()
@@ -176,7 +177,7 @@ class Recovery:
 
         # 2. Begins a recovery if the robot is blocked. A robot in a passage keeps to its middle.
         patience = _CROWD_PATIENCE if others.are_near else self._patience
-        is_blocked = self._is_blocked(safe, now, patience)
+        is_blocked = self._is_blocked(safe, now, max(patience, others.patience))
         if not self.has_taken_over:
             if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:

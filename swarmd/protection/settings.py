@@ -13,6 +13,12 @@ Braking = Annotated[float, Meta(gt=0.0, le=100.0)]
 Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 Avoidance = Literal["orca", "none"]
 
+ODOMETRY_SHARE = 0.05
+"""The assumed error of odometry between two scans `walls_stand.seconds` apart, as a share of the
+way, and of the turn."""
+STILL = 0.02
+"""m by which the noise of ranges may move the line of a wall between two such scans."""
+
 
 class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Mode `potential_field`."""
@@ -24,6 +30,26 @@ class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_f
     rays: Annotated[int, Meta(ge=0, le=10_000)]
     # Added along x to the repulsion (no unit). Higher: keeps moving forward, also towards walls.
     forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
+
+
+class WallsStand(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The assumption that long, straight surfaces which have stood still do not begin to move."""
+
+    # m, the least length of such a surface. Higher: fewer walls count. Lower than the longest body,
+    # or row of bodies, around the robot: this body counts as a wall once it has stood.
+    length: Annotated[float, Meta(ge=0.2, le=2.0)] = 0.5
+    # s for which the surface must have stood still, seen in each scan. Higher: walls that come into
+    # view count later. Lower: a body that stops for a short time counts sooner.
+    seconds: Annotated[float, Meta(ge=1.0, le=60.0)] = 2.0
+
+    def standing_speed(self, surface_speed: float) -> float:
+        """The m/s at which the place of a standing return may be wrong, for each s of its age.
+
+        Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
+        `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
+        noticed.
+        """
+        return ODOMETRY_SHARE * surface_speed + STILL / self.seconds
 
 
 class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,6 +87,10 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # m, radius around the sensor that stays free, for a sensor with a blind zone; None: no circle.
     # Higher: passes fewer gaps. Lower than the blind zone: obstacles enter it unseen.
     keep_out: Length | None = None
+    # The assumption that walls which have stood do not begin to move; None: everything may move.
+    # Given: passes walls and doors faster. If such a wall moves, it may hit the robot, and the
+    # robot may drive into it until its next scan. Only for `passive`.
+    walls_stand: WallsStand | None = None
 
 
 class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

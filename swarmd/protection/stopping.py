@@ -79,8 +79,8 @@ class Speeds:
 class StopPoints:
     """The points that the outline could touch during a stop.
 
-    Their places in m, their present gaps in m, and the gap in m that each point must keep at the
-    begin of the stop (`needed_gap`).
+    Their places in m, their present gaps in m, the gap in m that each point must keep at the begin
+    of the stop (`needed_gap`), and how fast the obstacle moves in m/s (`others`).
     """
 
     count: cython.Py_ssize_t
@@ -88,13 +88,14 @@ class StopPoints:
     y: cython.double[::1]
     gap: cython.double[::1]
     needed_gap: cython.double[::1]
+    others: cython.double[::1]
 
     def __init__(self) -> None:
         self._allocate(96)
 
     def check_indices(self) -> None:
         """ValueError unless `count` is within each array."""
-        room = min(map(len, (self.x, self.y, self.gap, self.needed_gap)))
+        room = min(map(len, (self.x, self.y, self.gap, self.needed_gap, self.others)))
         if not 0 <= self.count <= room:
             raise ValueError(f"{self.count} points beside a stop in {room}")
 
@@ -102,13 +103,14 @@ class StopPoints:
         """Make all arrays anew."""
         self.x, self.y = doubles(room), doubles(room)
         self.gap, self.needed_gap = doubles(room), doubles(room)
+        self.others = doubles(room)
 
     @cython.cfunc
     @cython.exceptval(-1)
     def collect(
         self,
         constraints: Constraints,
-        others_speed: cython.double,
+        is_passive: cython.bint,
         seconds: cython.double,
         travel: cython.double,
     ) -> cython.int:
@@ -118,7 +120,7 @@ class StopPoints:
 
         Args:
             constraints: the constraints of the decision, with the placed points.
-            others_speed: m/s, how fast an obstacle moves.
+            is_passive: obstacles move; else no obstacle does.
             seconds: the duration of the stop.
             travel: m, how far a place of the outline moves at most during the stop.
         """
@@ -133,14 +135,18 @@ class StopPoints:
         gap: cython.p_double = checked(placed.gap, points)
         to_gap: cython.p_double = checked(self.gap, points)
         to_needed_gap: cython.p_double = checked(self.needed_gap, points)
+        others: cython.p_double = checked(placed.others, points)
+        to_others: cython.p_double = checked(self.others, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
             if is_granted and i < placed.seen and placed.in_touch_zone[i]:
                 continue
+            others_speed: cython.double = others[i] if is_passive else 0.0
             needed_gap: cython.double = free[i] + others_speed * age[i]
             if gap[i] <= needed_gap + others_speed * seconds + travel:
                 self.x[count], self.y[count] = placed.x[i], placed.y[i]
                 to_gap[count], to_needed_gap[count] = gap[i], needed_gap
+                to_others[count] = others_speed
                 count += 1
         self.count = count
         return 0
@@ -201,15 +207,14 @@ class StopCheck:
         linear_s: cython.double = fabs(linear) / assumptions.braking_linear
         angular_s: cython.double = fabs(angular) / assumptions.braking_angular
         seconds: cython.double = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
-        others: cython.double = assumptions.others_speed if assumptions.is_passive else 0.0
         travel: cython.double = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
-        self._points.collect(self._constraints, others, seconds, travel)
+        self._points.collect(self._constraints, assumptions.is_passive, seconds, travel)
         if self._points.count == 0:
             return 0
 
         # 2. Returns if the stop from the requested speeds stays clear.
         self._forbidding = 0
-        if self._is_clear(linear, angular, others):
+        if self._is_clear(linear, angular):
             return 0
 
         # 3. Tries the shares of the speeds. A share of one speed alone may violate a constraint
@@ -221,7 +226,7 @@ class StopCheck:
             x: cython.double = reduced_linear / axes.limit
             if not is_feasible(self._constraints.rows, x, reduced_angular / axes.angular_limit):
                 continue
-            if self._is_clear(reduced_linear, reduced_angular, others):
+            if self._is_clear(reduced_linear, reduced_angular):
                 speeds.linear, speeds.angular = reduced_linear, reduced_angular
                 break
         # The zero command is always clear. A share of 0 is 0, so the speeds may be as requested.
@@ -229,13 +234,11 @@ class StopCheck:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_clear(
-        self, linear: cython.double, angular: cython.double, others: cython.double
-    ) -> cython.int:
+    def _is_clear(self, linear: cython.double, angular: cython.double) -> cython.int:
         """1 if the outline stays clear in each of the three simulated stops from these speeds.
 
         The stops: both brakes as weak as assumed, an ideal linear brake, an ideal angular brake.
-        The gap that a point must keep grows at `others` m/s. A point farther away than the
+        The gap that a point must keep grows at its `others` m/s. A point farther away than the
         outline moves needs no exact distance. The point that forbade the last speeds is examined
         first.
         """
@@ -246,6 +249,7 @@ class StopCheck:
         count: cython.Py_ssize_t = self._points.count
         gap: cython.p_double = checked(self._points.gap, count)
         needed_gap: cython.p_double = checked(self._points.needed_gap, count)
+        others: cython.p_double = checked(self._points.others, count)
         for brake in range(_BRAKES):
             if (brake == _IDEAL_LINEAR and speed == 0.0) or (
                 brake == _IDEAL_ANGULAR and turn_rate == 0.0
@@ -266,13 +270,13 @@ class StopCheck:
                 continue
 
             # 2. Examines the points that the outline can reach.
-            if self._forbids(self._forbidding, travel, step_s, others):
+            if self._forbids(self._forbidding, travel, step_s):
                 return 0
             for i in range(count):
                 most: cython.double = (
-                    needed_gap[i] + others * (step_s * _STEPS) + travel + _ROUNDING
+                    needed_gap[i] + others[i] * (step_s * _STEPS) + travel + _ROUNDING
                 )
-                if not (gap[i] >= most) and self._forbids(i, travel, step_s, others):
+                if not (gap[i] >= most) and self._forbids(i, travel, step_s):
                     self._forbidding = i
                     return 0
         return 1
@@ -348,7 +352,6 @@ class StopCheck:
         point: cython.Py_ssize_t,
         travel: cython.double,
         step_s: cython.double,
-        others: cython.double,
     ) -> cython.int:
         """1 if a point forbids the simulated stop.
 
@@ -359,13 +362,13 @@ class StopCheck:
             point: the index of the point in `_points`.
             travel: m that a place of the outline moves at most during the stop.
             step_s: s, the duration of a step.
-            others: m/s, how fast the obstacle moves.
         """
         j: cython.Py_ssize_t
         outline: Outline = self._outline
         points: StopPoints = self._points
         gap: cython.double = points.gap[point]
         needed_gap: cython.double = points.needed_gap[point]
+        others: cython.double = points.others[point]
         point_x: cython.double = points.x[point]
         point_y: cython.double = points.y[point]
         margin: cython.double = self._assumptions.margin

@@ -9,9 +9,18 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from swarmd.core.bounds import BoundedScalar
-from swarmd.core.messages import DecisionSummary, FenceSummary, Health, Param, Reason, Status
-from swarmd.core.values import Scalar
-from swarmd.protection.decision import Decision, WayState
+from swarmd.core.messages import (
+    DecisionSummary,
+    FenceSummary,
+    Health,
+    Param,
+    Reason,
+    Status,
+    WallsStandSummary,
+)
+from swarmd.core.values import Platform, Scalar
+from swarmd.protection.compatibility import barrier_settings
+from swarmd.protection.decision import MOVING_WALL, Decision, WayState
 from swarmd.protection.protection import Protection
 from swarmd.robot.pattern_load import Loading
 from swarmd.robot.sensors import Sensors
@@ -106,12 +115,22 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
+        walls_stand=_walls_stand(identity.platform, protection.findings),
         fence=_fence(settings, sensors, decision, protection, now),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
     )
+
+
+def _walls_stand(platform: Platform, findings: tuple[str, ...]) -> WallsStandSummary | None:
+    """The assumption about walls; None unless the platform declares it for mode `barrier`."""
+    settings = barrier_settings(platform)
+    if settings is None or settings.walls_stand is None:
+        return None
+    is_used = not any(text.startswith(MOVING_WALL) for text in findings)
+    return WallsStandSummary(settings.walls_stand.length, settings.walls_stand.seconds, is_used)
 
 
 def _fence(

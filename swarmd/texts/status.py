@@ -16,6 +16,7 @@ from swarmd.core.messages import (
     ScanDelaySummary,
     State,
     Status,
+    WallsStandSummary,
 )
 from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
@@ -147,12 +148,23 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
+        *_walls_stand(status.walls_stand),
         *_fence(status.fence),
         *_scan_delay(status.scan_delay),
         *_titled("slowed by", status.findings),
         *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
+
+
+def _walls_stand(walls: WallsStandSummary | None) -> list[tuple[str, str]]:
+    return [] if walls is None else [("walls stand", walls_stand_text(walls))]
+
+
+def walls_stand_text(walls: WallsStandSummary) -> str:
+    """The assumption about walls in one line."""
+    text = f"assumed of straight surfaces of {walls.length:g} m that stood for {walls.seconds:g} s"
+    return text if walls.is_used else f"{text}; not used, since walls have moved"
 
 
 def _fence(fence: FenceSummary | None) -> list[tuple[str, str]]:

@@ -188,6 +188,7 @@ def after_stop_check(
     for i, (x, y) in enumerate(points):
         placed.x[i], placed.y[i] = x, y
         placed.gap[i], placed.free[i] = feasible.outline.gap_of(x, y), free
+        placed.others[i] = others_speed
     checked = part("stopping").Speeds()
     checked.linear, checked.angular = speeds
     stop.limit(checked)

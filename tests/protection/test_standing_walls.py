@@ -1,0 +1,366 @@
+"""Walls that stand: what is charged no speed of others, and what is charged as before.
+
+A Burger stands or drives in the odometry frame among segments, and its lidar measures all rays at
+once. The clock is an argument. Each case runs compiled and interpreted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
+from swarmd.protection.decision import DecisionContext, MovedWall
+from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.protection import Protection
+from swarmd.settings.platforms import load_platform
+from tests.support.filter_sim import under_barrier
+from tests.support.kernel_forms import both_forms
+
+FORMS = both_forms("swarmd.protection.barrier")
+KERNELS = [pytest.param(form, id=name) for form, name in zip(FORMS, ("text", "used"), strict=True)]
+WALLS = {"length": 0.5, "seconds": 2.0}
+BURGER = under_barrier(
+    replace(load_platform("burger"), scan=replace(load_platform("burger").scan, sweep=None)),
+    unseen_extent=0.0,
+    walls_stand=WALLS,
+)
+PERIOD = 0.2  # s between two scans
+AGE = 0.3  # s of the scan at the decision: others may have come 9 cm nearer
+FAST = 0.15  # m/s towards the wall ahead that only a wall that stands permits
+HERE, TOP = Pose(), Twist(0.22)
+Segment = tuple[float, float, float, float]
+AHEAD: Segment = (0.2, -1.0, 0.2, 1.0)
+"""A wall 16 cm before the front of the robot."""
+BESIDE: Segment = (-1.0, 0.6, 0.2, 0.6)
+Scene = Callable[[float], Sequence[Segment]]
+
+
+def ranges_at(pose: Pose, segments: Sequence[Segment], noise: Array | float = 0.0) -> Array:
+    """(n,) m from the lidar to the nearest of the segments along each ray; inf: nothing."""
+    spec = BURGER.scan
+    x = pose.x + spec.offset[0] * math.cos(pose.yaw)
+    y = pose.y + spec.offset[0] * math.sin(pose.yaw)
+    cos, sin = np.cos(spec.bearings + pose.yaw), np.sin(spec.bearings + pose.yaw)
+    ranges = np.full(len(spec.bearings), math.inf)
+    for x1, y1, x2, y2 in segments:
+        dx, dy = x2 - x1, y2 - y1
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = cos * dy - sin * dx
+            distance = ((x1 - x) * dy - (y1 - y) * dx) / across
+            along = ((x1 - x) * sin - (y1 - y) * cos) / across
+        is_hit = (distance > 0.0) & (along >= 0.0) & (along <= 1.0)
+        ranges = np.where(is_hit & (distance < ranges), distance, ranges)
+    ranges = ranges + noise
+    return np.where(ranges < spec.range_max, ranges, math.inf)
+
+
+class Robot:
+    """A Burger under mode `barrier` whose walls stand."""
+
+    def __init__(self, kernel: Any, **changes: Any) -> None:
+        self.barrier = kernel.Barrier(under_barrier(BURGER, **changes))
+        self.geometry = ScanGeometry(BURGER.scan)
+        self.odometry = Odometry(0.0, Pose(), ZERO)
+        self.now = 0.0
+        self.moved: list[MovedWall] = []
+
+    def see(
+        self,
+        now: float,
+        segments: Sequence[Segment],
+        pose: Pose = HERE,
+        told: Pose | None = None,
+        noise: Array | float = 0.0,
+        ages: Array | None = None,
+    ) -> None:
+        """Take in a scan at `pose`, which odometry tells as `told`."""
+        self.now, self.odometry = now, Odometry(now, pose if told is None else told, ZERO)
+        ranges = ranges_at(pose, segments, noise)
+        spec = BURGER.scan
+        scan = Scan(round(now / PERIOD), now, ranges, spec.bearings, 0.12, 3.5, ages, 0.0)
+        self.barrier.observe(scan, self.geometry, DecisionContext(now, 0.0, self.odometry, 0.0))
+        if self.barrier.moved_wall is not None:
+            self.moved.append(self.barrier.moved_wall)
+
+    def speed(self, requested: Twist = TOP) -> float:
+        """The speed in m/s that the robot may drive AGE s after the scan, ahead as by default."""
+        odometry = replace_stamp(self.odometry, self.now + AGE)
+        context = DecisionContext(self.now + AGE, AGE, odometry, 0.0)
+        decision = self.barrier.decide(requested, context, ZERO, None)
+        return float(decision.twist.linear)
+
+
+def replace_stamp(odometry: Odometry, stamp: float) -> Odometry:
+    return Odometry(stamp, odometry.pose, odometry.twist)
+
+
+def watch(kernel: Any, scene: Scene, seconds: float = 3.0, **changes: Any) -> Robot:
+    """A robot that has stood before a scene for some time."""
+    robot = Robot(kernel, **changes)
+    for k in range(round(seconds / PERIOD) + 1):
+        robot.see(1.0 + PERIOD * k, scene(PERIOD * k))
+    return robot
+
+
+def still(*segments: Segment) -> Scene:
+    return lambda _: segments
+
+
+def arc(radius: float) -> list[Segment]:
+    """A wall ahead that bends away, 16 cm before the front."""
+    angles = np.linspace(-1.2, 1.2, 60)
+    x, y = 0.2 + radius * (1.0 - np.cos(angles)), radius * np.sin(angles)
+    return list(zip(x[:-1], y[:-1], x[1:], y[1:], strict=True))
+
+
+def row(gap: float) -> list[Segment]:
+    """Eight boxes of a Burger's length side by side ahead, `gap` m between them."""
+    boxes: list[Segment] = []
+    for k in range(-4, 4):
+        a = k * (0.14 + gap) + 0.5 * gap
+        boxes += [(0.2, a, 0.2, a + 0.14), (0.2, a, 0.38, a), (0.2, a + 0.14, 0.38, a + 0.14)]
+    return boxes
+
+
+def after(seconds: float, before: Sequence[Segment], then: Sequence[Segment]) -> Scene:
+    return lambda t: before if t < seconds - 1e-6 else then
+
+
+def moved(x: float) -> Segment:
+    return (0.2 + x, -1.0, 0.2 + x, 1.0)
+
+
+HIDING: Segment = (0.1, -0.1, 0.1, 0.1)
+
+STANDS: dict[str, tuple[Scene, float]] = {
+    "it has stood for the time": (still(AHEAD), 2.0),
+    "as long as it must be": (still((0.2, -0.26, 0.2, 0.26)), 3.0),
+    "it stands again after a time": (after(1.0, [moved(0.1)], [AHEAD]), 3.0),
+    "a lost ray and a thin pole behind do not matter": (still(AHEAD, BESIDE), 3.0),
+}
+CHARGED: dict[str, tuple[Scene, float]] = {
+    "it has not stood for the time": (still(AHEAD), 1.8),
+    "it is shorter": (still((0.2, -0.22, 0.2, 0.22)), 3.0),
+    "it is curved": (still(*arc(0.35)), 3.0),
+    "a row of bodies": (still(*row(0.05)), 3.0),
+    "it appears": (after(3.0, [BESIDE], [AHEAD, BESIDE]), 3.0),
+    "it is nearer than expected": (after(3.0, [moved(0.06)], [AHEAD]), 3.0),
+    "it is farther than expected": (after(3.0, [moved(-0.03)], [AHEAD]), 3.0),
+    "it was hidden": (
+        lambda t: [AHEAD, HIDING] if 2.1 < t < 2.3 else [AHEAD],
+        3.0,
+    ),
+    "it has moved before": (after(2.0, [moved(0.04)], [AHEAD]), 3.0),
+    "it moves slowly": (lambda t: [moved(0.02 * (4.0 - t))], 4.0),
+    "it has become shorter": (after(3.0, [AHEAD], [(0.2, -0.22, 0.2, 0.22)]), 3.0),
+    "it turns": (after(3.0, [AHEAD], [(0.2, -1.0, 0.2, 0.0), (0.2, 0.0, 0.35, 1.0)]), 3.0),
+}
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("name", STANDS)
+def test_a_wall_that_has_stood_is_charged_no_speed(kernel: Any, name: str) -> None:
+    robot = watch(kernel, *STANDS[name])
+    assert robot.speed() > FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("name", CHARGED)
+def test_all_else_is_charged_as_before(kernel: Any, name: str) -> None:
+    scene, seconds = CHARGED[name]
+    robot = watch(kernel, scene, seconds)
+    assert robot.speed() == watch(kernel, scene, seconds, walls_stand=None).speed() < FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_wall_that_stands_keeps_its_margin(kernel: Any) -> None:
+    """3 cm for ranges, and 2.5 cm/s for the age of the scan; 3 cm more within which it is slow."""
+
+    def speed(gap: float) -> float:
+        return watch(kernel, still((0.038 + gap, -1.0, 0.038 + gap, 1.0))).speed()
+
+    assert 0.0 <= speed(0.0385) <= 0.016
+    assert speed(0.045) == pytest.approx(0.05) == speed(0.065)
+    assert speed(0.09) > 0.1
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_noise_of_ranges_does_not_take_the_status(kernel: Any) -> None:
+    fast = 0
+    for seed in range(10):
+        rng, robot = np.random.default_rng(seed), Robot(kernel)
+        for k in range(16):
+            noise = rng.normal(0.0, 0.01, 360)
+            robot.see(1.0 + PERIOD * k, [AHEAD, BESIDE], noise=noise)
+        fast += robot.speed() > FAST
+    assert fast >= 8
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_wall_stands_while_the_robot_drives_and_turns(kernel: Any) -> None:
+    robot = Robot(kernel)
+    for k in range(20):
+        pose = Pose(-0.4 + 0.02 * k, 0.0, 0.3 * math.sin(0.3 * k))
+        robot.see(1.0 + PERIOD * k, [AHEAD, BESIDE], pose)
+    robot.see(5.0, [AHEAD, BESIDE], Pose(0.0, 0.0, 0.0))
+    assert robot.speed() > FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize(
+    ("told", "gap"),
+    [(Pose(0.05), PERIOD), (Pose(0.0, 0.0, 0.15), PERIOD), (Pose(9.0), PERIOD), (Pose(), 2.0)],
+    ids=["way", "turn", "jump", "lost turn"],
+)
+def test_odometry_or_a_scan_that_contradicts_takes_the_status(
+    kernel: Any, told: Pose, gap: float
+) -> None:
+    robot = watch(kernel, still(AHEAD, BESIDE))
+    assert robot.speed() > FAST
+    robot.see(robot.now + gap * PERIOD / 0.2 * (1.0 if gap == PERIOD else 0.2), [AHEAD], told=told)
+    assert robot.speed() < FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize(("gap", "stands"), [(0.0, True), (0.06, False)], ids=["post", "body"])
+def test_the_edge_of_a_wall_belongs_to_it(kernel: Any, gap: float, stands: bool) -> None:
+    """A face that meets the end of the wall stands with it; what lies before the end does not."""
+    wall: Segment = (0.2 + gap, -0.11, 1.2, -0.11)
+    face: Segment = (0.2, -0.11, 0.2, -0.2)
+    robot = watch(kernel, still(wall, face), 4.0)
+    assert (robot.speed() > FAST) == stands
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize(("age", "stands"), [(0.25, True), (0.35, False)])
+def test_rays_of_an_earlier_turn_do_not_confirm(kernel: Any, age: float, stands: bool) -> None:
+    robot = watch(kernel, still(AHEAD))
+    robot.see(robot.now + PERIOD, [AHEAD], ages=np.full(360, age))
+    odometry = replace_stamp(robot.odometry, robot.now)
+    context = DecisionContext(robot.now, 0.0, odometry, 0.0)
+    twist = robot.barrier.decide(TOP, context, ZERO, None).twist
+    assert (twist.linear > FAST) == stands
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_robot_slides_along_a_wall_that_stands(kernel: Any) -> None:
+    """No side constraint holds before it: it does not move to where a corner goes."""
+    wall: Segment = (-1.0, 0.089 + 0.05, 1.0, 0.089 + 0.05)
+    assert watch(kernel, still(wall)).speed() > 0.1
+    assert watch(kernel, still(wall), walls_stand=None).speed() < 0.02
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_blocked_robot_waits_until_the_wall_has_stood(kernel: Any) -> None:
+    robot = watch(kernel, still(AHEAD), 1.0)
+    assert robot.barrier.wall_patience(robot.now) == 3.0
+    robot = watch(kernel, still(AHEAD), 3.0)
+    assert robot.barrier.wall_patience(robot.now) == 0.0
+    assert watch(kernel, still(moved(1.0)), 1.0).barrier.wall_patience(2.0) == 0.0
+    assert watch(kernel, still(AHEAD), 1.0, walls_stand=None).barrier.wall_patience(2.0) == 0.0
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_body_before_a_wall_that_stands_is_charged(kernel: Any) -> None:
+    robot = watch(kernel, still((0.6, -1.0, 0.6, 1.0), (0.2, -0.1, 0.2, 0.1)))
+    assert robot.speed() < FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_wall_that_moves_is_told_once_another_wall_has_stood(kernel: Any) -> None:
+    for others, count in (([BESIDE], 1), ([], 1)):  # the second robot stands by odometry
+        scene = after(3.0, [moved(0.4), *others], [moved(0.3), *others])
+        robot = watch(kernel, scene, 4.0)
+        assert len(robot.moved) == count
+        assert robot.moved[0].distance == pytest.approx(0.1, abs=0.01)
+        assert robot.moved[0].speed == pytest.approx(0.25, abs=0.03)
+        assert robot.moved[0].stood == pytest.approx(2.8, abs=0.01)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_wrong_odometry_is_no_wall_that_moves(kernel: Any) -> None:
+    robot = Robot(kernel)
+    for k in range(30):
+        pose = Pose(-0.02 * k)
+        told = Pose(-0.02 * k - (0.1 if k > 20 else 0.0), -0.1 if k > 20 else 0.0)
+        robot.see(1.0 + PERIOD * k, [moved(0.5), BESIDE], pose, told=told)
+    assert robot.moved == []
+
+
+def test_two_moving_walls_are_a_finding_until_it_ends() -> None:
+    protection = Protection(BURGER)
+    robot = Robot(FORMS[1])
+    robot.barrier = protection._arbiter
+    events: list[str] = []
+
+    def run(scene: Scene, begin: float, seconds: float) -> None:
+        for k in range(round(seconds / PERIOD)):
+            now = begin + PERIOD * k
+            odometry = Odometry(now, Pose(), ZERO)
+            protection.on_odometry(odometry)
+            ranges = ranges_at(Pose(), scene(PERIOD * k))
+            spec = BURGER.scan
+            scan = Scan(round(now / PERIOD), now, ranges, spec.bearings, 0.12, 3.5, None, 0.0)
+            context = DecisionContext(now, 0.0, odometry, 0.0)
+            protection.decide(Twist(0.0), context, True, None)
+            protection.observe(scan, context)
+            robot.now, robot.odometry = now, odometry
+        events.extend(protection.events)
+
+    run(after(3.0, [moved(0.4), BESIDE], [moved(0.3), BESIDE]), 1.0, 8.0)
+    assert ["moving_wall" in text for text in events] == [True]
+    assert protection.findings == ()
+    run(after(3.0, [moved(0.3), BESIDE], [moved(0.2), BESIDE]), 9.0, 8.0)
+    (finding,) = protection.findings
+    assert finding.startswith("moving_wall: 2 walls moved at 0.25 m/s or faster")
+    run(still(AHEAD, BESIDE), 17.0, 4.0)
+    assert robot.speed() < FAST
+    protection.forget_findings(protection.findings)
+    run(still(AHEAD, BESIDE), 21.0, 3.0)  # the decision before was later than this scan
+    assert protection.findings == ()
+    assert robot.speed() > FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize(
+    "garbage",
+    [
+        np.full(360, math.nan),
+        np.full(360, -math.inf),
+        np.full(360, 3.4),
+        np.zeros(360),
+        np.resize([0.2, 1.4], 360),
+        np.random.default_rng(3).uniform(0.12, 1.5, 360),
+    ],
+    ids=["nan", "near", "far", "zero", "comb", "noise"],
+)
+def test_scans_of_garbage_show_no_wall(kernel: Any, garbage: Array) -> None:
+    robot = Robot(kernel)
+    for k in range(15):
+        robot.see(1.0 + PERIOD * k, [], noise=0.0)
+        spec, now = BURGER.scan, 1.1 + PERIOD * k
+        scan = Scan(k, now, garbage, spec.bearings, 0.12, 3.5, None, 0.0)
+        context = DecisionContext(now, 0.0, Odometry(now, Pose(), ZERO), 0.0)
+        robot.barrier.observe(scan, robot.geometry, context)
+        twist = robot.barrier.decide(Twist(0.1, 0.2), context, ZERO, None).twist
+        assert not twist.is_finite or abs(twist.linear) <= 0.22
+    assert robot.moved == []
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"length": 0.2}, {"length": 5.0}, {"seconds": 0.5}, {"seconds": math.nan}, {"width": 1.0}],
+)
+def test_hostile_settings_are_refused(bad: dict[str, float], tmp_path: Any) -> None:
+    file = tmp_path / "own.yaml"
+    given = ", ".join(f"{key}: {'.nan' if value != value else value}" for key, value in bad.items())
+    file.write_text(f"extends: burger\nprotection: {{barrier: {{walls_stand: {{{given}}}}}}}\n")
+    with pytest.raises(ConfigError, match="walls_stand"):
+        load_platform(str(file))
