@@ -76,8 +76,8 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 def travel(speed: float) -> float:
     """The distance in m that a drive of a calibration at `speed` m/s takes, with its stop.
 
-    A base that needs more than 0.3 s to stop from `speed` (such as 1.0 m/s2 from 0.4 m/s on) stops
-    beyond this distance, in the gap that `needed_floor` adds for the base's deceleration.
+    The stop has 0.3 s times `speed`. A base with a longer stop (such as 1.0 m/s2 from 0.4 m/s on)
+    rolls beyond this distance, into the gap to obstacles that `needed_floor` adds.
     """
     return _TRAVEL_TIME * speed
 
