@@ -126,9 +126,10 @@ def turn_delay(
 ) -> tuple[Figure, Figure]:
     """The scan delay in s, and the scale of odometry: turn by odometry over turn by scans.
 
-    The scan delay is the time from the measurement of a scan to its arrival. The robot has turned to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals`
-    (m,) s. `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not
-    wrapped. A figure without a value says why.
+    The scan delay is the time from the measurement of a scan to its arrival. The robot has turned
+    to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals` (m,) s.
+    `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not wrapped. A
+    figure without a value says why.
 
     For each candidate delay, scale and offset are fitted by least squares, and the delay with the
     least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
