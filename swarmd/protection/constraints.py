@@ -232,12 +232,13 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Place the returns that `begin` counted, and add their constraints.
+        """Place the first `placed.seen` returns (by `begin`), and add their constraints.
 
         The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
         A return too far away to constrain any command within the limits is left out. `near`: near
         returns of the scan, contacts first. `frame`: the pose of the scan in the predicted base
-        frame. `age`: s from the newest ray until the command takes effect. `free`: m around each.
+        frame. `age`: s from the newest ray until the command takes effect. `free`: m that must stay
+        free around each return.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -271,6 +272,7 @@ class Constraints:
             # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
             chunk.count = in_chunk
             self._add_chunk(first_placed, assumptions.blind_radius)
+            # Contacts forbid all motion towards them anyway (`_add_contacts`).
             if assumptions.unseen_extent > 0.0:
                 self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
             if assumptions.has_keep_out():
@@ -316,12 +318,9 @@ class Constraints:
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
         distance that must stay free around the centre.
 
-        Args:
-            point: the index of the disc among the placed points.
-            x, y: the centre in m in the predicted base frame.
-            radius: m.
-            age: s since the place of the disc was measured.
-            moved: m that the outline may have moved since the newest odometry.
+        `x`, `y`: the centre in m in the predicted base frame. `radius`: m. `age`: s since the place
+        of the disc was measured. `moved`: m that the outline may have moved since the newest
+        odometry.
         """
         chunk: Chunk = self._chunk
         least: cython.double = self._assumptions.margin + radius
@@ -337,11 +336,10 @@ class Constraints:
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
         """Place the points of the chunk (up to 64), and add their constraints.
 
-        A constraint limits the speed at which a place of the outline closes on a point to its cap
-        in m/s. The points become the placed points from `first` on. `blind` in m is the radius of
-        the lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
-        nearest place of the outline. The constraints for obstacles that approach from the side or
-        are passed sideways follow.
+        The points become the placed points from `first` on. `blind` in m is the radius of the
+        lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
+        nearest place of the outline; then those for obstacles that approach from the side or are
+        passed sideways.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -374,6 +372,7 @@ class Constraints:
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others_speed, is_passive)
+            # x and y of a constraint are shares of the limits, so its factors have the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
@@ -394,8 +393,10 @@ class Constraints:
     def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
         """Copy the points of the chunk to the placed points from `first` on.
 
-        Links each point to its first constraint and back: row `rows.count` and the rows after it,
-        which the caller has filled but not counted yet.
+        `contact` of a point is the gap within which the obstacle may touch the robot: the free
+        distance, and the part of the gap that the blind zone hides. Links each point to its first
+        constraint and back: row `rows.count` and the rows after it, which the caller has filled but
+        not counted yet.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -468,9 +469,8 @@ class Constraints:
         other until their corners meet. So the function limits two corners of the outline: the
         foremost corners in the two directions 60 degrees to either side of the direction to the
         point. Under these limits, two such robots do not touch before both have a new scan.
-        CREEP_SPEED is always allowed, and moving away stays free.
-
-        Points behind the last cap of 0 in the chunk are skipped.
+        CREEP_SPEED is always allowed, and moving away stays free. Points behind the last cap of 0
+        in the chunk are skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -481,6 +481,7 @@ class Constraints:
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         cap: cython.p_double = chunk.cap
+        # Arrays that `Outline.separate` has done with.
         foremost: cython.p_double = chunk.nearest_square
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
@@ -517,7 +518,8 @@ class Constraints:
         (`greatest_height`). The chunk's first point is placed point `first`.
 
         The corner may use half of the gap that is left after the free distance and the hidden part
-        of the obstacle, until the next decision. `side_reserve` lowers this speed.
+        of the obstacle, until the next decision. `side_reserve` is subtracted from this speed for
+        an obstacle that moves towards the corner.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -554,17 +556,17 @@ class Constraints:
         """Limit the linear speed early, for obstacles that may approach from the side.
 
         The side constraints of an obstacle beside the robot (`_add_sides`) begin to hold once the
-        cap of the obstacle is 0. To brake only then is too late: a Waffle Pi still moved at 0.09
-        m/s. So this function assumes that the obstacle approaches at `others_speed`, and limits the
-        linear speed now to
+        cap of the obstacle is 0. To brake only then is too late: when an obstacle slid to a corner
+        of a Waffle Pi, the robot still moved at 0.09 m/s. So this function assumes that the
+        obstacle approaches at `others_speed`, and limits the linear speed now to
 
             the speed that the side constraints will allow once the cap is 0
             + the speed that the brake can take off until then.
 
         The function adds at most two constraints: the strictest limit ahead and the strictest limit
         back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
-        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index of
-        the chunk's first point among the placed points.
+        and the stop check (stopping.py) covers corners that swing outwards. The chunk's first point
+        is placed point `first`.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -572,7 +574,7 @@ class Constraints:
         touch: TouchSector = self.touch
         reserve: cython.double = self._assumptions.side_reserve
         if reserve <= 0.0:
-            return 0
+            return 0  # this rule is a part of the reserve, which some platforms set to 0
         others_speed: cython.double = self._assumptions.others_speed
         slowing: cython.double = self._assumptions.braking_linear
         # m that an obstacle moves while the robot brakes from its highest speed
@@ -618,12 +620,12 @@ class Constraints:
     def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
         """Add a constraint for each pair of a near point and a corner of the outline.
 
-        An obstacle may extend beyond the part that the scan shows (`unseen_extent`). Then a corner
-        that swings past the point can touch the obstacle, not only the place of the outline nearest
-        to the point. The points are those of the chunk from `begin` on. The first point of the
-        chunk is placed point `first`. A point is near if its gap is within twice the free distance
-        plus the way of the obstacle until the next decision. The last points that are not near are
-        skipped.
+        An obstacle may extend beyond the part that the scan shows (`unseen_extent`), so a corner
+        that swings past the point can touch it, too. The points are those of the chunk from `begin`
+        on. The first point of the chunk is placed point `first`. A point is near if its gap is
+        within twice the free distance plus the way of the obstacle until the next decision: from
+        farther away, more than the free distance is left then to brake in. The last points that are
+        not near are skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -745,12 +747,11 @@ class Constraints:
     def allow_touch(self) -> cython.int:
         """Raise the caps in a granted touch zone to its speed, and limit all motion in the zone.
 
-        A cap is the highest speed in m/s at which the outline may close on a point. A touch zone is
-        a range of directions in which the pattern may touch obstacles. A point is in the zone if
-        the direction from the outline to the point is in the zone. The bearing from the axle is not
-        used: seen from the axle, a pushed box is wider than any zone. No corner may move faster
-        than the zone's speed in the directions of the zone, also without a return there, since the
-        lidar may not see a pushed object.
+        A touch zone is a range of directions in which the pattern may touch obstacles. A point is
+        in the zone if the direction from the outline to the point is in the zone. The bearing from
+        the axle is not used: seen from the axle, a pushed box is wider than any zone. No corner may
+        move faster than the zone's speed in the directions of the zone, also without a return
+        there, since the lidar may not see a pushed object.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self.rows
@@ -770,5 +771,6 @@ class Constraints:
             ny: cython.double = corners[i, 1]
             linear: cython.double = nx * axes.along_x + ny * axes.along_y
             lever: cython.double = corners[i, 2] * ny - corners[i, 3] * nx
+            # Without an obstacle: the gap inf keeps the constraint, and point 0, out of reports.
             self._add(linear, lever, touch.speed, INFINITY, 0)
         return 0
