@@ -288,8 +288,7 @@ class Constraints:
     ) -> cython.int:
         """Forbid all motion towards contacts (returns too close to measure), and along their rays.
 
-        Sets the cap of the first constraint of each contact to 0, and adds a constraint with cap 0
-        in the direction of its ray.
+        The first constraint of a contact gets the cap 0, its ray a constraint with the cap 0.
         """
         i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
@@ -684,9 +683,8 @@ class Constraints:
     ) -> cython.int:
         """Add the constraints of one corner of the outline, computed by `_add_corners`.
 
-        A constraint is left out if no twist within the limits violates the constraint, or if its
-        point is not near (see `_add_corners`). The points are those of the chunk from `begin` to
-        before `end`.
+        Left out are constraints that no twist within the limits violates, and points that are not
+        near (see `_add_corners`). The points of the chunk from `begin` to before `end` count.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk

@@ -246,7 +246,8 @@ class NearObstacles:
         near_age: cython.p_double = checked(unsorted.age, count)
         near_count: cython.Py_ssize_t = 0
         nearest: cython.double = _least_of(ranges)
-        # m: the return nearest to the outline has at most this range; see `Outline.nearest_within`.
+        # m, for `min_gap`, which counts returns beyond `longest_range`, too: the return nearest to
+        # the outline has at most this range (see `Outline.nearest_within`).
         range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
         smallest_gap: cython.double = INFINITY  # of all returns
         closest_gap: cython.double = INFINITY  # of the returns up to `longest_range`
