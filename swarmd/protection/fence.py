@@ -84,8 +84,8 @@ class Fence:
     def clearances(self, places: Array) -> Array:
         """(n,) m from the circle around the axle at places (n, 2) to the fence; negative outside.
 
-        The circle holds the outline at each yaw. Outside: minus the m by which the farthest place
-        of the circle is outside.
+        The circle holds the outline at each yaw. For a place outside, the clearance is minus the
+        distance from the fence to the farthest place of the circle.
         """
         middle = places.mean(axis=0)
         spread = float(np.hypot(*(places - middle).T).max())
@@ -138,8 +138,8 @@ class Fence:
             requested: within the limits of the platform.
             context: the time, odometry and the anchor with their ages.
             command: the command in force, by which the base moves until the next command.
-            is_even: reduce all speeds by one share. A command that other constraints permit stays
-                permitted then.
+            is_even: reduce all speeds by one share. So the result still satisfies constraints that
+                the request satisfies, are convex and permit zero, as those of a mode.
         """
         if requested.is_zero or context.anchor is None or context.odometry is None:
             return requested
@@ -148,7 +148,8 @@ class Fence:
         pose, speeds, error = self._predicted(context, context.anchor, command)
         need = error + self._margin
         turn_error = context.anchor.yaw_error + ODOMETRY_SHARE
-        most = need + self._longest_stop * (1.1 + turn_error)  # a step is less than 0.2 of a stop
+        # 1.1: `_are_permitted` adds half a step, which is less than 0.1 of a stop.
+        most = need + self._longest_stop * (1.1 + turn_error)
         if self._room(pose) > most:
             return requested
 
@@ -239,7 +240,9 @@ class Fence:
         cos, sin = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
-        # 3. The bound of the error. The base may change its speed at any rate.
+        # 3. The bound of the error. Odometry is off by a share of the way, and across the way by
+        # the error of its heading, a share of the rad turned. The base may change its speed at any
+        # rate.
         change = math.hypot(twist.linear - command.linear, twist.lateral - command.lateral)
         error = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
         error += ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way
@@ -266,8 +269,9 @@ class Fence:
             turn_error: rad by which the direction of the simulated motion may be wrong.
         """
         n = len(twists)
-        # 1. Four stops: from the command with both brakes, with one ideal brake each, and from the
-        # speeds of the base.
+        # 1. Four stops: from the command with both brakes as weak as assumed, and with either brake
+        # ideal, since the path bends otherwise if a brake is stronger; and from the speeds of the
+        # base, which need not have reached the command.
         begins = np.concatenate((twists, twists, twists, np.broadcast_to(speeds, (n, 3))))
         braking = np.empty((4 * n, 2))
         braking[:] = self._braking
@@ -277,7 +281,7 @@ class Fence:
         clearance = self.clearances(places).reshape(4 * n, _STEPS)
 
         # 2. Between two steps the axle moves by half of a step away from the nearer one. Inwards:
-        # the clearance never falls, and rises as far as errors of the direction need.
+        # the clearance never falls, and rises by more than an error of the direction can feign.
         steps = np.diff(travel, axis=1, prepend=0.0)
         is_clear = clearance >= need + turn_error * travel + 0.5 * steps
         before = np.concatenate((np.full((4 * n, 1), present), clearance[:, :-1]), axis=1)
@@ -299,9 +303,10 @@ class Fence:
         turn = np.maximum(np.abs(begins[:, 2]), np.abs(commands[:, 2]))
         seconds = TICK + np.maximum(linear / braking[:, 0], turn / braking[:, 1])
         step = (seconds / _STEPS)[:, None]
-        until = step * (np.arange(_STEPS) + 0.5)  # the middle of each step
+        until = step * (np.arange(_STEPS) + 0.5)  # (n, steps) s, the middle of each step
         rates = braking[:, [0, 0, 1]][:, None, :]
-        # The speed at the middle of a step: towards the command for TICK, then towards zero.
+        # The speeds (n, steps, 3) at the middle of a step: each changes towards the command for
+        # TICK, at its braking and not beyond the command; then towards zero.
         driven = np.minimum(until, TICK)[..., None] * rates
         start, wanted = begins[:, None, :], commands[:, None, :]
         speed = start + np.clip(wanted - start, -driven, driven)
