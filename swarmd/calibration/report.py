@@ -84,7 +84,7 @@ def settings(
 
     # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:
-        # REACTION_TIME, whose module binding_range.py imports numpy.
+        # 0.05 s is REACTION_TIME of binding_range.py, which imports numpy, unlike this module.
         text = "for a response after more than 0.05 s: see the reaction delays"
         chosen.append(
             Setting("protection.barrier.margin", _up(margin.value), margin.assumed, text, True)

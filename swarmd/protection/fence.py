@@ -2,9 +2,9 @@
 
 The pose of the robot in the shared frame comes as an `Anchor`: a measured pose, and the odometry at
 that time. The fence dead-reckons the pose at which the next command takes effect, and simulates
-stops from the command. A command is permitted if the outline keeps, at each step of
-each stop, the clearance that errors and margin need. A robot that is nearer to the fence than that,
-or outside, may only drive inwards: the clearance must rise at each step. Zero is always permitted.
+stops from the command. A command is permitted if the outline keeps, at each step of each stop, the
+clearance that errors and margin need. A robot that is nearer to the fence than that, or outside,
+may only drive inwards: the clearance must rise at each step. Zero is always permitted.
 
 A circle around the axle that holds the outline stands for the outline. So a robot can turn at the
 fence, and does not stay there.
@@ -298,6 +298,7 @@ class Fence:
         `begins`: (n, 3) speeds at which the base begins. `commands`: (n, 3) towards which the base
         changes its speed for TICK. `braking`: (n, 2) m/s2 and rad/s2.
         """
+        # Each stop ends TICK and the longer of its two braking times after its begin.
         linear = np.hypot(begins[:, 0], begins[:, 1])
         linear = np.maximum(linear, np.hypot(commands[:, 0], commands[:, 1]))
         turn = np.maximum(np.abs(begins[:, 2]), np.abs(commands[:, 2]))

@@ -210,8 +210,10 @@ class Recovery:
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time.
 
-        Before a recovery this time is `patience` s, during a recovery it is shorter. A robot in a
-        passage, or a robot that creeps, is blocked only if it does not move at all.
+        The time is _TURN_BLOCKED_TIME for a request that only turns. Otherwise it is `patience` s
+        before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage the longer of
+        `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as blocked only
+        while it hardly moves.
         """
         request = self._request
         is_moving = self._is_moving(request)
