@@ -47,8 +47,8 @@ class EventLine:
 class EventFeed:
     """Turns the statuses of robots, and lists of members, into event lines.
 
-    Times are in s on one clock. `since`: s; events that are older than this when the first status
-    of their robot comes are left out.
+    Times are in s on one clock. The first status of a robot brings events from before: those older
+    than `since` s are left out.
     """
 
     def __init__(self, since: float = float("inf")) -> None:

@@ -34,7 +34,7 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
         id=os.urandom(6).hex(),
         **fields,
     )
-    return resigned(operator, goal)
+    return signed_again(operator, goal)
 
 
 def next_generation(operator: Operator, view: MembersView) -> int:
@@ -59,7 +59,7 @@ def next_generation(operator: Operator, view: MembersView) -> int:
     return greatest + 1
 
 
-def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
+def signed_again(operator: Operator, goal: Goal, **changes: Any) -> Goal:
     """The goal with changes, signed again in a secured swarm. Raises ConfigError as `next_goal`.
 
     The goal keeps its id, so that `undo` takes both versions as one goal.
