@@ -49,7 +49,7 @@ def next_generation(operator: Operator, view: MembersView) -> int:
         statuses = [member.status for member in members if member.status is not None]
         goals = [status.goal.held for status in statuses if status.goal is not None]
         signed = (held.goal.generation for held in goals if held is not None)
-        greatest = max(MAX_UNSIGNED, *signed)
+        greatest = max((MAX_UNSIGNED, *signed))  # a tuple: there may be no signed goal
     if greatest >= MAX_GENERATION:
         raise ConfigError(
             f"a robot shows a goal of the last generation, {MAX_GENERATION}; no goal can follow"

@@ -79,6 +79,8 @@ def test_a_robot_that_was_taken_over_cannot_use_up_the_generations(tmp_path: Pat
     )
     view = replace(view, goal_generation=MAX_GENERATION)
     assert next_goal(me, view, pattern="drive").generation == good.generation + 1
+    alone = replace(view_of(member_with("r2", goal_status(false))), goal_generation=MAX_GENERATION)
+    assert next_goal(me, alone, pattern="drive").generation == MAX_UNSIGNED + 1  # no signed goal
     shown = signed_goals(view, keys["anna"])
     of_r1, of_r2 = (one.status.goal for one in shown.members.values() if one.status is not None)
     assert of_r1 == goal_status(good)
