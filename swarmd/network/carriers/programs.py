@@ -73,6 +73,7 @@ class Programs:
         self._lock = threading.Lock()  # guards `_tokens`: Zenoh's threads call `_on_token`
         self._tokens: dict[str, None] = {}  # the names of programs that are alive
         liveliness = session.liveliness()
+        # indirect=False: on Zenoh's own thread. history: also tokens that were declared before.
         on_token = Callback(self._on_token, indirect=False)
         self._declared: list[Any] = [  # to undeclare at the end
             liveliness.declare_token(token(swarm, robot)),
