@@ -89,9 +89,9 @@ class OperatorAdmission:
                 robot_address = None if body.via else source
                 if not self._has_key(body.robot, robot_address, now):
                     return None
-                return body if self._trust.verifier.is_proven(body) else None
+                return body if self._trust.verifier.is_proven(body) else None  # by `Ack.proof`
             case Beacon() if body.robot in self._names:
-                self.outdated.pop(body.robot, None)
+                self.outdated.pop(body.robot, None)  # its signature is of the present roster
                 if not self._has_key(body.robot, source, now):
                     return None
                 return body if self._is_fresh(body, payload, now) else None

@@ -84,19 +84,19 @@ class RequestSender:
         other_version_timeout = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
         other_version_timeout = min(timeout, other_version_timeout)
         started = now = boottime()
-        links = self._sessions.question_links(request.verb)
+        links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
         repeat_at = now
         while missing and (time_left := started + timeout - now) > 0:
             # 1. Send to all missing robots if a repeat is due, else only to newly linked robots.
-            new_links = self._sessions.linked(links, unlinked)
-            unlinked -= new_links
+            newly_linked = self._sessions.linked(links, unlinked)
+            unlinked -= newly_linked
             is_repeat_due = now >= repeat_at
-            receivers = set(missing) - unlinked if is_repeat_due else new_links
+            receivers = set(missing) - unlinked if is_repeat_due else newly_linked
             if is_repeat_due:
                 repeat_at = now + REPEAT_PERIOD
-            if is_repeat_due or new_links:
+            if is_repeat_due or newly_linked:
                 # The age of the request at its arrival, so that a robot can refuse it as too old.
                 payload = encode(aged(request, now - started + view.round_trip))
                 # One query to all robots replaces many queries.
