@@ -16,7 +16,8 @@ from swarmd.network.operator.exit_codes import MISTAKES, code_of_outcome
 
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
-_CODES, _REFUSALS = frozenset(Code), frozenset(Refusal)
+_CODES = frozenset(Code)
+_REFUSALS = {str(refusal): refusal for refusal in Refusal}
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
@@ -147,8 +148,7 @@ class Acks:
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
         if code is not Code.APPLIED:
-            is_known = ack.refusal in _REFUSALS
-            refusal = Refusal(ack.refusal) if is_known else Refusal.OTHER_VERSION
+            refusal = _REFUSALS.get(ack.refusal or "", Refusal.OTHER_VERSION)
         reply = Reply(
             id=ack.id,
             robot=ack.robot,
