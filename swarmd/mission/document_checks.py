@@ -168,8 +168,9 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
     if sequence.then == "stay" and last.until is not None:
         text = "is the until of the last step, and then is stay; leave it out, or take end"
         yield fault_at((*place, "until"), text)
-    is_left = last.transitions is not None and sequence.then == "repeat"
-    if sequence.then != "stay" and not _can_end(last) and not is_left:
+    # The last step of a repeated sequence may also be left by a transition to another step.
+    can_be_left = last.transitions is not None and sequence.then == "repeat"
+    if sequence.then != "stay" and not _can_end(last) and not can_be_left:
         text = f"never ends, and then is {sequence.then}; give it an until, or take stay"
         yield fault_at(place, text)
 

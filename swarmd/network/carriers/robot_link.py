@@ -169,16 +169,17 @@ class Connection:
         buffer = self._received
         at = 0
         while len(buffer) - at >= _HEAD.size:
-            word, length = _HEAD.unpack_from(buffer, at)
-            if length > MAX_PAYLOAD:
+            name_size, payload_size = _HEAD.unpack_from(buffer, at)
+            if payload_size > MAX_PAYLOAD:
                 self.is_open = False
                 break
-            begin = at + _HEAD.size + word
-            if begin + length > len(buffer):
+            begin = at + _HEAD.size + name_size  # of the payload
+            end = begin + payload_size
+            if end > len(buffer):
                 break
             name = buffer[at + _HEAD.size : begin].decode(errors="replace")
-            at = begin + length
-            frames.append(Frame(name, bytes(buffer[begin:at])))
+            frames.append(Frame(name, bytes(buffer[begin:end])))
+            at = end
         del buffer[:at]
         return frames
 

@@ -528,7 +528,7 @@ class UdpCarrier:
         IPv6, another port is tried.
         """
         tries = 1 if port else 1 + _PORT_TRIES
-        for is_last in (*[False] * (tries - 1), True):
+        for attempt in range(1, tries + 1):
             host = "127.0.0.1" if self._is_dev else "0.0.0.0"
             self._own4 = self._listen(socket.AF_INET, host, port, _Way.UNICAST)
             bound = int(self._own4.getsockname()[1])
@@ -540,7 +540,7 @@ class UdpCarrier:
             except OSError as error:
                 if error.errno != errno.EADDRINUSE:  # there is no IPv6 on this machine
                     break
-                if is_last:
+                if attempt == tries:
                     raise
                 self._listeners.pop().socket.close()
         return bound

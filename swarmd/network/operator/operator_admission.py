@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from swarmd.core.bounds import keep_newest
 from swarmd.network.datagram import (
     Ack,
     Address,
@@ -129,10 +130,7 @@ class OperatorAdmission:
         if source is not None:
             self.unproven[robot] = source
             if now - self._key_asked_at.get((robot, source), -1e9) >= HINT_PERIOD:
-                self._key_asked_at.pop((robot, source), None)
-                self._key_asked_at[robot, source] = now
-                if len(self._key_asked_at) > MAX_MISSING_KEYS:
-                    del self._key_asked_at[next(iter(self._key_asked_at))]
+                keep_newest(self._key_asked_at, (robot, source), now, MAX_MISSING_KEYS)
                 self._on_missing_key(robot, source)
         return False
 

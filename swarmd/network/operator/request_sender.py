@@ -138,7 +138,7 @@ class RequestSender:
         until = boottime() + timeout
         while len(answers) < len(asked) and (time_left := until - boottime()) > 0:
             for robot in asked:
-                if robot not in answers:
+                if robot not in answers:  # `setdefault`: the first answer of a robot counts
                     self._sessions.get(robot, CONTROL, name, payload, time_left, answers.setdefault)
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(
