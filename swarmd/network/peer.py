@@ -378,22 +378,24 @@ class Peer:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
 
-        # 3. Beacon, latches, relayed stops and goals, to all (address None). The beacon goes before
-        # the latches: peers compare its digest with the digest of their own latches.
+        # 3. Beacon, latches and relayed stops, to all (address None). The beacon goes before the
+        # latches: peers compare its digest with the digest of their own latches.
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
         # Not a stop that is older than this robot's run, or was reset here (`_is_overtaken`).
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         effects.sends.extend((stop, None) for stop in stops)
-        # This robot may join the run of its goal once the goals and latches of all peers are known.
+
+        # 4. Goals: this robot may join the run of its goal once the goals and latches of all peers
+        # are known. Questions for goals are repeated if their answers are overdue.
         self._join_if_settled(now, summary, effects)
         effects.sends.extend(
             (Solicit(echo=echo, wants_goal=True), address)
             for echo, address in self._goal_sync.repeats(summary.goal, now)
         )
 
-        # 4. Ask a random member for its member list, which shows robots that are not heard here.
+        # 5. Ask a random member for its member list, which shows robots that are not heard here.
         if now >= self._lists_at:
             self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())

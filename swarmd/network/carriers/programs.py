@@ -60,10 +60,9 @@ class Programs:
     ) -> None:
         """Declare the liveliness token of `robot`, and subscribe to the tokens of programs.
 
-        A program is a Zenoh session that takes part in the swarm and is no robot.
-
-        With `takes_messages`, also subscribe to the messages of programs, and declare the publisher
-        by which `put` learns whether any program subscribes.
+        A program is a Zenoh session that takes part in the swarm and is no robot. With
+        `takes_messages`, also subscribe to the messages of programs, and declare the publisher by
+        which `publish` learns whether any program subscribes.
         """
         self._session = session
         self._swarm = swarm

@@ -256,9 +256,9 @@ class Discovery:
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        Included are all robots that are heard here or have answered. Of the other robots, which
-        only other robots hear, at most MAX_INDIRECT_DIALS are included: those that the most robots
-        report.
+        These are the robots that are heard here, and those that other robots report as alive. Of
+        the reported robots without an answer at most MAX_INDIRECT_DIALS are included: the robots
+        with the most reporters.
         """
         direct: dict[tuple[str, str], Address] = {}
         indirect: dict[tuple[str, str], Address] = {}
@@ -274,10 +274,13 @@ class Discovery:
                     group = direct if robot in self._statuses.robots else indirect
                     group[robot, best.instance] = address
         heard_here = self.heard
-        most_reported = sorted(
-            indirect, key=lambda pair: -len(self._reports.reporters(pair[0]) & heard_here)
-        )
-        return direct | {pair: indirect[pair] for pair in most_reported[:MAX_INDIRECT_DIALS]}
+
+        def count_reporters(robot_and_instance: tuple[str, str]) -> int:
+            robot, _ = robot_and_instance
+            return len(self._reports.reporters(robot) & heard_here)
+
+        most_reported = sorted(indirect, key=count_reporters, reverse=True)[:MAX_INDIRECT_DIALS]
+        return direct | {pair: indirect[pair] for pair in most_reported}
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that only other robots report, in turns of MAX_COPIES."""

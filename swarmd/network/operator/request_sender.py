@@ -99,7 +99,7 @@ class RequestSender:
             if is_repeat_due or newly_linked:
                 # The age of the request at its arrival, so that a robot can refuse it as too old.
                 payload = encode(aged(request, now - started + view.round_trip))
-                # One query to all robots replaces many queries.
+                # One query to all robots replaces many: a robot that it does not name ignores it.
                 for robot in (ANY,) if len(receivers) == len(asked) else sorted(receivers):
                     self._sessions.get(
                         robot, CONTROL, request.verb, payload, time_left, _collect(acks)
