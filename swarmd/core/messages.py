@@ -213,8 +213,10 @@ class RecordingSummary(Struct, frozen=True, kw_only=True):
 class DelayFigure(Struct, frozen=True, kw_only=True):
     """How late scans arrive, by one method: the mean age of their rays on arrival, in s.
 
-    `delay` None: unknown, for the reason in `text`. `spread`: the standard deviation of single
-    scans (method `stamps`) or of the estimate (method `turns`). `age`: s since the last sample.
+    `method`: `stamps` (stamps of scans and odometry are compared) or `turns` (while the robot
+    turns, scans are matched to the odometry). `delay` None: unknown, for the reason in `text`.
+    `spread`: the standard deviation of single scans (`stamps`) or of the estimate (`turns`). `age`:
+    s since the last sample.
     """
 
     method: Word
@@ -263,8 +265,9 @@ class SweepFigure(Struct, frozen=True, kw_only=True):
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
-    `added`: the delay beyond `declared` that protection counts. A delay beyond `bound` holds the
-    robot. `sweep`: None if the platform declares the sweep.
+    `declared`: the latency in the platform's file. `added`: the measured delay beyond `declared`,
+    which protection adds to it. The robot is held while `added` exceeds `bound`. `sweep`: None if
+    the platform declares the sweep.
     """
 
     declared: Seconds

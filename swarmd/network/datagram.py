@@ -421,7 +421,7 @@ def only_names(word: MemberList, names: Collection[str]) -> MemberList:
 def in_parts(
     members: tuple[MemberReport, ...], *, roster: tuple[str, ...] = ()
 ) -> list[tuple[tuple[MemberReport, ...], tuple[str, ...]]]:
-    """Members and names of the roster in parts, each of which fits one datagram."""
+    """Members and names of the roster in parts, within the bounds of `MemberList` and datagram."""
     parts: list[tuple[list[MemberReport], list[str]]] = [([], [])]
     room = _ROOM
     items: tuple[MemberReport | str, ...] = (*members, *roster)

@@ -124,6 +124,7 @@ class Operator:
             settings.interface_name,
             self._arrivals,
             self._take,
+            # The keys, and the checks of robots' datagrams.
             answers=None if identity is None else self._answers_for(identity),
         )
         self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
@@ -175,8 +176,9 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        `notices` gets a line for the user. Raises NetworkError if the new roster lacks the name of
-        this operator.
+        A key is missing if this operator's identity was made before a robot was added: the robot
+        then hands over the key that it shares with the operator. `notices` gets a line for the
+        user. Raises NetworkError if the new roster lacks the name of this operator.
         """
         before = self.identity
         self._rosters.update()
@@ -218,8 +220,9 @@ class Operator:
 
         The look ends after `timeout` s at the latest. With `timeout` None it ends after a time that
         follows from the round trip, and after `cap` s at the latest. `needs_status` False: a
-        robot's datagram is an answer, since its beacon has the epoch for a request. If robots are
-        missing and a robot has shown a newer roster, this method takes the roster and looks again.
+        robot's datagram is an answer, since its beacon has all that a request needs: the epoch, a
+        count of the robot's changes. If robots are missing and a robot has shown a newer roster,
+        this method takes the roster and looks again.
         """
         view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
@@ -323,13 +326,13 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `kind` and `fields`: the request; all repeats have one id. `targets`: the epoch of each
-        robot that the operator has seen. A robot whose epoch has changed since refuses the request.
-        None: no check. Returns once all robots have replied or `is_ended` returns True, and after
-        `timeout` s at the latest. `timeout` None: `least` s, longer by the round trip and the loss
-        of datagrams. A robot that is unreachable or gone counts as missing, and the request does
-        not wait for it. Raises ConfigError if the role of the own identity does not permit the
-        request: robots would refuse the request silently.
+        `kind` and `fields`: the request; all repeats have one id. `targets`: of each robot the
+        epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
+        since refuses the request. None: no check. Returns once all robots have replied or
+        `is_ended` returns True, and after `timeout` s at the latest. `timeout` None: `least` s,
+        longer by the round trip and the loss of datagrams. A robot that is unreachable or gone
+        counts as missing, and the request does not wait for it. Raises ConfigError if the role of
+        the own identity does not permit the request: robots would refuse the request silently.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -417,7 +420,7 @@ class Operator:
             on_progress=on_progress,
             is_ended=is_ended,
         )
-        with self._arrivals.lock:
+        with self._arrivals.lock:  # the warning: robots whose acks this identity cannot verify
             return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
 
     # Parts
