@@ -92,9 +92,10 @@ def check_may_write(steps: Steps) -> None:
 def keep_for_root(root: Path = Path("/")) -> None:
     """Make root the owner of the folder around the identities; nothing if this process is not root.
 
-    The account of the service owns each identity, which its daemon renews. If the account could
-    change the folder around the identities as well, its links could lead root to other files.
-    ConfigError if another user owns the daemon's folder.
+    The account of the service owns the folder of each identity, since the daemon writes renewed
+    certificates there. The folder above belongs to root: in its own folder the account could make a
+    link to any file, and `give_to_service`, which runs as root, would give that file to it.
+    ConfigError if another user than root owns /etc/swarmd.
     """
     if os.geteuid() != 0:
         return
@@ -117,8 +118,8 @@ def give_to_service(root: Path = Path("/")) -> bool:
     """Let the service's account read the daemon's file and use the identities of the machine.
 
     Returns False, and changes nothing, without such an account below `root`, without files to give,
-    or if this process is not root. ConfigError as `keep_for_root`. The account gets only files of
-    root: among its own files may be links to other files.
+    or if this process is not root. ConfigError as `keep_for_root`. A folder that the account owns
+    already is left alone: the account may have put links to other files there.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:
