@@ -94,7 +94,8 @@ class RosterService:
         """Take a roster if it is valid and newer.
 
         Returns (None, what has changed), or (refusal, the reason). The refusal NOT_WRITTEN: the
-        roster is valid, but could not be written to disk. It may then count until a restart.
+        roster is valid, but the identity's folder cannot be written: the robot uses the roster
+        until a restart. If that folder cannot be read, nothing changes.
         """
         async with self._one_at_a_time:
             if self.identity is None:
