@@ -162,9 +162,9 @@ class GoalHandler:
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.
 
-        The own goal is the greatest goal that targets this robot; here a peer sent that goal.
-        `Goals.joins` has the rules for the goal itself. During a load or a trial of new code the
-        robot does not join: the caller calls again after the end of the load or trial.
+        The own goal is the greatest goal that targets this robot. `Goals.joins` has the rules for
+        the goal itself, such as its greatest age. During a load or a trial of new code the robot
+        does not join: the caller calls again after the end of the load or trial.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         # 1. Reasons of the goal not to join: another peer may hold a greater goal that is not known
@@ -196,7 +196,8 @@ class GoalHandler:
         # 4. Run for the rest of the goal's time, which counts from the time the goal was set.
         seconds = own_goal.goal.seconds
         seconds_left = None if seconds is None else seconds - age_s
-        wish = Wish(now - age_s, own_goal.goal.text)  # the run counts as requested with the goal
+        # The run counts as requested when the goal was set: a stop issued since then ends the run.
+        wish = Wish(now - age_s, own_goal.goal.text)
         self._start(own_goal.goal, effects, wish, seconds_left, None)
 
     def _start(

@@ -105,8 +105,8 @@ class Peers:
         """Replace the bodies (size, height, speed) of all known peers, alive or gone.
 
         `bodies`: by robot; None while the peer has not reported its body. Returns the new findings:
-        properties of peers that protection does not assume, such as a body below the scan plane. A
-        finding that `holds` makes the robot stand.
+        properties of peers that contradict what protection assumes, such as a body below the scan
+        plane. A finding that `holds` makes the robot stand.
         """
         if bodies == self._bodies:
             return []
@@ -323,7 +323,8 @@ def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> Non
 def _told_within(platform: Platform) -> float:
     """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    Valid until the disc expires after TOLD_TIMEOUT. -inf in a protection mode without such discs.
+    It holds for a disc of any age up to TOLD_TIMEOUT, after which a disc is not used. -inf in a
+    protection mode that uses no discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:
@@ -335,7 +336,7 @@ def _told_within(platform: Platform) -> float:
 def _blind_within(platform: Platform) -> float:
     """The distance in m from the axle within which the lidar may lose a peer; 0 if never.
 
-    A blind zone that ends within BLIND_RING of the outline has no room for a robot: 0, too.
+    0 also if the blind zone ends within BLIND_RING of the outline: no robot fits in between.
     """
     scan = platform.scan
     outer = float(np.hypot(*(platform.footprint - scan.offset).T).max())

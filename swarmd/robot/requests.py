@@ -125,8 +125,8 @@ class RequestHandler:
         def is_older_than(wish: Wish) -> bool:
             """At equal times the first copy stops the run: in doubt the robot stops.
 
-            A later copy does not: at the time of the first copy that copy ended all runs, so a run
-            with the same time was requested after it.
+            A later copy does not: the first copy ended every run at that time, so the present run
+            was requested after the first copy.
             """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 

@@ -178,7 +178,7 @@ class Lifecycle:
         now: float,
     ) -> None:
         self.identity = identity
-        self.born = now
+        self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)  # emergency stops from the disk and since then
@@ -426,7 +426,8 @@ class Lifecycle:
     def fault(self, text: str, effects: Effects) -> None:
         """After a failure of the running pattern: restart it in a fresh host, or quarantine it.
 
-        A provisional pattern is never restarted: its first failure quarantines it.
+        A pattern of provisional (just pushed) code is never restarted: its first failure
+        quarantines it, and the daemon returns to the version before.
         """
         run = self.pattern_run
         running, loading = run.running, run.loading

@@ -168,8 +168,8 @@ class Ticker:
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
-        # 1. The hold of the sensors, and the hazard that ends a run. (Cython calls a method in C
-        #    only as `Class.method(object)`.)
+        # 1. The hold of the sensors, and the hazard that ends a run (`_ends_run`). Cython calls a
+        #    method in C only if it is written as `Class.method(object)`.
         running = run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
