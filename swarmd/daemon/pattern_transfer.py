@@ -273,10 +273,9 @@ class PatternIntake:
         )
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
-        """Take an event of the pattern host before the robot gets the event.
+        """Take an event of the pattern host, and return the event to hand to the robot.
 
-        Returns the event for the robot. None for a successful trial: the robot gets this event
-        later, once the version is on disk.
+        None for a successful trial: the robot gets this event later, once the version is on disk.
         """
         if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
             self.check_again()
@@ -356,10 +355,11 @@ takes 4 ms of a core, and an honest robot keeps only verified entries."""
 
 
 class PatternPull:
-    """Pulls missing manifests and code from peers, and serves this robot's to peers.
+    """Pulls missing manifests and code from peers, and serves its own to peers that ask.
 
-    `puller` fetches what `state` lacks, and `store` takes the code. `on_taken(robot, entry)` is
-    called when code from a peer goes into its trial. `drops` counts unreadable tables.
+    `puller` fetches the manifests and code that `state` lacks, and `store` takes the code.
+    `on_taken(robot, entry)` is called when code from a peer goes into its trial. `drops` counts
+    unreadable tables.
     """
 
     def __init__(
@@ -466,8 +466,8 @@ class PatternPull:
             for entry in new:
                 if self._state.is_trusted(entry):
                     trusted.append(entry)
-                # An issuer that is no operator any more is left out; a false signature of one that
-                # is was forged, by `robot` or before it.
+                # Without a valid signature an entry is left out. If it names a present operator, it
+                # was forged: no table of `robot` is pulled for a while.
                 elif operators is not None and entry.manifest.issuer in operators:
                     return _CheckedTable(trusted, len(new), has_false_signature=True)
             return _CheckedTable(trusted, len(new), has_false_signature=False)

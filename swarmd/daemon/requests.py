@@ -141,9 +141,9 @@ class RequestServer:
     def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
         """Send a reply to the request that waits for it, and audit the request.
 
-        A reply without such a request is dropped. `is_stored` False: the latches could not be
-        written to disk, and the text of the reply says so. `is_audited` False: the reply answers
-        only a part of a request, such as a piece of a pushed pattern.
+        A reply without such a request is dropped. `is_stored` False: the latches or the goals could
+        not be written to disk, and the text of the reply says so. `is_audited` False: the reply
+        answers only a part of a request, such as a piece of a pushed pattern.
         """
         pending = self._pending.pop(reply.id, None)
         if pending is None:
@@ -252,9 +252,10 @@ class RequestServer:
                 self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:
-        """Keep a reply for repeats; True for a repeat, which is not audited again.
+        """Keep a reply for repeats of its request; True if a request of this id had a reply before.
 
-        A failure after an earlier reply of the same id is no repeat.
+        Such a repeat is not audited again, except a stop that fails after earlier success: the
+        failure must be in the audit log.
         """
         earlier = self._replies.get(reply.id)
         keep_newest(self._replies, reply.id, reply, MAX_REPLIES)

@@ -28,9 +28,10 @@ log = logging.getLogger(__name__)
 
 
 class RosterService:
-    """The roster of one daemon. `on_taken` applies a new roster; called on the loop.
+    """The roster of one daemon, which takes one new roster at a time.
 
-    Rosters are taken in turn. `drops` counts rosters whose handling raised an error.
+    `on_taken` is called on the loop with each new roster; the daemon applies it there. `drops`
+    counts rosters whose handling raised an error.
     """
 
     def __init__(
