@@ -195,7 +195,8 @@ def bundle(
 def list_(options: CommonOptions) -> None:
     """List the names of the roster, and how long their newest certificates last.
 
-    GENERATION: the newest roster that a name surely has, from its bundle or taken since.
+    GENERATION: of the newest roster that a name is known to have: that of its last bundle, or one
+    that the robot has acknowledged since.
     """
     authority = open_authority(options.swarm)
     roster, now = authority.roster, time.time()

@@ -43,9 +43,8 @@ def _show(
 ) -> NoReturn:
     """Print the parameters of running patterns. The exit code is 0 if all targets have answered.
 
-    `view`: the answers of the robots to a query.
-    `keys`: the names of the parameters to print; empty for all. UsageError for a name that the
-    pattern of no robot has.
+    `view`: the answers of the robots to a query. `keys`: the names of the parameters to print;
+    empty for all. UsageError for a name that the pattern of no robot has.
     """
     # 1. The parameters by robot, and those to print. Targets without names: all members.
     targeted = robots_of(view, targets, view.members)

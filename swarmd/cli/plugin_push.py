@@ -347,7 +347,7 @@ class _Pusher:
         issuer = operator.name[:MAX_NAME] if identity is None else identity.name
         manifest = PatternManifest(
             swarm=operator.settings.swarm,
-            name=self._name,
+            name=self._name,  # of a removal; a push has the name in its source
             generation=generation,
             issuer=issuer,
             targets=targets,

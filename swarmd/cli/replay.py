@@ -49,7 +49,7 @@ def replay(
 
     # 1. The recordings, each a list of files, and the code of the patterns.
     recordings = recordings_of(_files(files))
-    robots = {parts[0].about.get("robot") for parts in recordings}  # of the head of the first file
+    robots = {parts[0].about.get("robot") for parts in recordings}  # heads of their first files
     if len(robots) > 1:
         raise click.UsageError(f"the files are of {len(robots)} robots; give those of one")
     origins = pattern_names(plugin_dir)

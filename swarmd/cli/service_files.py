@@ -55,9 +55,10 @@ class Steps:
             shutil.rmtree(there) if there.is_dir() else there.unlink()
 
     def run(self, name: str, *words: str, otherwise: str) -> bool:
-        """Run a program on the root folder; prints the line `otherwise` if it is not installed.
+        """Run a program, with `--root` for another root folder than `/`; True if it has run.
 
-        True if the program has run, False if it is not installed. Failure if it ends with an error.
+        If the program is not installed: prints the line `otherwise`, and returns False. Failure if
+        the program ends with an error.
         """
         if shutil.which(name) is None:
             click.echo(f"skip {name}: it is not on this machine; {otherwise}")
@@ -93,8 +94,8 @@ def keep_for_root(root: Path = Path("/")) -> None:
     """Make root the owner of the folder around the identities; nothing if this process is not root.
 
     The account of the service owns the folder of each identity, since the daemon writes renewed
-    certificates there. The folder above belongs to root: in its own folder the account could make a
-    link to any file, and `give_to_service`, which runs as root, would give that file to it.
+    certificates there. The folder above must belong to root: else the account could put a link to
+    any file there, and `give_to_service`, which runs as root, would give the account that file.
     ConfigError if another user than root owns /etc/swarmd.
     """
     if os.geteuid() != 0:

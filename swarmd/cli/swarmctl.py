@@ -239,8 +239,8 @@ def run_cli(
         sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED_PIPE
-    # 3. The name of a file is no text: `as_text` says which. Another text that cannot be encoded
-    #    is a fault of the program: the error goes on.
+    # 3. A file name that is not UTF-8 cannot be written as JSON; `as_text` says which name. Any
+    #    other text that cannot be encoded is a fault of the program, whose error is not caught.
     except UnicodeEncodeError as error:
         try:
             as_text(error.object)  # ConfigError if the object is no text
