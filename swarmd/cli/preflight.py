@@ -100,10 +100,11 @@ def fence_settings_text(fence: FenceSettings) -> str:
 
 
 def peers_text(settings: DaemonSettings) -> str:
-    """The platforms that come with swarmd beside which this robot must stand, as text.
+    """The platforms of swarmd whose robots make this robot stand when they are near, as text.
 
-    The platforms of the real peers are unknown, since the roster has only names. An accepted
-    platform may be a file of another robot, so that an unknown platform is no fault.
+    The platforms of the real peers are unknown, since the roster has only names. The settings
+    `accepts_unseen` and `accepts_faster` may name platforms that swarmd lacks, such as a file on
+    another robot, so such a name is no fault.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []
@@ -177,7 +178,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     """
     try:
         origins = pattern_names(settings.plugin_dir)
-        in_plugin_dir = pattern_names(settings.plugin_dir, {})
+        in_plugin_dir = pattern_names(settings.plugin_dir, installed={})  # without packages
         rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
     except SwarmError as error:
         yield Finding("patterns", False, str(error))

@@ -159,7 +159,7 @@ class Daemon:
             platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
             settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
-        self._active_until = -math.inf  # s until which the last event keeps the full tick rate
+        self._active_until = -math.inf  # s; until then the timer ticks at the full rate
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None  # the first error that ends the daemon
@@ -171,10 +171,10 @@ class Daemon:
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
-        self._provisional: tuple[int, ...] = ()  # generations of runs of code just pushed
+        self._provisional: tuple[int, ...] = ()  # generations of loads of provisional code
         self._shown_scan = -1  # sequence number of the last scan that was published for viewers
         folder = settings.state_dir / settings.network.swarm / settings.id
-        self._begin_records(folder)
+        self._begin_records(folder)  # first; each part uses the parts before it
         self._begin_code(folder)
         self._begin_network()
         self._begin_requests()
@@ -319,7 +319,7 @@ class Daemon:
             if self._crash is not None:
                 raise self._crash
         finally:
-            # 2. Leave. A robot that has not joined the network so far must not join any more.
+            # 2. Leave. A join still under way ends first: it would go on while `_leave` closes.
             self._notify("STOPPING=1")
             if not self._has_joined:
                 await _end(life)
@@ -330,7 +330,7 @@ class Daemon:
                     await _end(task)
                 await self._goals.close()
                 await self._pattern_versions.close()
-        if self._crash is not None:  # during `_leave`
+        if self._crash is not None:  # `_leave` crashed after a clean `stop`
             raise self._crash
 
     # Start and end
@@ -582,8 +582,7 @@ class Daemon:
     def _on_tick(self) -> None:
         """Step the robot by time, and do the periodic work whose time has come.
 
-        The timer calls this once each period (a twentieth of a second), and between two periods if
-        the robot asked for it.
+        The timer calls this each period (1/20 s), and between two periods if the robot asked.
         """
         periods_before, self._periods = self._periods, self._timer.periods
 
@@ -599,7 +598,7 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
-        # 3. The network.
+        # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
@@ -607,7 +606,7 @@ class Daemon:
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
             self._publish_motion()
-        # 4. Log, disk, CPU use and neighbors.
+        # 4. Log, disk (if latches could not be written), CPU use, neighbors, systemd's watchdog.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # blocks the loop, so never during a run
@@ -659,13 +658,13 @@ class Daemon:
         """Carry out what the robot wants after an input, the command to the base first.
 
         `may_repeat` False: a command that equals the last command is not sent again. Latches are on
-        disk before any reply is sent. A task writes goals.
+        disk before any reply is sent; a task writes the goals.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:  # nothing but a command
             return
         robot = self._robot
-        # 1. Disk, pattern host and gripper.
+        # 1. Disk, pattern host (`trial`: a second host, for the trial of new code) and gripper.
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
@@ -686,9 +685,9 @@ class Daemon:
                 self._shown_status = self._status()
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-        # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
-        # restart the robot must not join a goal that this request has ended. No wait while the
-        # robot runs (no goal was ended), or holds a latch (which forbids a run).
+        # 3. Replies. A goal that a stop or reset has ended must stay ended after a restart: the
+        # reply waits until the goals are on disk. It need not wait while the robot runs (no goal
+        # was ended) or holds a latch (already on disk, and no goal is joined).
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:

@@ -43,9 +43,9 @@ class StopCounters(Struct, frozen=True):
 class DatagramGuard:
     """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    `counters`: the file with the greatest counters of stops (`StopCounters`). `on_event` takes a
-    line for the log. `on_newer_roster` takes robot name, address and roster generation of an
-    unverified beacon that shows a newer roster.
+    A stop carries a counter that rises with each stop of an operator. A new stop with a much lower
+    counter than the greatest heard so far is refused as a replay (`StopFreshness`). The file
+    `counters` keeps the greatest counters across restarts.
     """
 
     def __init__(
@@ -59,10 +59,11 @@ class DatagramGuard:
         on_event: Callable[[str], None],
         on_newer_roster: Callable[[str, Address, int], None],
     ) -> None:
-        """Read the counters of stops from the file `counters`.
+        """Read the greatest counters of stops from the file `counters`.
 
         `lease`: s of silence after which a peer has failed. `on_event(text)`: a warning for the
-        operator. `on_newer_roster(robot, address, generation)`: a peer may have a newer roster.
+        operator. `on_newer_roster(robot, address, generation)`: a beacon, which the present keys
+        cannot verify, shows a newer roster.
         """
         self._identity = identity
         self._tag = tag
@@ -75,14 +76,19 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
-        # By host: limits how often a hint (a datagram of a newer roster) leads to a question.
+        # A hint is such a beacon of a newer roster. `_asks` limits, by host, how often it leads to
+        # a query, since anyone can send hints.
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
-        self._noticed_at = self._replay_at = -1e9  # s; the last warnings of flaws and of replays
+        self._noticed_at = -1e9  # s; the last warning of refused datagrams; -1e9: none so far
+        self._replay_at = -1e9  # s; the last warning of a replayed stop
+        # Decides which robots count as members, and which stops are replays.
         self.admission = Admission(
             identity.name,
             identity.roster.robots,
             lease,
-            lambda: secrets.randbits(53) or 1,  # echoes of questions; 0 means no question
+            # The number of a question to a peer. The answer repeats it, so that no old answer is
+            # taken for it. 0 means no question.
+            lambda: secrets.randbits(53) or 1,
             self._written,
         )
 

@@ -296,9 +296,10 @@ class Recorder:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
-        """Count dropped entries. The next scan gets its geometry, and the memory is recorded anew.
+        """Count dropped entries, and let the recording begin anew after the gap.
 
-        From that memory a replay can continue after the gap.
+        The memory (whole state) of the robot is recorded at the next step: a replay continues from
+        there. The next scan is recorded with its geometry (bearings), which the gap may have lost.
         """
         self._scans = {}
         self._is_memory_due = True

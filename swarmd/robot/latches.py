@@ -26,8 +26,9 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 class Latches:
     """The held latches (emergency stops that hold the robot) by id, and the ids that were reset.
 
-    A peer may still report a latch that was reset on this robot: the reset id keeps that latch
-    away. An estop request with a reset id latches again, since a stop is always obeyed.
+    A peer that missed the reset may still report a latch that was reset here: a latch with the id
+    of a reset latch is not adopted from a peer. But an estop request of an operator latches even
+    with such an id, since a stop is always obeyed.
     """
 
     def __init__(self, record: LatchRecord | None = None) -> None:

@@ -35,7 +35,7 @@ class Loading:
     `seconds`: the longest time of the run; None without a limit. `since`: start of the load, s on
     the own clock. `request`: answered once the pattern runs; None without a request. `until`:
     conditions; the first that holds ends the run. `goal`: the goal of the run, None without a goal.
-    `start_at`: the run begins not before this time, s on the own clock. `loaded`: the host's
+    `start_at`: the run does not begin before this time, s on the own clock. `loaded`: the host's
     answer, kept until `start_at`.
     """
 

@@ -424,10 +424,10 @@ class Robot(Ticker):
             )
 
     def _has_new_status(self, now: float) -> bool:
-        """True if the status must be published at `now`; the caller then publishes the status.
+        """True if the status must be published at `now`; the caller must then publish it.
 
-        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. The
-        function notes the values and the time of a status that is due as published, and clears
+        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. A status
+        that is due counts as published by this call, so that the next call returns False. Clears
         `_is_status_due`: the flag that something may have changed.
         """
         self._is_status_due = False

@@ -139,7 +139,7 @@ class StateMachine(StateField):
         """Change state, reason and detail by a trigger.
 
         If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
-        the trigger for this state.
+        the trigger for this state: then the newer reason says more, such as a second stop.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -178,7 +178,7 @@ class Lifecycle:
         now: float,
     ) -> None:
         self.identity = identity
-        self.born = now
+        self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)  # emergency stops from the disk and since then
@@ -192,9 +192,10 @@ class Lifecycle:
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: PendingParams | None = None  # that the pattern has not answered
         self.trial: Trial | None = None  # the present trial of new code
-        self.hold_since = math.inf  # s, own clock; inf without a hold
+        self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
-        self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
+        # Generations (numbers of loads) of pushed code that a fault would replace.
+        self.provisional: tuple[int, ...] = ()
         self._last_fault_text = ""  # of the pattern
         self._load_command: host_messages.Load | None = None  # the last sent
         if self.latches.held:
@@ -309,7 +310,8 @@ class Lifecycle:
         """Enter state running with the pattern that the host has loaded.
 
         A restart after a failure continues the failed run; any other load begins a new run. Both
-        get a new permit: exceptions of this pattern that protection respects, such as a touch zone.
+        get a new permit: what protection may do and allow for this pattern, such as a touch zone,
+        or scans that are later than the platform permits (`scan_delay`).
         """
         now = effects.now
         loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
@@ -424,7 +426,8 @@ class Lifecycle:
     def fault(self, text: str, effects: Effects) -> None:
         """After a failure of the running pattern: restart it in a fresh host, or quarantine it.
 
-        A provisional pattern is never restarted: its first failure quarantines it.
+        A pattern of provisional (just pushed) code is never restarted: its first failure
+        quarantines it, and the daemon returns to the version before.
         """
         run = self.pattern_run
         running, loading = run.running, run.loading
@@ -476,10 +479,10 @@ class Lifecycle:
     ) -> None:
         """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        A load (of the next run) ends, too. Exception: a load that an operator requested continues
-        if `keeps_load`, or if the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the
-        end of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose
-        load or trial ends is refused as `overtaken`.
+        A load of the next run ends, too, unless an operator requested it, and either `keeps_load`
+        is True or the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the end of its
+        time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or trial
+        ends is refused as `overtaken`.
         """
         # 1. The run and the load.
         loading = self.pattern_run.loading
@@ -510,7 +513,7 @@ class Lifecycle:
         # 4. The goals, the log, and the end of the run as an effect.
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
-        if reason in _BARS_GOALS:
+        if reason in _BARS_GOALS:  # the robot joins no goal that was set before this stop
             self.goals.bar(effects.now)
         if self.state_machine.state is not state_before:
             self.log(end_text, effects.now)
@@ -625,7 +628,7 @@ class Lifecycle:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
         Requests that quote an earlier epoch are refused from now on. An idle robot without a load
-        or trial stays idle: a busy computer stalls most while the daemon starts.
+        or trial stays idle: stalls are common while the daemon starts, and it needs no reset then.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
@@ -689,6 +692,7 @@ class Lifecycle:
         #    loaded yet times out.
         loading = run.loading
         if loading is not None and loading.loaded is not None:
+            # A timer that wakes at `start_at` may be early by a rounding error.
             if loading.start_at is None or now >= loading.start_at - ROUNDING:
                 self._on_loaded(loading.loaded, effects)
         elif loading is not None and now - loading.since >= LOAD_TIMEOUT:

@@ -44,9 +44,9 @@ def make_status(
 ) -> Status:
     """The status that a robot publishes, in the bounds of the message: long texts are cut.
 
-    `duty`: counts the ticks with active protection. `now` and all times of the lifecycle are in s
-    on the own clock; the status contains durations in s. The daemon adds the health of its own
-    loop.
+    `duty`: the share of the run's ticks in which protection was active. `now` and all times of the
+    lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
+    health of its own loop.
     """
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
@@ -60,8 +60,9 @@ def make_status(
         detail = sensors.fence_text(now)[:MAX_VALUE]
     elif reason is Reason.HAZARD and lifecycle.is_running:
         detail = sensors.hazard_text(now)[:MAX_VALUE]
-    param_sources = {} if running is None else running.values
-    params = {name: Param(value=value, source=src) for name, (value, src) in param_sources.items()}
+    # By parameter: its value, and the source of the value, such as `platform` or `request`.
+    param_values = {} if running is None else running.values
+    params = {name: Param(value=value, source=src) for name, (value, src) in param_values.items()}
     dropped_messages = {
         "msg:inbox_full": sensors.overflowed,
         "msg:not_a_neighbor": sensors.rejected,

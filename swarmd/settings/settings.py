@@ -125,7 +125,7 @@ def load_daemon_settings(
     if file.fence is not None and (text := fence_fault(file.fence, platform)):
         raise layers.error(("fence",), f"fence {text}")
 
-    # 3. Folders, and the inputs that the driver's options add.
+    # 3. Folders, and the inputs that the driver's options add, such as the readings of topics.
     state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
     state_dir = state_dir or state_folder(environ)
     recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
@@ -134,11 +134,12 @@ def load_daemon_settings(
     platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
-        network=msgspec.convert(file, NetworkSettings, from_attributes=True),
+        network=msgspec.convert(file, NetworkSettings, from_attributes=True),  # fields of its names
         platform=platform,
         platform_name=_absolute(file.platform, folder),
         driver=file.driver,
         driver_options=options,
+        # `members`, `robots`: `labels` and `roster` of the file, with all ranges expanded.
         labels=tuple(label for label, robots in file.members.items() if robot in robots),
         label_members=file.members,
         parameters=file.parameters,
@@ -199,7 +200,7 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 
 
 def _inputs_of(options: Mapping[str, Value]) -> set[str]:
-    """The inputs for patterns that a driver with these options provides beside the platform's.
+    """The inputs for patterns that a driver with these options adds to those of the platform.
 
     An entry of `readings` with a list of topics, or with a `count`, gives several sensors.
     """

@@ -94,9 +94,10 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`, `accepts_faster`: platforms whose robots may drive beside a robot that does
-      not see them (`accepts_unseen`), or that assumes a lower speed (`accepts_faster`). A list of
-      platforms, or reasons by platform. Robots may collide with robots of these platforms.
+    - `accepts_unseen`: platforms that the lidar of other robots misses, as it passes over or under.
+      Normally a robot stands near such a peer; with this key it drives, and may collide with it.
+      `accepts_faster`: the same for platforms that are faster than the barrier assumes. Both: a
+      list of platforms, or reasons by platform.
     - `fence`: the area in a shared frame that robots do not leave.
     """
 
