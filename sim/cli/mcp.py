@@ -114,7 +114,11 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         )
     rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
 
-    def operator(tell: Tell) -> Operator:
+    def operator(_: Tell) -> Operator:
+        """A new operator of the connection's pool, with the present files of roster and identity.
+
+        The argument would print notes on the connection, for which an agent has no terminal.
+        """
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
@@ -146,7 +150,7 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
-    arguments_of: dict[str, type[msgspec.Struct]] = {}
+    arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
@@ -156,7 +160,8 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
                 try:
                     msgspec.convert(arguments, expected)
                 except msgspec.ValidationError as error:
-                    text = _cut(f"{'nothing was sent: ' * (name in COMMANDS)}{error}")
+                    prefix = "nothing was sent: " if name in COMMANDS else ""
+                    text = _cut(f"{prefix}{error}")
                     raise ToolError(f"Error executing tool {name}: {text}") from error
             return await super().call_tool(name, arguments, context)
 
@@ -200,7 +205,7 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """Simulates a run in a scenario that is known to be like the place of the robots."""
+    """Simulates a run, before robots do it, in a scenario that is like the place of the robots."""
 
     scenario: Scenario
     name: str
@@ -213,10 +218,10 @@ class Rehearsal:
     def simulate(
         self, pattern: str, params: Mapping[str, Any], seconds: float, cancelled: threading.Event
     ) -> Answer:
-        """Simulate one run of `seconds` s, at most REHEARSAL; returns its metrics.
+        """Simulate one run of `seconds` s, limited to REHEARSAL s; returns its metrics.
 
-        SwarmError if a metric is beyond its bound in _SAFE, and soon after `cancelled` is set.
-        Blocks until the run has ended.
+        Blocks until the run has ended. SwarmError if a metric exceeds its bound in _SAFE, so that
+        the robots do not run the pattern. SwarmError also soon after `cancelled` is set.
         """
         duration = min(seconds, REHEARSAL)
         variant = _variant(self.scenario, duration, pattern, params)
@@ -239,8 +244,8 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    A run is sent only if no stop came since the agent asked for it: neither by this server nor, as
-    far as their status tells, by anybody else to one of its robots.
+    With a rehearsal, a run is sent only if no stop came while the rehearsal lasted: neither a stop
+    by this server, nor one by anybody else that a status of a robot shows.
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
@@ -359,13 +364,16 @@ class SwarmTools:
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
-            stops = self._stops
+            # A stop during the rehearsal takes precedence over the run: a stop by this server
+            # counts in `_stops`, a stop by others changes the epochs of robots.
+            stops_before = self._stops
             async with self._simulating:
-                epochs = await self._epochs()
+                epochs_before = await self._epochs()
                 rehearsal = await _cancellable(
                     partial(self._rehearse, pattern, params or {}, seconds)
                 )
-            self._check_unstopped(stops, epochs, await self._epochs())
+            self._check_unstopped(stops_before, epochs_before, await self._epochs())
+        # `lease`: robots stop by themselves if this server renews the run no more.
         outcome = await self._swarm.run(
             pattern, robots, params=params, seconds=seconds, lease=LEASE
         )
@@ -461,8 +469,8 @@ def _variant(
 ) -> Scenario:
     """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
 
-    Events after the end are left out. `params` takes the place of all parameters of the scenario,
-    which belong to other patterns, or differ from those of the run.
+    Events after the end are left out. `params` are parameters of `pattern`, and take the place of
+    all parameters in the scenario, which are for the patterns that `pattern` replaces.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 

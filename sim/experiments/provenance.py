@@ -90,7 +90,7 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
 
 
 def git_state(folder: Path) -> GitState | None:
-    """The commit of the git checkout that tracks files of `folder`, and whether files differ.
+    """The commit of the git checkout that tracks files of `folder`, and whether files have changed.
 
     None if no checkout tracks files of the folder, if git is missing, or if the checkout's
     configuration has a filter program that cannot be switched off.

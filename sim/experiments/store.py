@@ -89,7 +89,9 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     rows: dict[str, Row] = {}
     try:
         columns = tuple(next(reader, ()))
-        metrics = columns[len(header(plan, ())) - 1 : -1]  # between `seed` and `wall`
+        # The metrics stand between `seed` and `wall`, the last column.
+        first_metric = len(header(plan, ())) - 1
+        metrics = columns[first_metric:-1]
         if columns != header(plan, metrics) or len(set(columns)) < len(columns):
             raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:

@@ -185,6 +185,7 @@ def _aim(
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0, 0.0
     longest = max(extent.width, extent.height)
+    # MuJoCo draws what is between znear and zfar from the camera, both in units of `stat.extent`.
     model.stat.extent = longest
     model.vis.map.znear, model.vis.map.zfar = 0.01, 50.0
     if kind == "top":

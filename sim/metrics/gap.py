@@ -24,7 +24,8 @@ _ROUNDING = 1e-12
 def minimum_gap(trace: Trace) -> float:
     """The smallest distance in m between two robots' footprints; inf for a single robot.
 
-    Exact at the trace's instants; 0 if footprints touch or overlap. Distance of convex polygons and
+    Between instants of the trace it may be smaller. 0 if footprints touch or overlap. Distance of
+    convex polygons and
     separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9.
     """
     best = np.inf

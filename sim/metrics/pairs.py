@@ -71,8 +71,8 @@ def chosen(pairs: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
 def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
     """(T, n) distance in m from each point of `place` (T, n, 2) to its nearest neighbor.
 
-    Neighbors are the points of the same instant for which `is_in` (T, n) is true. NaN for a point
-    for which `is_in` is false, inf for a point without a neighbor.
+    `is_in` (T, n): whether a point counts at an instant. Neighbors are the other points that count
+    at the same instant. NaN for a point that does not count, inf for a point without a neighbor.
     """
     best = np.where(is_in, np.inf, np.nan)
     for span in spans(*place.shape[:2]):

@@ -2,9 +2,9 @@
 
 A suffix names statistics: `report:KEY.ROBOTS_TIME`, `report:KEY.ROBOTS` or `report:KEY.TIME`. The
 values of the robots are first combined over the robots (ROBOTS: mean, median, min, max, std, sum;
-default mean), then over time (TIME: start, end, late, mean, min, max, std; default late). A word
-that is in both lists is ROBOTS. Examples: `report:value`, `report:value.max`,
-`reading:battery.min_end`.
+default mean), then over time (TIME: start, end, late, mean, min, max, std; default late, the mean
+of the last 60 s). A word that is in both lists is ROBOTS. Examples: `report:value`,
+`report:value.max`, `reading:battery.min_end`.
 
 With TEXT the value of a robot is 1 while it reports this text, else 0: `report:state=wait` is the
 share of the robots that wait. A reading has no TEXT. Only present robots with a value of KEY count.
@@ -57,7 +57,7 @@ def reported_metric(name: str, report_units: Mapping[str, str]) -> Metric:
 
     `report_units`: units by the keys of reports.
     """
-    parts = _parts(name)
+    parts = _parts(name)  # key, text, and the statistics over robots and over time
     is_report = parts.prefix == _REPORT
 
     def series(trace: Trace) -> Array | None:

@@ -239,8 +239,8 @@ def _explanation(
 ) -> str:
     """The text below a figure that explains lines and bands.
 
-    `runs_of_variants`: the runs of each line. `variants`: the number of variants, by which the
-    figure draws all, some or no bands.
+    `runs_of_variants`: the runs of each line. `variants`: the number of variants; the figure has
+    both bands up to _MAX_INNER, the wide band up to _MAX_OUTER, and no band for more.
     """
     counts = [len(runs) for runs in runs_of_variants]
     runs_text = f", n = {counts[0]}" if len(counts) == 1 and counts[0] > 1 else ""
@@ -275,8 +275,8 @@ def bands_of(runs: Sequence[Series]) -> Bands:
     """The median of runs over time, a band that holds half of the runs, and a wide band.
 
     The wide band holds 95 % of the runs, or all runs if there are fewer than MANY_RUNS. Runs are
-    interpolated at common instants; a metric that is a count keeps its last value instead. A run
-    has no value after its end, and infinite values are left out.
+    interpolated at common instants. If all values are whole numbers, the last value before each
+    instant is taken instead. A run has no value after its end, and infinite values are left out.
     """
     t = _common_instants([instants for instants, _ in runs])
     value_at = _held if is_count(runs) else _interpolated

@@ -216,8 +216,9 @@ def facets_of(
     """The facet of each variant, by the variant's name: its panel, and its label in the panel.
 
     `key`: a swept key, or the last word of a swept key; each value of this key has a panel. None:
-    all variants are in one panel. `alone`: the label of a single variant in a panel. `labels`:
-    texts for swept keys. ConfigError with the nearest key if `key` was not swept.
+    all variants are in one panel. `alone`: the label if a panel has one variant. `labels`: by swept
+    key or its last word, the text in place of the key. ConfigError with the nearest key if `key`
+    was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:

@@ -63,7 +63,7 @@ def start_and_end_figure(
     figure = new_figure(*size, is_map=True)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
 
-    # 2. Start and end.
+    # 2. Start and end, each as a trace of one instant.
     instants = ((first(trace), "start"), (last(trace), f"end, {trace.duration:.0f} s"))
     for axes, (part, name) in zip(grid.flat, instants, strict=True):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, link_m)

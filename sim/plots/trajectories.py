@@ -80,7 +80,7 @@ def trajectories_figure(
         figure.legend(handles, labels, loc="outside lower center", ncols=3, **style)
     elif paths is None:
         axes.legend(handles, labels, loc="center left", bbox_to_anchor=(1.01, 0.5), **style)
-    else:
+    else:  # paths of many robots, coloured by time
         figure.legend(handles, labels, loc="outside lower center", ncols=_COLUMNS, **style)
         bar = figure.colorbar(paths, ax=axes, label="time [s]", shrink=0.7, aspect=35)
         bar.ax.tick_params(labelsize=9)
