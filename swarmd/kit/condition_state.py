@@ -15,7 +15,7 @@ from swarmd.core.numbers import read_number
 from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan
 from swarmd.kit import conditions
 
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # s: sums of steps end a little before a round time
 
 
 class Observation(Struct, frozen=True):

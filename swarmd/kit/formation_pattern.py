@@ -200,6 +200,7 @@ class FormationPattern(MovementPattern[F]):
         is_new_scan = scan.seq != self._seq
         if is_new_scan:
             self._seq = scan.seq
+            # Ranges are from the lidar, and the base may be nearer to a point by the offset.
             obstacle_reach = params.clearance + params.brake + math.hypot(*offset)
             points = closest_points(scan, within=obstacle_reach).tolist()
             self._points = NearPoints(polar_from_base(points, offset))

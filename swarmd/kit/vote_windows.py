@@ -91,15 +91,15 @@ class Rounds:
 
     1. A round lasts at least `pause` s and at most `length` s. In between, the round ends as soon
        as no robot heard in the last `expiry` s is in an earlier round.
-    2. A robot one round ahead counts with its previous vote, which its message repeats. Robots
-       further ahead do not count.
+    2. A robot that is one round ahead counts with its vote of this round: its messages hold both
+       votes. Robots further ahead do not count.
     3. If more than half of the robots are further ahead, this robot has fallen behind, and jumps to
        their median round.
 
     So a lost message, a robot that left, and a robot that sends arbitrary rounds block no robot.
 
     Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
-    acknowledgements, votes are repeated and hold the previous vote.
+    acknowledgements, votes are repeated, together with the previous vote.
     """
 
     def __init__(
