@@ -72,7 +72,7 @@ class LiveTimeline:
         present = set(self._fleet.robots)
         robots = tuple(robot for robot in event.robots if robot in present)
         match event.action:
-            case "place" if event.pose is not None:
+            case "place" if event.pose is not None:  # always given, for type checkers
                 self._world.place(event.box, event.pose)
             case "remove" if event.box:
                 self._world.remove(event.box)
@@ -226,8 +226,8 @@ class DemoRun:
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
         """Carry out events and show the robots until the recording is complete.
 
-        `statuses`: of the robots at the start. `since`: the simulated time in s of the start, since
-        earlier states may belong to an earlier recording.
+        `statuses`: of the robots at the start. `since`: the simulated time in s of the start;
+        states with an earlier time are ignored, since they may belong to an earlier recording.
         """
         state = self._watcher.wait(since=since)
         next_query = 0.0
@@ -304,6 +304,7 @@ class DemoRun:
             layout=spec.layout,
             seed=spec.seed,
             seconds_to_moving=None if all_moved_at is None else round(all_moved_at - began, 2),
+            # Whether protection runs compiled or interpreted, as each daemon states.
             kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
             numbers=numbers,
             problems=tuple(problems),

@@ -30,7 +30,7 @@ class Schedules:
     """A periodic job for each of n robots, with a rate and a phase of its own."""
 
     def __init__(self, rates: Array, begins: Array | None = None) -> None:
-        """`rates` (n,) in Hz. `begins` (n,) in s: a time of each job; None: all at 0.
+        """`rates` (n,) in Hz. `begins` (n,) in s: a time at which each job is due; None: 0.
 
         Two schedules with equal begins have common times. So a tick and a scan of a robot fall on
         one step where the rates allow this, and the robot's data are still in the processor's

@@ -185,7 +185,7 @@ class Radio:
     ) -> None:
         """Put flights in transit; the flights of a sender must be in the order of sending.
 
-        `own`: the rows of the receivers that this process simulates; None: all.
+        `own`: selects the receivers that this process simulates; by default all.
         """
         for at, rank, hearers, row, name, value in flights:
             self._in_flight.put(at, (own(hearers), row, name, value), rank)
