@@ -84,7 +84,8 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
         robot: equipped[platform_name(file.groups[group].platform)]
         for robot, group in sorted(group_of.items())
     }
-    return Groups(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
+    platform_files = {name: data for name, (_, data) in platforms.items()}
+    return Groups(robots, groups, group_of, platform_files)
 
 
 def platform_name(text: str) -> str:

@@ -137,8 +137,9 @@ def _overridden(
 ) -> Scenario:
     """The checked scenario of data and overrides.
 
-    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key, which
-    errors call `override_source`. `default_name`: the name of a scenario that gives none.
+    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key; an
+    error in a value begins with `override_source`. `default_name`: the name of a scenario that
+    gives none.
     """
     # 1. The data of the file, after the overrides. `without_stale` drops start keys that do not fit
     # the layout of a stronger source.
@@ -165,7 +166,8 @@ def _overridden(
     configured = configured_parameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else user_path(file.plugin_dir).absolute()
     check_patterns(layers, file, schedule, groups, configured, plugin_dir)
-    realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
+    realism_source = str(layers.error(("realism",), "realism"))  # `<file>: realism`, for errors
+    realism = realism_of(file.realism, realism_source)
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
         pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
     # 3. The complete configuration in plain values, which needs no further file.
