@@ -88,7 +88,7 @@ class ContactReader:
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
-        """The contact points of robots in the last step, with the speed of each surface.
+        """The contact points of robots in the last step, with the speeds towards each other.
 
         `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
         detects contacts there, before the solver stops the colliding bodies.

@@ -2,7 +2,8 @@
 
 Drift and height error are processes with a memory of _MEMORY s (Ornstein-Uhlenbeck), cut at two
 standard deviations. A body that hovers has `body: {drift: ..., height_error: ...}`, the standard
-deviations in m/s and m. The world stays planar: the height is a reading and moves no beam.
+deviations in m/s and m. The world stays planar: the height is only a reading, and beams stay in
+their plane.
 """
 
 from __future__ import annotations

@@ -55,6 +55,7 @@ class Items:
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
         # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
         mass = np.array([kind.mass or 0.0 for kind in kinds])
+        # A puck is a round disc of the diameter `size`: m r^2 / 2 about its middle.
         inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
         self._is_flat = (mass == 0.0)[self._kind_of]
         self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)

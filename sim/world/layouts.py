@@ -188,7 +188,7 @@ def chain(
             # `_place_each` sets the pose of a robot once a candidate fits.
             poses = placement.poses[robots]
             placed = poses[np.isfinite(poses[:, 0])]
-            if not len(placed):
+            if not len(placed):  # the first robot does not fit at `center`: no further candidates
                 return
             base = placed[int(rng.integers(len(placed)))][:2]
             distance, angle, yaw = rng.uniform([near, -math.pi, -math.pi], [far, math.pi, math.pi])

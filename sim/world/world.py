@@ -84,6 +84,7 @@ class World:
         self._begin_bases(realism, starts, seed)
         self._begin_lidars(lidars, realism, seed)
         self._begin_rings(realism, seed)
+        # Delays scans on their way to the robots.
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
