@@ -50,8 +50,9 @@ ROS1_ACTIONS = ActionProtocol(
 class ForeignCommands:
     """Tracks which other node drives the base, by its commands and its goals of actions.
 
-    `topics`: the topics of commands, the driver's own first. `actions`: the action of each topic of
-    goal states. `counts`: commands that arrived, by topic. Times are in s on one clock.
+    `topics`: the topics of commands, the driver's own first. `actions`: the name of each action, by
+    the topic on which its server publishes the states of its goals. `counts`: commands that
+    arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(

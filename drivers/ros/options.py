@@ -308,7 +308,9 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         first = first_options.setdefault(topic, option)
         if first == option:
             continue
-        if first not in types or option.partition(".")[0] not in ENTRY_KINDS:
+        # Only two entries may share a topic; `types` has the entries alone.
+        are_entries = first in types and option.partition(".")[0] in ENTRY_KINDS
+        if not are_entries:
             yield f"{first} and {option} are both {topic}; expected a topic each"
         elif types[first] != types[option]:
             kinds = f"{types[first]} and {types[option]}"

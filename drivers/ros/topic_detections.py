@@ -157,7 +157,7 @@ class TopicDetections(TopicEntry):
         return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
 
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
-        """The horizontal position of an object in the image, and its side, both in pixels.
+        """The horizontal position and the side length of an object in the image, in pixels.
 
         None if the object is outside the image or has no distance. Simulated cameras call this
         function, which is the inverse of `read`.
@@ -205,7 +205,8 @@ def topic_detections(
     layout = _LAYOUTS[type_name]
     try:
         kind = types.kind(options.type)
-        # `detections` is a list of messages: rosbags' node is (sequence, ((name, type), ...)).
+        # `detections` is a list of messages: rosbags' node is (sequence, (item, length)), and the
+        # item is (kind of node, name of the type).
         _, (_, (item, *_)) = path_of(types, kind, "detections")
         item_type = types.kind(item[1])
         # The path to the first of these fields that the definition has; None without such a field.

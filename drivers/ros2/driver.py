@@ -229,7 +229,7 @@ class RosDriver:
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session, self._was_linked = session, True
-            for key in self._zero_by_key:
+            for key in self._zero_by_key:  # each key to which a base may subscribe for commands
                 self._publishers[key] = command_publisher(session, key)
             self._subscribe(session, inbox, loop)
             if not is_check:
@@ -347,7 +347,8 @@ class RosDriver:
         elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-        # 2. Without a server (the publisher of the action's states) no state ends its goals.
+        # 2. A server publishes the states of its action's goals. Without a server no state would
+        # say that a goal has ended, so all its goals end here.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._foreign_graph().publishers(end.topic):
@@ -539,7 +540,8 @@ class RosDriver:
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
         # 2. The first change that applies closes the gate, or is only reported to the daemon.
-        # Without a change, zeros are repeated after a loss.
+        # Without a change, zeros are repeated after a loss, but not against another node that
+        # drives.
         silence_s = now - self._subscriptions.last_arrival
         last_conflict, self._conflict = self._conflict, self._find_conflict()
         is_open = self._gate.is_open
