@@ -68,6 +68,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> l
     if not has_slow:
         return ballistic_outcomes
     levy, slow = searches(2.0), searches(4.0)
+    # The mean time of a random search is inverse to the sight s and to the number N of walkers.
     number_ratio = ratio_of(_times(ballistic), _times(twice))
     displacement_ratio = ratio_of(*([run.displaced for run in runs] for runs in (ballistic, slow)))
     return [

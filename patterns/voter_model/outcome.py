@@ -48,7 +48,7 @@ def outcomes(
 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Compare how often opinion 1 wins with theory, by a chi-squared test.
+    """Compare the number of wins of opinion 1 with theory, by a chi-squared test.
 
     The windows do not overlap, and the radio loses messages. In theory opinion 1 wins with a
     probability equal to its share at the start.
