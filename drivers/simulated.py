@@ -75,12 +75,12 @@ class SimulatedDriver:
         self._where = _read(self._endpoint)
         self._link: RobotClient | None = None
         self._gate = CommandGate()
-        self._last_sample = -math.inf
+        self._last_sample = -math.inf  # s on the loop's clock
         self._take_late: TakeLate | None = None
         self._scan_size = 0  # bytes of the smallest frame of a scan
         self._kinds: set[str] = set()  # kinds of sensor inputs that have come
         self._lag = 0.0  # arrival minus stamp of the last reading of odometry in s
-        self._last_read = -math.inf
+        self._last_read = -math.inf  # of the socket
         self._is_taking = False  # within `_take_frames`
 
     async def run(self, sink: Sink) -> None:
@@ -100,7 +100,7 @@ class SimulatedDriver:
             linking.result()
         finally:
             if self._gate.end():
-                self._put(ZERO, -1, -1)
+                self._put(ZERO, -1, -1)  # decided with no scan
             self._link = None
             linking.cancel()
             await asyncio.gather(linking, return_exceptions=True)

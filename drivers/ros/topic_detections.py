@@ -42,7 +42,7 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     - `image_width`, `field_of_view_deg`: pixels, and the horizontal angle, of images without
       distortion.
     - `size`: m, the side of the tags or the height of the objects; the distance follows from it.
-    - `kinds`: the kind of an object by its class or id, in place of its class.
+    - `kinds`: maps the class or id of an object to its kind; else the kind is the class.
     - `stale_after`: s without a message after which the objects are not known.
     """
 

@@ -352,7 +352,7 @@ class Adapter:
         wants = {}
         if connected < len(listeners):  # a listener that does not connect may want another type
             wants = {node: master.wants(node, command_topic) for node in listeners}
-        self._follow_type(wants.values(), connected)
+        self._follow_type(wants.values(), connected)  # ends the adapter if the type must change
         # 3. Topics that the driver may propose to the user in place of a missing topic: published
         # topics of each type that the driver reads, and subscribed topics of the command types.
         candidates = {

@@ -193,7 +193,7 @@ class _Children:
         """Fork a child that does `work`; an exception of `work` is sent to this process."""
         ours, theirs = os.pipe()
         parent = os.getpid()
-        sys.stdout.flush()
+        sys.stdout.flush()  # else both processes would print what waits
         sys.stderr.flush()
         pid = os.fork()
         if pid == 0:

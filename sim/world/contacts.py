@@ -128,6 +128,7 @@ class ContactReader:
         geoms = np.concatenate([step.geoms for step in steps])
         speeds = np.concatenate([step.speeds for step in steps])
         pair = geoms[:, 0] * len(self._names) + geoms[:, 1]
+        # By pair, and within a pair the highest closing speed first.
         order = np.lexsort((-speeds.sum(axis=1), pair))
         pair = pair.take(order)
         is_first = np.ones(len(pair), dtype=np.bool_)

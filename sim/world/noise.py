@@ -58,7 +58,7 @@ class NoisyLidar:
         measured, rays = ranges.copy(), len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)
-        errors, normal, even = self._errors[rays]
+        errors, normal, even = self._errors[rays]  # `errors` reads the buffers of random numbers
         if self._is_exact:
             errors.encode(row, measured)
             return measured

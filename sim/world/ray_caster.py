@@ -155,6 +155,7 @@ class Caster:
         disc_reach = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
         reaches = np.concatenate((polygon_reach, disc_reach)) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)
+        # At least 0.1 m, since the size of the grid's cells divides.
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
         # 4. Buffers for the bodies in the world frame, the grid and a scan.
         self._placed_edges = memoryview(np.empty(edges.shape))

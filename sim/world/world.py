@@ -133,6 +133,7 @@ class World:
     def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
         n = len(self.ids)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
+        # The ages of the rays of lidars that measure all rays at once, by row.
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
@@ -141,6 +142,7 @@ class World:
         self._rolling: list[RollingScans] = []
         self._rolling_of: list[RollingScans | None] = [None] * n  # by row
         self._is_rolled = False  # the rolling rays of this step have been measured
+        # A lidar of a platform with a sweep is rolling: its rays are measured one after the other.
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
             if platform.scan.sweep is not None:
@@ -335,7 +337,7 @@ class World:
         shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
         lamps = [field for field in self.fields if isinstance(field, LightField)]
         places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
-        places[robot] = np.nan
+        places[robot] = np.nan  # no robot recognises itself
         extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
         names += [("lamp", lamp.name) for lamp in lamps]
         return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))

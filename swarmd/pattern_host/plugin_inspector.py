@@ -263,7 +263,8 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
     def load() -> None:
         name = pattern_name(path)
         check_module_name(name)
-        classes.append(PatternLoader({name: (str(path), True)})(name))
+        is_file = True  # not an entry point of a package
+        classes.append(PatternLoader({name: (str(path), is_file)})(name))
 
     output.send(begin=LOADING)
     fault = _fault_of(load, path)
