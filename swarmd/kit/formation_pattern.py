@@ -184,6 +184,7 @@ class FormationPattern(MovementPattern[F]):
         # The place depends on the mean of all robots. Without this robot in the mean, the place
         # would be farther away by this factor.
         off = length * (self._seen + 1) / max(self._seen, 1)
+        # Hysteresis: the robot comes to rest nearer to its place than it leaves from.
         limit = self.params.tolerance
         self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)
         return ZERO if self._is_settled else self._follow(x, y, length)

@@ -79,6 +79,7 @@ class VoteWindow:
             return None
         every = self.length if self.period is None else self.period
         self._end += every * (math.floor((now - self._end) / every) + 1)
+        # A tumbling window counts votes since it opened, a sliding window those of `length` s.
         opened = self._opened if self.period is None else now - self.length
         oldest = max(opened, now - self.expiry)
         votes = {sender: vote for sender, vote in self._votes.items() if vote[1] >= oldest}
@@ -145,6 +146,7 @@ class Rounds:
         if elapsed < min(self.period, self.length):
             return None
         self._expire(now - self.expiry)
+        # By how many rounds each other robot is ahead; negative: behind.
         leads = sorted(_lead(vote.round, self.round) for vote, _ in self._round_votes.values())
         median = leads[(len(leads) - 1) // 2] if leads else 0
         if median > 1:
@@ -189,7 +191,7 @@ def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generato
         return current
     most = max(counts.values())
     leaders = [opinion for opinion, count in counts.items() if count == most]
-    if len(leaders) == 1 or ties == "lowest":
+    if len(leaders) == 1 or ties == "lowest":  # `tally` orders equal counts by opinion
         return leaders[0]
     return current if ties == "keep" else int(rng.choice(leaders))
 

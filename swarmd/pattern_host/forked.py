@@ -105,12 +105,14 @@ def _become_host(fd: int, parent: int, path: Sequence[str]) -> None:
     die_with_parent(parent)
     os.setsid()
     Path("/proc/self/comm").write_text("swarmd-host")
+    # No standard input, and no file descriptor of the daemon except the host's socket.
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     sys.stdin = open(0, closefd=False)  # noqa: SIM115
     os.closerange(3, fd)
     os.closerange(fd + 1, os.sysconf("SC_OPEN_MAX"))
     sys.path[:] = path
     os.environ.update(ONE_THREAD)
+    # The first packet: the folders of the sandbox, and the file that takes what patterns print.
     with socket.socket(fileno=os.dup(fd)) as daemon:
         folders, descriptors, _, _ = socket.recv_fds(daemon, 1 << 18, 1)
     if not descriptors:  # the daemon ended before it used the host

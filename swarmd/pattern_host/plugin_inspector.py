@@ -376,8 +376,9 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
     is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)
     if isinstance(error, TimeoutError):
         is_worded = bool(text)
-    name = type(error).__name__
-    return (text if is_worded else f"{name}: {text}" if text else name) + place
+    if not is_worded:
+        text = ": ".join(filter(None, (type(error).__name__, text)))
+    return text + place
 
 
 def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[int | None]:

@@ -266,7 +266,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Pa
         return f"no Landlock here: {_error()}"
     if len(os.listdir("/proc/self/task")) > 1:  # Landlock would not restrict other threads
         return "a library has started threads"
-    handled = (1 << _RIGHTS.get(version, 16)) - 1
+    handled = (1 << _RIGHTS.get(version, 16)) - 1  # all rights that this version knows
     ruleset = libc.syscall(_CREATE_RULESET, struct.pack("=Q", handled), ctypes.c_size_t(8), 0)
     if ruleset < 0:
         return f"Landlock: {_error()}"
