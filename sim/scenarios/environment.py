@@ -111,7 +111,7 @@ def fields_of(
     fields: list[Field] = []
     for index, section in enumerate(sections):
         at = (*keys, index)
-        where, data = str(layers.error(at, dotted(at))), dict(section)
+        where, data = str(layers.error(at, dotted(at))), dict(section)  # `<file>: fields[0]`
         kind = str(data.pop("kind", ""))
         if kind not in kinds:
             raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")

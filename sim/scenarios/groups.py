@@ -135,7 +135,7 @@ def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platfor
     base: object = wanted
     if name in file.platforms:
         own = file.platforms[name]
-        sources = [(str(layers.error(keys, dotted(keys))), own)]
+        sources = [(str(layers.error(keys, dotted(keys))), own)]  # `<file>: platforms.<name>`
         base = own.get("extends", wanted)
     try:
         sources += platform_sources(base) if isinstance(base, str) else ()

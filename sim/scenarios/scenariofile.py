@@ -109,7 +109,8 @@ def _chain(path: Path) -> Iterator[tuple[str, Data]]:
 
 
 def _anchored(data: Data, folder: Path) -> Data:
-    """The data with absolute paths."""
+    """The data with absolute paths, which were relative to `folder`."""
+    # The mapping that has each path, and the key of the path.
     holders: list[tuple[Any, str]] = [(data, "plugin_dir")]
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)

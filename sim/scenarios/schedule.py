@@ -174,6 +174,7 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
     """
     read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
+    # The first action that lets a robot join or leave; a robot that joins is absent until then.
     first: dict[str, str] = {}
     for event in (read[index] for index in order):
         if event.action in _MEMBERSHIP:

@@ -235,7 +235,7 @@ class _ShownRun:
             for at, partner in touches
             if partner and at <= now
         ]
-        return {"values": values, "events": events[: -MAX_EVENTS - 1 : -1]}
+        return {"values": values, "events": events[::-1][:MAX_EVENTS]}
 
     def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
         ids, state = self._trace.ids, self._trace.state

@@ -277,7 +277,7 @@ class Wheels:
         slips: cython.double[:, ::1],
         measured: cython.double[:, ::1],
     ) -> cython.int:
-        """Set row `index` of `measured`: a true motion or twist as the wheels of robot `row` do."""
+        """Set row `index` of `measured` as the wheels of robot `row` measure a motion or twist."""
         m: cython.double[:, :, ::1] = self._measured
         measured[index, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * slips[index, 0]
         measured[index, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * slips[index, 1]

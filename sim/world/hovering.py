@@ -39,6 +39,7 @@ class Hovering:
         self._spread = np.array([_spreads(platforms[row]) for row in self._rows]).reshape(count, 3)
         self._nominal = [heights(platforms[row]).scan_plane for row in self._rows]
         self._generators = [generator(seed, "hovering", ids[row]) for row in self._rows]
+        # A step keeps this share of an error, and adds so much noise that the variance stays 1.
         self._keep = math.exp(-dt / _MEMORY)
         self._new = math.sqrt(1.0 - self._keep**2)
         self._errors = np.zeros((count, 3))  # of x, y and height, in standard deviations

@@ -135,7 +135,7 @@ class Items:
         places = self.poses()[:, :2]
         away = places - pose[:2]
         distance = np.hypot(away[:, 0], away[:, 1])
-        distance[self._held[self._held >= 0]] = np.inf
+        distance[self._held[self._held >= 0]] = np.inf  # items that robots hold are left out
         for number, kind in enumerate(self._kinds):
             near = np.flatnonzero((self._kind_of == number) & (distance <= kind.range))
             readings[kind.name] = float(len(near))
@@ -180,6 +180,7 @@ class Items:
         x, y, radius = kind.source
         walls = np.array([self._arena.length, self._arena.width]) / 2.0 - kind.size / 2.0
         for _ in range(_TRIES):
+            # Uniform over the disc, whose area grows with the square of the radius.
             away, angle = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
             place = np.array([x + away * math.cos(angle), y + away * math.sin(angle)])
             if (np.abs(place) > walls).any():

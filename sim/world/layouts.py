@@ -127,6 +127,7 @@ class Placement:
             return f"{robot} is not inside the walls"
         if any(float(gaps(body, obstacle)) <= clearance for obstacle in self._obstacles):
             return f"{robot} stands in a box, pole or segment"
+        # Only robots whose circles are near are compared by their footprints.
         apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
         for near in np.nonzero(apart <= clearance)[0].tolist():
             shape = transform(self._footprints[near], self.poses[near])

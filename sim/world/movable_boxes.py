@@ -93,6 +93,7 @@ class MovableBoxes:
         momentum = self._data.qvel[self._dofs].reshape(-1, 3) * self._inert
         against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
         size = np.sqrt((against * against).sum(axis=1))[:, None]
+        # Of the limit along each axis; equal shares for a box that needs no force.
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
         # Above 0, so that the number of friction constraints does not change between steps.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)

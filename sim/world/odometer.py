@@ -109,6 +109,7 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     wheelbase. Odometry assumes wheels of the mean diameter, `separation` (n,) m apart. A base that
     cannot move sideways (not `is_lateral`) measures no lateral motion.
     """
+    # Measured way / true way of each wheel: the mean diameter over the wheel's diameter.
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase
     matrix = np.zeros((len(diameter), 3, 3))

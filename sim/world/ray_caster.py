@@ -379,9 +379,11 @@ class Caster:
         side: cython.double
         for i in range(self._walls.shape[0]):
             x, y = self._walls[i, 0] - self._x, self._walls[i, 1] - self._y
+            # See `_meet_surface` for `side`: the sensor is before the wall, and the wall in reach.
             side = x * self._walls[i, 3] - y * self._walls[i, 2]
             if side < -_MIN_SIDE and side >= self._walls[i, 4]:
                 end_x, end_y = x + self._walls[i, 2], y + self._walls[i, 3]
+                # Both ends lie outside one edge of the cone.
                 if not self._is_wide and (
                     min(self._outside(x, y, 1.0), self._outside(end_x, end_y, 1.0)) > _ROUNDING
                     or min(self._outside(x, y, -1.0), self._outside(end_x, end_y, -1.0)) > _ROUNDING
@@ -450,6 +452,7 @@ class Caster:
     @cython.cfunc
     @cython.boundscheck(False)
     def _meet_polygon(self, body: cython.Py_ssize_t) -> cython.int:
+        """Note the edges of a polygon that face the sensor; see `_meet_surface`."""
         i: cython.Py_ssize_t
         x: cython.double
         y: cython.double

@@ -121,6 +121,7 @@ def readings_at(
         read = [field for field in fields if field.name == name]
         places = transform(own[:, :2], pose)
         for channel, values in sample(read, places, pose[2] + own[:, 2], is_clear).items():
+            # `sensor_names` begins with the name of the mean.
             each = float(values.mean()), *values.tolist()
             readings |= zip(sensor_names(channel, len(values)), each, strict=True)
     return readings

@@ -101,8 +101,10 @@ class World:
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
+        # Robots that were taken out of the arena.
         self._is_out, self._are_all_in = np.zeros(n, dtype=np.bool_), True
         shapes = [platform.footprint for platform in self.platforms]
+        # m: the largest distance of the centres of a robot and a box that touch.
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
