@@ -290,6 +290,7 @@ class CrazyflieDriver:
         deadline = time.monotonic() + limit
         while not lost.done() and time.monotonic() < deadline:
             setpoint = self._put_step(Wish.LAND, ZERO)
+            # On the ground the step sends "motors off", or sends nothing to a silent drone.
             is_told = setpoint is not None or self._seen().is_flying is None
             if self._flight.phase is Phase.GROUND and is_told:
                 break
@@ -328,7 +329,7 @@ class CrazyflieDriver:
         if not self._gate.is_open:
             self._gate.open()
             self._sink.state(True, self._text())
-            self._hazards = (_NOT_HEARD,)
+            self._hazards = (_NOT_HEARD,)  # until the supervisor's first report
             self._sink.take(HazardsInput(self._hazards))
         stamp = self._stamp(stamp_ms)
         if name == "ranges":

@@ -126,6 +126,7 @@ class Firmware:
         """The answers to a packet; malformed packets are counted in `dropped`."""
         if not data:
             return []
+        # The header: the port in the upper four bits, the channel in the lower two.
         port, channel, payload = data[0] >> 4, data[0] & 3, data[1:]
         if data[0] == 0xFF:  # the null packet
             return [data]

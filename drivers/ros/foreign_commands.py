@@ -78,7 +78,8 @@ class ForeignCommands:
         is_known = not types or any(kind.rpartition("/")[2] in _COMMANDS for kind in types)
         if is_known and _is_zero(payload):
             if topic == self.topics[0]:
-                self._zeros_from = now if now - self._zero_at > YIELD_TIME else self._zeros_from
+                if now - self._zero_at > YIELD_TIME:  # a new series of zeros begins
+                    self._zeros_from = now
                 self._zero_at = now
             return False
         if topic not in self._ignored:

@@ -47,7 +47,7 @@ class Namespaces:
         named[options.scan_topic] = "scan"
         named |= {options.odometry: "odometry", options.cmd_vel: "cmd_vel"}
         self._names = [name.strip("/") for name in named]
-        self.own = options.topic("_")[:-2]
+        self.own = options.topic("_")[:-2]  # the namespace, before the slash of any topic
         self._kinds = defaultdict[str, set[str]](set)
         own = {options.topic(name): kind for name, kind in named.items()}
         self._own_kinds = {kind for topic, kind in own.items() if topic in heard}

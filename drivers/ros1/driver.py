@@ -359,7 +359,9 @@ class Ros1Driver:
         for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
             return graph.unreadable(stats) if is_unreadable else graph.silence(stats)
-        if state.connected and (graph.bases(master.cmd_vel) or not state.listeners):
+        # A connected node that the master does not list yet may be a base, too.
+        has_base = graph.bases(master.cmd_vel) or not state.listeners
+        if state.connected and has_base:
             return ""
         return graph.no_subscriber(
             master.cmd_vel, self._options.command_types, has_subscriber=bool(state.listeners)

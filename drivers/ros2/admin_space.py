@@ -448,7 +448,7 @@ def _ends_in_dds(
     """
     ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
-        participant, _, rest = key.partition("/")
+        participant, _, rest = key.partition("/")  # without `rest`: the participant itself
         if (read := _decoded(_in_dds, payload)) is None:
             continue
         if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:

@@ -394,7 +394,7 @@ class RosDriver:
             own, asked_at = self._own_zid(), self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
-            is_newer = asked_at > self._withdrawn_at
+            is_newer = asked_at > self._withdrawn_at  # else the nodes listed may have left
             self._foreign_ends = [end for end in ends if end.is_routed or is_newer]
         return diagnosis.Graph(
             middleware=self._scheme,
