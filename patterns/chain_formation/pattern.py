@@ -202,7 +202,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """
         now = inputs.now
         for message in inputs.messages:
-            match (message.channel == _CHANNEL) and message.value:
+            match (message.channel == _CHANNEL) and message.value:  # False matches no case
                 case [int(hops), str(before), bool(leads)] if _GOAL <= hops < _MAX_HOPS:
                     heard_at = now - message.age  # `hops` _GOAL: the sender is the goal
                     self._heard[message.sender] = _Member(int(hops), before[:64], leads, heard_at)
@@ -357,7 +357,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             leading = [name for name in after if self._heard[name].leads]
             if self._is_homeward or leading or not self._starts_chain:
                 self._is_homeward = False
-                choices = leading or [*after, *after, ""]
+                choices = leading or [*after, *after, ""]  # each chain twice as often as none
                 chosen = choices[int(self.context.rng.integers(len(choices)))]
                 self._starts_chain = not chosen
                 self._turn_sign = float(self.context.rng.choice((-1.0, 1.0)))

@@ -118,7 +118,7 @@ def simulated(count: int, first: int) -> float:
     taken = []
     for _ in range(_SIMULATED):
         held = rng.permutation([1] * first + [0] * (count - first)).tolist()
-        ends = np.sort(rng.random(count)).tolist()
+        ends = np.sort(rng.random(count)).tolist()  # when the windows of each robot end
         turn = 0
         while 0 < sum(held) < count:
             robot = turn % count
