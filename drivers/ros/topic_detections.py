@@ -195,8 +195,8 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    It is a tuple since an entry of option `readings` may have several readers. `full`: returns the
-    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
+    A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
+    the full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
     """
     option = f"detections.{name}"
     type_name = options.type.replace("/msg/", "/")
@@ -265,7 +265,7 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
         """The objects of all topics if they are new, else None; see `TopicInputs`.
 
-        While a topic has been silent for too long, or was never heard, its `DetectionsInput` has
+        While any topic has been silent for too long, or was never heard, the `DetectionsInput` has
         None in place of objects.
         """
         is_known = not any(self._stale(now))

@@ -67,7 +67,7 @@ class KeptTopic:
 
     The class also reports the end of the publisher, which ends the validity of the message. rospy
     keeps the connection object after that end and connects again, so the object does not show the
-    end. Its header does: the new connection has a new header object.
+    end. The header object shows the end, since a new connection has a new header.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:

@@ -271,7 +271,7 @@ class RosDriver:
         Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
         callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
-        # For the query of the last message of a kept topic, from its publisher's cache.
+        # The receivers of last messages of kept topics, from publishers' caches (name with KEPT).
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
@@ -340,7 +340,7 @@ class RosDriver:
             return
         # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
         # announcements of other topics cannot fill the table before them.
-        now, self._foreign_ends = asyncio.get_running_loop().time(), None
+        now, self._foreign_ends = asyncio.get_running_loop().time(), None  # None: merge anew
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))
@@ -531,7 +531,7 @@ class RosDriver:
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        if hubs and (not was_linked or hubs != last_hubs):
+        if hubs and (not was_linked or hubs != last_hubs):  # linked again, or to another hub
             self._gate.repeat_zero(now)
             if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())

@@ -149,7 +149,8 @@ class _Robot:
                     TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
                     for topic, message_type in encoder.topics
                 ]
-        # rmw_zenoh has a token of the node first. The tokens of the topics come last, in order.
+        # rmw_zenoh has a token of the node first. The tokens of `published` and of `command` come
+        # last, in order.
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]

@@ -93,7 +93,7 @@ class ContactReader:
         `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
         detects contacts there, before the solver stops the colliding bodies.
         """
-        # 1. The contacts that count.
+        # 1. The contacts that count, of a robot with anything. Rows of bodies: robots come first.
         contact = data.contact
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
