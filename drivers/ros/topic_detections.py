@@ -196,7 +196,8 @@ def topic_detections(
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
     A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
-    the full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
+    the full name of a topic. `types`: the known message types. ConfigError names the key that is
+    wrong.
     """
     option = f"detections.{name}"
     type_name = options.type.replace("/msg/", "/")

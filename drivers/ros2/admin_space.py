@@ -314,7 +314,7 @@ class NodeList:
         read = {} if answers is None else self._read
         complete = {zid: answer for zid, answer in read.items() if zid not in late}
         unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
-        # 2. Earlier answers of late bridges.
+        # 2. Earlier answers of late bridges are valid, too, unless they are too old.
         kept = {
             zid: answer
             for zid, answer in before.items()

@@ -15,7 +15,7 @@ from swarmd.core.numbers import read_number
 from swarmd.core.values import Inputs, Neighbor, Outputs, Platform, Scalar, Scan
 from swarmd.kit import conditions
 
-_ROUNDING = 1e-9  # s: sums of steps end a little before a round time
+_ROUNDING = 1e-9
 
 
 class Observation(Struct, frozen=True):
@@ -107,6 +107,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             opposite = _evaluator(condition.condition, started)
             return lambda seen: not opposite(seen)
         case conditions.Timeout():
+            # A sum of steps may end a little before the time.
             seconds = condition.seconds - _ROUNDING
             return lambda seen: seen.now - started >= seconds
         case conditions.Done():
