@@ -207,11 +207,11 @@ class CrazyflieDriver:
             async with asyncio.timeout(seconds):
                 while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
                     await asyncio.sleep(PERIOD)
-                while not task.done() and self._info is None:
+                while not task.done() and self._supervisor is None:
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
-        info, volts = self._info, self._volts
+        supervisor, volts = self._supervisor, self._volts
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         nothing = f"none from {self._uri}: {seen.text}"
@@ -220,10 +220,10 @@ class CrazyflieDriver:
             Finding(kind, kind in seen.last, "heard" if kind in seen.last else nothing, remedy)
             for kind in ("scan", "odometry")
         ]
-        if info is None:
+        if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
-        hazards = ", ".join(one.text for one in _hazards(info)) or "ready to fly"
-        is_well = not _hazards(info) and bool(info & CAN_FLY)
+        hazards = ", ".join(one.text for one in _hazards(supervisor)) or "ready to fly"
+        is_well = not _hazards(supervisor) and bool(supervisor & CAN_FLY)
         found.append(Finding("supervisor", is_well, hazards, "turn the drone upright, restart it"))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
@@ -275,7 +275,7 @@ class CrazyflieDriver:
                 self._step()
             return str(lost.result())
         except asyncio.CancelledError:
-            if self._gate.end():
+            if self._gate.end():  # the drone was commanded
                 await self._land(lost)
             raise
         finally:
@@ -290,6 +290,7 @@ class CrazyflieDriver:
         deadline = time.monotonic() + limit
         while not lost.done() and time.monotonic() < deadline:
             setpoint = self._put_step(Wish.LAND, ZERO)
+            # On the ground the step sends "motors off", or sends nothing to a silent drone.
             is_told = setpoint is not None or self._seen().is_flying is None
             if self._flight.phase is Phase.GROUND and is_told:
                 break
@@ -305,9 +306,9 @@ class CrazyflieDriver:
 
     def _forget(self) -> None:
         """Forget what the drone reported."""
-        self._info: int | None = None
+        self._supervisor: int | None = None  # bits of the drone's supervisor, such as CAN_FLY
         self._volts = math.nan
-        self._info_at = self._ranges_at = self._height_at = self._heard = -math.inf
+        self._supervisor_at = self._ranges_at = self._height_at = self._heard = -math.inf
         self._volts_low_since = math.inf
         self._height, self._is_clear = 0.0, False
         self._hazards: tuple[Hazard, ...] = (_NOT_HEARD,)
@@ -328,7 +329,7 @@ class CrazyflieDriver:
         if not self._gate.is_open:
             self._gate.open()
             self._sink.state(True, self._text())
-            self._hazards = (_NOT_HEARD,)
+            self._hazards = (_NOT_HEARD,)  # until the supervisor's first report
             self._sink.take(HazardsInput(self._hazards))
         stamp = self._stamp(stamp_ms)
         if name == "ranges":
@@ -373,7 +374,7 @@ class CrazyflieDriver:
             self._sink.take(PoseInput(shared))
 
     def _take_status(self, values: Mapping[str, float], now: float) -> None:
-        self._info, self._info_at = int(values["supervisor.info"]), now
+        self._supervisor, self._supervisor_at = int(values["supervisor.info"]), now
         self._volts = values["pm.vbat"]
         if self._volts >= self._options.low_battery:
             self._volts_low_since = math.inf
@@ -382,7 +383,7 @@ class CrazyflieDriver:
         empty, full = self._options.battery_volts
         battery = min(max((self._volts - empty) / (full - empty), 0.0), 1.0)
         self._sink.take(ReadingsInput({"battery": battery, "height": self._height}))
-        self._tell_hazards(_hazards(self._info))
+        self._tell_hazards(_hazards(self._supervisor))
 
     def _tell_hazards(self, hazards: tuple[Hazard, ...]) -> None:
         if hazards != self._hazards:
@@ -400,7 +401,7 @@ class CrazyflieDriver:
         """Tell the phase of the flight if it has changed, and a silent supervisor."""
         if not self._gate.is_open:
             return
-        if now - self._info_at > SILENCE_TIMEOUT:
+        if now - self._supervisor_at > SILENCE_TIMEOUT:
             self._tell_hazards((_NOT_HEARD,))
         text = self._text()
         if text != self._told:
@@ -409,7 +410,7 @@ class CrazyflieDriver:
 
     def _seen(self) -> Seen:
         now = time.monotonic()
-        info = self._info if now - self._info_at <= SILENCE_TIMEOUT else None
+        info = self._supervisor if now - self._supervisor_at <= SILENCE_TIMEOUT else None
         return Seen(
             height=self._height if now - self._height_at <= SILENCE_TIMEOUT else None,
             is_flying=None if info is None else bool(info & IS_FLYING),

@@ -1,4 +1,4 @@
-"""Emulated Crazyflies: the drones' side of CRTP, each at a UDP port of its own.
+"""Emulated Crazyflies: the drones' side of CRTP (their radio protocol), each at a UDP port.
 
 cflib opens such a port by its own UDP driver (`udp://HOST:PORT`). Commands and state are those of
 `firmware.py`; the simulated world moves the drones.
@@ -52,9 +52,9 @@ class CrtpRobots:
     ) -> None:
         """Open a port for each drone; raises as `EmulatorFactory` does."""
         self._on_command, self._clock = on_command, clock
-        self.loss = self.delay = 0.0
+        self.loss = self.delay = 0.0  # share of packets, and s
         self.tells_status = True
-        self._draw = random.Random(0)
+        self._draw = random.Random(0)  # of lost packets
         self._lock = threading.RLock()
         self._selector = selectors.DefaultSelector()
         self._drones: dict[str, _Drone] = {}
@@ -205,8 +205,9 @@ class CrtpRobots:
 class _Drone:
     """One emulated drone and its port.
 
-    `is_posed`: the state estimate is in a shared frame. `frame`: the origin of the odometry in the
-    frame of the estimate; None: not known yet, and no estimate is sent.
+    `is_posed`: the state estimate is in a shared frame. `frame`: the pose of the odometry's frame
+    in the frame of the estimate. None: no pose in the shared frame has come yet, so that no
+    estimate is sent.
     """
 
     def __init__(self, robot: str, link: socket.socket, *, is_posed: bool) -> None:

@@ -66,7 +66,8 @@ class Seen:
     """What the drone reports; None for what is not fresh.
 
     `height` in m above the floor. `is_flying`: by the firmware. `may_fly`: the firmware is ready,
-    and neither tumbled, crashed nor locked. `is_clear`: all ranges are. `is_battery_low`: for long.
+    and neither tumbled, crashed nor locked. `is_clear`: all ranges permit a take-off.
+    `is_battery_low`: the voltage has been low for long.
     """
 
     height: float | None = None

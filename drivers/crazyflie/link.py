@@ -1,8 +1,9 @@
 """The connection to one drone by cflib, whose threads call back.
 
 cflib (a Crazyflie object) has threads of its own, and its calls may block: all calls here are made
-on the one thread of an executor. `close_link` of cflib sends thrust 0, which stops the motors of a
-flying drone; the link is therefore taken away before, and the driver lands the drone first.
+on the one thread of an executor. `close_link` of cflib sends thrust 0, which would stop the motors
+of a flying drone. So the driver lands the drone first, and `DroneLink` takes cflib's link away
+before it calls `close_link`.
 """
 
 from __future__ import annotations

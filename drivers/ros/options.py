@@ -53,8 +53,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `battery_percentage`: the unit of that percentage. Without it and `battery_volts` there is no
       `battery`.
     - `ranges`: makes one scan of several `sensor_msgs/Range`, beside `scan` if the platform has a
-      section `ranges`, otherwise in place of it. Topic to bearing in degrees, or to bearing and the
-      sensor's distance in m from the offset of the section.
+      section `ranges`, otherwise in place of it. A mapping from each topic to the sensor's bearing
+      in degrees, or to its bearing and its distance in m from the offset of the section.
     - `scan_yaw_deg`: the direction of the lidar's zero, from the base's front to the left.
     - `scan_upside_down`: the lidar hangs upside down, so that it turns the other way.
     - `shared_pose`: a topic with the pose of the base's axle in a frame that all robots share.
@@ -308,7 +308,9 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         first = first_options.setdefault(topic, option)
         if first == option:
             continue
-        if first not in types or option.partition(".")[0] not in ENTRY_KINDS:
+        # Only two entries may share a topic; `types` has the entries alone.
+        are_entries = first in types and option.partition(".")[0] in ENTRY_KINDS
+        if not are_entries:
             yield f"{first} and {option} are both {topic}; expected a topic each"
         elif types[first] != types[option]:
             kinds = f"{types[first]} and {types[option]}"

@@ -78,8 +78,8 @@ class Ros2Dds(Ros2Middleware):
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for inner slashes.
 
-        The server of an action has a token `AS/<key>/<type>`, which is read as the publisher of the
-        action's status.
+        MP is a publisher of messages, MS a subscriber; other tokens give None. The server of an
+        action has a token `AS/<key>/<type>`, which is read as the publisher of the action's status.
         """
         parts = token.split("/")
         if len(parts) == 6 and parts[3] == "AS":

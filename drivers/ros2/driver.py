@@ -229,7 +229,7 @@ class RosDriver:
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session, self._was_linked = session, True
-            for key in self._zero_by_key:
+            for key in self._zero_by_key:  # each key to which a base may subscribe for commands
                 self._publishers[key] = command_publisher(session, key)
             self._subscribe(session, inbox, loop)
             if not is_check:
@@ -271,7 +271,7 @@ class RosDriver:
         Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
         callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
-        # For the query of the last message of a kept topic, from its publisher's cache.
+        # The receivers of last messages of kept topics, from publishers' caches (name with KEPT).
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
@@ -340,14 +340,15 @@ class RosDriver:
             return
         # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
         # announcements of other topics cannot fill the table before them.
-        now, self._foreign_ends = asyncio.get_running_loop().time(), None
+        now, self._foreign_ends = asyncio.get_running_loop().time(), None  # None: merge anew
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))
         elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-        # 2. Without a server (the publisher of the action's states) no state ends its goals.
+        # 2. A server publishes the states of its action's goals. Without a server no state would
+        # say that a goal has ended, so all its goals end here.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._foreign_graph().publishers(end.topic):
@@ -393,7 +394,7 @@ class RosDriver:
             own, asked_at = self._own_zid(), self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
-            is_newer = asked_at > self._withdrawn_at
+            is_newer = asked_at > self._withdrawn_at  # else the nodes listed may have left
             self._foreign_ends = [end for end in ends if end.is_routed or is_newer]
         return diagnosis.Graph(
             middleware=self._scheme,
@@ -530,7 +531,7 @@ class RosDriver:
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        if hubs and (not was_linked or hubs != last_hubs):
+        if hubs and (not was_linked or hubs != last_hubs):  # linked again, or to another hub
             self._gate.repeat_zero(now)
             if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())
@@ -539,7 +540,8 @@ class RosDriver:
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
         # 2. The first change that applies closes the gate, or is only reported to the daemon.
-        # Without a change, zeros are repeated after a loss.
+        # Without a change, zeros are repeated after a loss, but not against another node that
+        # drives.
         silence_s = now - self._subscriptions.last_arrival
         last_conflict, self._conflict = self._conflict, self._find_conflict()
         is_open = self._gate.is_open

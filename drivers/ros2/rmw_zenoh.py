@@ -111,6 +111,7 @@ class RmwZenoh(Ros2Middleware):
         """The fault of a key: another topic or type, or a hash that no distribution has."""
         prefix = f"{self.domain}{topic}/"
         type_name, _, hashed = key.removeprefix(prefix).partition("/")
+        # A key of one topic: a type and a hash behind the topic, and no wildcard.
         is_one = bool(type_name) and bool(hashed) and "*" not in key and "/" not in hashed
         if not (is_one and key.startswith(prefix) and key.isprintable() and len(key) < _MAX_KEY):
             return f"sent on key {key[:80]!a}"

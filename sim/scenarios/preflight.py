@@ -148,10 +148,11 @@ def check_compatibility(
     if has_whole_bodies:
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
     notes, held = [], []
+    # `platform`: that of the robot that has the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), accepts):
         is_unseen = finding.kind == "unseen"
         if is_unseen and finding.holds and file.radio.range_and_bearing:
-            text = finding.text.partition(";")[0]
+            text = finding.text.partition(";")[0]  # without the advice to accept the peer
             notes.append(f"{platform}: {text}; told by range and bearing")
         elif finding.holds:
             held.append((platform, finding))

@@ -109,7 +109,8 @@ def _chain(path: Path) -> Iterator[tuple[str, Data]]:
 
 
 def _anchored(data: Data, folder: Path) -> Data:
-    """The data with absolute paths."""
+    """The data with absolute paths, which were relative to `folder`."""
+    # The mapping that has each path, and the key of the path.
     holders: list[tuple[Any, str]] = [(data, "plugin_dir")]
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)
@@ -137,8 +138,9 @@ def _overridden(
 ) -> Scenario:
     """The checked scenario of data and overrides.
 
-    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key, which
-    errors call `override_source`. `default_name`: the name of a scenario that gives none.
+    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key; an
+    error in a value begins with `override_source`. `default_name`: the name of a scenario that
+    gives none.
     """
     # 1. The data of the file, after the overrides. `without_stale` drops start keys that do not fit
     # the layout of a stronger source.
@@ -165,7 +167,8 @@ def _overridden(
     configured = configured_parameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else user_path(file.plugin_dir).absolute()
     check_patterns(layers, file, schedule, groups, configured, plugin_dir)
-    realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
+    realism_source = str(layers.error(("realism",), "realism"))  # `<file>: realism`, for errors
+    realism = realism_of(file.realism, realism_source)
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
         pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
     # 3. The complete configuration in plain values, which needs no further file.

@@ -84,6 +84,7 @@ class World:
         self._begin_bases(realism, starts, seed)
         self._begin_lidars(lidars, realism, seed)
         self._begin_rings(realism, seed)
+        # Delays scans on their way to the robots.
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
@@ -100,8 +101,10 @@ class World:
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
+        # Robots that were taken out of the arena.
         self._is_out, self._are_all_in = np.zeros(n, dtype=np.bool_), True
         shapes = [platform.footprint for platform in self.platforms]
+        # m: the largest distance of the centres of a robot and a box that touch.
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
@@ -132,6 +135,7 @@ class World:
     def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
         n = len(self.ids)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
+        # The ages of the rays of lidars that measure all rays at once, by row.
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
@@ -140,6 +144,7 @@ class World:
         self._rolling: list[RollingScans] = []
         self._rolling_of: list[RollingScans | None] = [None] * n  # by row
         self._is_rolled = False  # the rolling rays of this step have been measured
+        # A lidar of a platform with a sweep is rolling: its rays are measured one after the other.
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
             if platform.scan.sweep is not None:
@@ -334,7 +339,7 @@ class World:
         shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
         lamps = [field for field in self.fields if isinstance(field, LightField)]
         places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
-        places[robot] = np.nan
+        places[robot] = np.nan  # no robot recognises itself
         extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
         names += [("lamp", lamp.name) for lamp in lamps]
         return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))

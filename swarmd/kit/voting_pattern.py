@@ -99,11 +99,12 @@ V = TypeVar("V", bound=VotingParams)
 
 
 class VotingPattern(Pattern[V]):
-    """Holds an opinion, which is sent to the neighbours and updated when a window ends.
+    """Holds an opinion, sends it to the neighbours, and updates it at the end of each window.
 
-    The robot stands. Source: Kaiser et al., ICRA 2022: each robot sends its opinion after every
-    update. Ours: the robot also repeats its opinion. A vote expires if it is not repeated, or if
-    its sender is no longer a neighbour.
+    A window is a time in which votes are counted (`vote_windows.py`). The robot stands. Source:
+    Kaiser et al., ICRA 2022: each robot sends its opinion after every update. Ours: the robot also
+    repeats its opinion. A vote expires if it is not repeated, or if its sender is no longer a
+    neighbour.
     """
 
     params_type: ClassVar[type[Params]] = VotingParams
