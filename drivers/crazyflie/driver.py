@@ -30,6 +30,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import Motion, ShownPose, State, Status
 from swarmd.core.values import (
     ZERO,
@@ -62,7 +63,7 @@ from swarmd.drivers.crazyflie.link import (
     DroneLink,
     has_cflib,
 )
-from swarmd.drivers.crazyflie.sensors import SENSORS, ranges_of
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, ranges_of
 from swarmd.settings.layered import Layered
 
 NAME = "crazyflie"
@@ -112,7 +113,7 @@ class CrazyflieOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     land_rate: Rate = 0.3
     land_after: Annotated[float, Meta(ge=0.0, le=600.0)] = 5.0
     clear: Annotated[float, Meta(ge=0.1, le=4.0)] = 0.4
-    battery_volts: tuple[Volts, Volts] = (3.0, 4.2)
+    battery_volts: tuple[Volts, Volts] = BATTERY_VOLTS
     low_battery: Volts = 3.2
     pose_frame: Annotated[str, Meta(max_length=63)] = ""
     pose_error: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
@@ -381,7 +382,7 @@ class CrazyflieDriver:
             self._volts_low_since = now
         empty, full = self._options.battery_volts
         battery = min(max((self._volts - empty) / (full - empty), 0.0), 1.0)
-        self._sink.take(ReadingsInput({"battery": battery, "height": self._height}))
+        self._sink.take(ReadingsInput({BATTERY: battery, "height": self._height}))
         self._tell_hazards(_hazards(self._info))
 
     def _tell_hazards(self, hazards: tuple[Hazard, ...]) -> None:
