@@ -46,6 +46,7 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink
 from swarmd.drivers.crazyflie.flight import (
     LANDING_RESERVE,
+    NOT_ARMED,
     Flight,
     FlightRules,
     HoverSetpoint,
@@ -54,7 +55,9 @@ from swarmd.drivers.crazyflie.flight import (
     Wish,
 )
 from swarmd.drivers.crazyflie.link import (
+    CAN_BE_ARMED,
     CAN_FLY,
+    IS_ARMED,
     IS_CRASHED,
     IS_FLYING,
     IS_LOCKED,
@@ -223,9 +226,12 @@ class CrazyflieDriver:
         ]
         if info is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
-        hazards = ", ".join(one.text for one in _hazards(info)) or "ready to fly"
-        is_well = not _hazards(info) and bool(info & CAN_FLY)
-        found.append(Finding("supervisor", is_well, hazards, "turn the drone upright, restart it"))
+        text = ", ".join(one.text for one in _hazards(info))
+        is_well, remedy = not text and bool(info & CAN_FLY), "turn the drone upright, restart it"
+        if not text:
+            text = "ready to fly" if is_well else "not ready to fly"
+            text = NOT_ARMED if _is_unarmed(info) else text
+        found.append(Finding("supervisor", is_well, text, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)
@@ -415,6 +421,7 @@ class CrazyflieDriver:
             height=self._height if now - self._height_at <= SILENCE_TIMEOUT else None,
             is_flying=None if info is None else bool(info & IS_FLYING),
             may_fly=info is not None and bool(info & CAN_FLY) and not _hazards(info),
+            is_unarmed=info is not None and _is_unarmed(info),
             is_clear=self._is_clear and now - self._ranges_at <= SILENCE_TIMEOUT,
             is_battery_low=now - self._volts_low_since >= LOW_BATTERY_TIME,
         )
@@ -460,6 +467,11 @@ class CrazyflieDriver:
         if waiting is not None:
             self._sending = None
             self._put(waiting)
+
+
+def _is_unarmed(info: int) -> bool:
+    """True if the drone can be armed and is not; older firmware reports neither."""
+    return bool(info & CAN_BE_ARMED) and not info & IS_ARMED
 
 
 def _hazards(info: int) -> tuple[Hazard, ...]:

@@ -431,7 +431,8 @@ class Status(Struct, frozen=True, kw_only=True):
     settings `on_low_battery`. `findings`: the violated assumptions for which the robot drives
     slower, each with its evidence. `not_following`: how the base does not follow its commands, or
     follows late. `goal`: None before the robot has seen a goal. `keys`: None in an insecure swarm.
-    `programs`: the Zenoh programs whose liveliness tokens the robot sees.
+    `programs`: the Zenoh programs whose liveliness tokens the robot sees. `words`: what each word
+    of an operator means to the robot, as its platform's file says.
     """
 
     robot: Name
@@ -474,6 +475,7 @@ class Status(Struct, frozen=True, kw_only=True):
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
     programs: tuple[Name, ...] = ()
+    words: dict[Word, Line] = {}
 
 
 class Motion(Struct, frozen=True, array_like=True):

@@ -120,6 +120,7 @@ def make_status(
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
+        words=dict(identity.platform.words.get(settings.driver, {})),
     )
 
 

@@ -43,6 +43,7 @@ def sections(
         (_report_title(status), _report(status, described)),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
+        ("Meaning of words", list(status.words.items())),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
         ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
     ]

@@ -175,6 +175,13 @@ def test_the_battery_is_told(changes: dict[str, Any], text: str) -> None:
     assert ("battery", text) in dict(sections(member, member.status))["State"]
 
 
+def test_the_words_of_the_platform_are_told() -> None:
+    words = {"stop": "hovers, and lands after land_after", "estop": "lands at once"}
+    member = make_member(words=words)
+    assert member.status is not None
+    assert dict(sections(member, member.status))["Meaning of words"] == [*words.items()]
+
+
 def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:
     member = make_member(decision=DecisionSummary(mode="barrier", is_active=True, speed_share=0.6))
     assert member.status is not None
