@@ -30,6 +30,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import Motion, ShownPose, State, Status
 from swarmd.core.values import (
     ZERO,
@@ -45,6 +46,7 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink
 from swarmd.drivers.crazyflie.flight import (
     LANDING_RESERVE,
+    NOT_ARMED,
     Flight,
     FlightRules,
     HoverSetpoint,
@@ -53,7 +55,9 @@ from swarmd.drivers.crazyflie.flight import (
     Wish,
 )
 from swarmd.drivers.crazyflie.link import (
+    CAN_BE_ARMED,
     CAN_FLY,
+    IS_ARMED,
     IS_CRASHED,
     IS_FLYING,
     IS_LOCKED,
@@ -62,7 +66,7 @@ from swarmd.drivers.crazyflie.link import (
     DroneLink,
     has_cflib,
 )
-from swarmd.drivers.crazyflie.sensors import SENSORS, ranges_of
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, ranges_of
 from swarmd.settings.layered import Layered
 
 NAME = "crazyflie"
@@ -112,7 +116,7 @@ class CrazyflieOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     land_rate: Rate = 0.3
     land_after: Annotated[float, Meta(ge=0.0, le=600.0)] = 5.0
     clear: Annotated[float, Meta(ge=0.1, le=4.0)] = 0.4
-    battery_volts: tuple[Volts, Volts] = (3.0, 4.2)
+    battery_volts: tuple[Volts, Volts] = BATTERY_VOLTS
     low_battery: Volts = 3.2
     pose_frame: Annotated[str, Meta(max_length=63)] = ""
     pose_error: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
@@ -222,9 +226,15 @@ class CrazyflieDriver:
         ]
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
-        hazards = ", ".join(one.text for one in _hazards(supervisor)) or "ready to fly"
-        is_well = not _hazards(supervisor) and bool(supervisor & CAN_FLY)
-        found.append(Finding("supervisor", is_well, hazards, "turn the drone upright, restart it"))
+        text = ", ".join(one.text for one in _hazards(supervisor))
+        is_well, remedy = (
+            not text and bool(supervisor & CAN_FLY),
+            "turn the drone upright, restart it",
+        )
+        if not text:
+            text = "ready to fly" if is_well else "not ready to fly"
+            text = NOT_ARMED if _is_unarmed(supervisor) else text
+        found.append(Finding("supervisor", is_well, text, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)
@@ -382,7 +392,7 @@ class CrazyflieDriver:
             self._volts_low_since = now
         empty, full = self._options.battery_volts
         battery = min(max((self._volts - empty) / (full - empty), 0.0), 1.0)
-        self._sink.take(ReadingsInput({"battery": battery, "height": self._height}))
+        self._sink.take(ReadingsInput({BATTERY: battery, "height": self._height}))
         self._tell_hazards(_hazards(self._supervisor))
 
     def _tell_hazards(self, hazards: tuple[Hazard, ...]) -> None:
@@ -415,6 +425,7 @@ class CrazyflieDriver:
             height=self._height if now - self._height_at <= SILENCE_TIMEOUT else None,
             is_flying=None if info is None else bool(info & IS_FLYING),
             may_fly=info is not None and bool(info & CAN_FLY) and not _hazards(info),
+            is_unarmed=info is not None and _is_unarmed(info),
             is_clear=self._is_clear and now - self._ranges_at <= SILENCE_TIMEOUT,
             is_battery_low=now - self._volts_low_since >= LOW_BATTERY_TIME,
         )
@@ -460,6 +471,11 @@ class CrazyflieDriver:
         if waiting is not None:
             self._sending = None
             self._put(waiting)
+
+
+def _is_unarmed(info: int) -> bool:
+    """True if the drone can be armed and is not; older firmware reports neither."""
+    return bool(info & CAN_BE_ARMED) and not info & IS_ARMED
 
 
 def _hazards(info: int) -> tuple[Hazard, ...]:

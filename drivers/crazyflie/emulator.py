@@ -17,11 +17,12 @@ from collections.abc import Callable, Mapping
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError, NetworkError
-from swarmd.core.events import OdometryInput, PoseInput, ScanInput, SensorInput
+from swarmd.core.events import OdometryInput, PoseInput, ReadingsInput, ScanInput, SensorInput
+from swarmd.core.low_battery import READING
 from swarmd.core.values import Platform, Pose, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.crazyflie.firmware import Firmware
-from swarmd.drivers.crazyflie.sensors import SENSORS, sensor_rays
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, sensor_rays
 
 TICK = 0.02  # s
 _SIZE = 2048
@@ -104,6 +105,9 @@ class CrtpRobots:
                     self._log(drone, ("stateEstimate",), now)
                 if self.tells_status:
                     self.publish_status(robot)
+            elif isinstance(input, ReadingsInput) and READING in input.readings:
+                empty, full = BATTERY_VOLTS
+                drone.firmware.set_battery(empty + (full - empty) * input.readings[READING])
             elif isinstance(input, PoseInput) and drone.is_posed and drone.frame is None:
                 drone.frame = _frame(input.pose.pose, drone.odometry)
 

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from swarmd.core.values import ZERO, Pose, Twist
-from swarmd.drivers.crazyflie.link import CAN_FLY, IS_FLYING
+from swarmd.drivers.crazyflie.link import CAN_BE_ARMED, CAN_FLY, IS_ARMED, IS_FLYING
 
 LEVEL_TIMEOUT, OFF_TIMEOUT = 0.5, 2.0
 """s without a set-point until the drone levels, and until its motors stop."""
@@ -72,6 +72,7 @@ class Firmware:
         self.dropped = 0
         self.command_count = 0  # set-points that were read
         self.faults = 0  # bits of IS_TUMBLED, IS_LOCKED, IS_CRASHED
+        self.is_armed = True  # a brushed Crazyflie arms itself, a brushless one does not
         self._target = 0.0  # m; 0: the motors are off
         self._commanded_at = self._now = -math.inf
         self._blocks: dict[int, _Block] = {}
@@ -160,7 +161,8 @@ class Firmware:
             yield bytes([_LOG << 4 | 0x0C | 2, number]) + stamp_ms.to_bytes(3, "little") + packed
 
     def _info(self) -> int:
-        info = self.faults | (0 if self.faults else CAN_FLY)
+        ready = CAN_FLY | IS_ARMED if self.is_armed else CAN_BE_ARMED
+        info = self.faults or ready
         return info | (IS_FLYING if self.height > FLYING_HEIGHT else 0)
 
     def _answers(self, port: int, channel: int, payload: bytes, now: float) -> Iterator[bytes]:
@@ -206,7 +208,7 @@ class Firmware:
             if not (math.isfinite(sum(speeds) + height) and max(speeds) <= MAX_COMMAND):
                 raise ValueError("a set-point that is not finite")
             self.command_count += 1
-            if not self.faults:
+            if not self.faults and self.is_armed:
                 self.twist, self._target, self._commanded_at = twist, height, now
 
     def _stop_motors(self, now: float) -> None:

@@ -16,6 +16,7 @@ from typing import Any
 
 from swarmd.drivers.crazyflie.flight import HoverSetpoint
 
+CAN_BE_ARMED, IS_ARMED = 1 << 0, 1 << 1
 CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 """Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
 

@@ -221,6 +221,7 @@ class Lockstep:
             touch=self.scenario.touch.get(robot_id, {}),
             accepts=self.scenario.accepts,
             fence=self.scenario.fence,
+            on_low_battery=self.scenario.on_low_battery,
         )
         robot = Robot(
             robot_id,

@@ -17,9 +17,11 @@ from msgspec import json
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch import granted_zones
 from swarmd.plugins import pattern_folders
 from swarmd.protection.fence import fence_fault
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.settings.layered import Layered, dotted
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
@@ -162,6 +164,7 @@ def _overridden(
     groups = groups_of(layers, file, fields)
     accepts, notes = check_compatibility(layers, file, groups)
     _check_fence(layers, file, groups)
+    _check_section(layers, "on_low_battery", file.on_low_battery)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
@@ -202,6 +205,7 @@ def _overridden(
         touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
         accepts=accepts,
         fence=file.fence,
+        on_low_battery=file.on_low_battery,
         notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
@@ -212,13 +216,20 @@ def _overridden(
 
 def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:
     """ConfigError for a fence that is faulty, or too small for a platform."""
+    _check_section(layers, "fence", file.fence)
     if file.fence is None:
         return
-    for keys, text in file.fence.faults():
-        raise layers.error(("fence", *keys), f"{dotted(('fence', *keys))} {text}")
     for platform in {platform.name: platform for platform in groups.robots.values()}.values():
         if text := fence_fault(file.fence, platform):
             raise layers.error(("fence",), f"fence {text}")
+
+
+def _check_section(
+    layers: Layered, key: str, section: FenceSettings | LowBatterySettings | None
+) -> None:
+    """ConfigError for the first fault of a section of the file."""
+    for keys, text in () if section is None else section.faults():
+        raise layers.error((key, *keys), f"{dotted((key, *keys))} {text}")
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

@@ -19,6 +19,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.batteries import charge, has_battery
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.detector import ObjectsAround
@@ -319,12 +320,14 @@ class World:
         pose = self.poses()[robot]
         of_fields = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
         of_fields |= self._hovering.readings(robot)
+        of_fields |= charge(self.platforms[robot], self.time)
         return of_fields | self._items.readings(robot, pose) if self._items.names else of_fields
 
     @property
     def has_readings(self) -> bool:
         """Whether robots read anything besides their scans and odometry."""
-        return bool(self.fields or self._items.names or self._hovering)
+        has_more = self._hovering or any(map(has_battery, self.platforms))
+        return bool(self.fields or self._items.names or has_more)
 
     def shared_pose(self, robot: int, stamp: float) -> SharedPose:
         """The robot's pose in the frame `world`, without an error."""

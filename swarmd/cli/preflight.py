@@ -43,6 +43,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
         *_check_fence(settings),
+        *_check_low_battery(settings),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -97,6 +98,19 @@ def fence_settings_text(fence: FenceSettings) -> str:
         f"{len(fence.polygon)} corners in frame {fence.frame!r}{areas}; keeps {fence.margin:g} m of"
         f" margin; without a fresh pose the robot {without}"
     )
+
+
+def _check_low_battery(settings: DaemonSettings) -> list[Finding]:
+    """What the robot does at a low battery, if it has a pattern for that."""
+    given = settings.on_low_battery
+    if given is None:
+        return []
+    known, act = pattern_names(settings.plugin_dir), f"runs {given.pattern}"
+    if given.pattern is not None and given.pattern not in known:
+        text = f"on_low_battery.pattern: {unknown('pattern', given.pattern, known)}"
+        return [Finding("low battery", False, f"{text}; the robot stands instead")]
+    text = f"below {given.below:g} the robot {'stands' if given.pattern is None else act}"
+    return [Finding("low battery", True, f"{text}, until {given.until:g}")]
 
 
 def peers_text(settings: DaemonSettings) -> str:

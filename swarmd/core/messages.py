@@ -66,6 +66,7 @@ class Reason(StrEnum):
     ROSTER_CHANGED = "roster_changed"
     SUPERSEDED = "superseded"  # by a greater goal
     LEASE_ENDED = "lease_ended"  # the operator was not heard for the run lease
+    LOW_BATTERY = "low_battery"
     # holds: each makes the command zero; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
@@ -307,6 +308,21 @@ class FenceSummary(Struct, frozen=True, kw_only=True):
     text: Line = ""
 
 
+class BatterySummary(Struct, frozen=True, kw_only=True):
+    """The battery of a robot with the settings `on_low_battery`.
+
+    `charge`: a share; None without a fresh reading. `below`: the bound of a low battery. `is_low`
+    ends at a higher charge. `pattern`: runs then; None: the robot stands. `runs`: the present run
+    is that run.
+    """
+
+    charge: float | None
+    below: float
+    is_low: bool
+    pattern: Word | None = None
+    runs: bool = False
+
+
 class ProcessUsage(Struct, frozen=True, kw_only=True):
     """Usage of a process: `cpu`, the share of a core over the last second; `memory` in bytes."""
 
@@ -414,11 +430,12 @@ class Status(Struct, frozen=True, kw_only=True):
     `kernels`: which code decides, see `describe_kernels`. `body`: the body that the robot's beacons
     report. `peers`: the peers that the robot may not see, or that are faster than the robot
     assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
-    protection mode has no such width. `fence`: None without a fence. `findings`: the violated
-    assumptions for which the robot drives slower, each with its evidence. `not_following`: how the
-    base does not follow its commands, or follows late. `goal`: None before the robot has seen a
-    goal. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness tokens
-    the robot sees.
+    protection mode has no such width. `fence`: None without a fence. `battery`: None without the
+    settings `on_low_battery`. `findings`: the violated assumptions for which the robot drives
+    slower, each with its evidence. `not_following`: how the base does not follow its commands, or
+    follows late. `goal`: None before the robot has seen a goal. `keys`: None in an insecure swarm.
+    `programs`: the Zenoh programs whose liveliness tokens the robot sees. `words`: what each word
+    of an operator means to the robot, as its platform's file says.
     """
 
     robot: Name
@@ -453,6 +470,7 @@ class Status(Struct, frozen=True, kw_only=True):
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
     fence: FenceSummary | None = None
+    battery: BatterySummary | None = None
     findings: tuple[Line, ...] = ()
     not_following: Line = ""
     neighbors: tuple[Name, ...] = ()
@@ -460,6 +478,7 @@ class Status(Struct, frozen=True, kw_only=True):
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
     programs: tuple[Name, ...] = ()
+    words: dict[Word, Line] = {}
 
 
 class Motion(Struct, frozen=True, array_like=True):

@@ -369,6 +369,7 @@ class Platform:
     - `sensors`: by quantity, such as `ground`: the places of its sensors, (k, 3) x, y in m and
       bearing in rad in the base frame (NaN: all directions). For `detections` (k, 5), with the
       field of view in rad and the range in m.
+    - `words`: by driver: what each word of an operator means to the robot, such as `stop`.
     """
 
     name: str
@@ -383,6 +384,7 @@ class Platform:
     body: Mapping[str, float] = field(default_factory=dict)
     ranges: ScanSpec | None = None
     sensors: Mapping[str, Array] = field(default_factory=dict)
+    words: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 OPTION_INPUTS = ("detections",)

@@ -295,6 +295,7 @@ def settings_of(head: RecordingHead) -> RobotSettings:
         touch=head.touch,
         accepts=head.accepts,
         fence=head.fence,
+        on_low_battery=head.on_low_battery,
     )
 
 

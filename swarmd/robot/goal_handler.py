@@ -156,7 +156,7 @@ class GoalHandler:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        can_join = (is_active or is_idle) and not keeps_load
+        can_join = (is_active or is_idle) and not keeps_load and not lifecycle.battery.is_low
         goals.adopt(goal, age, now, may_join=may_join and can_join)
 
     def join_if_settled(self, effects: Effects) -> None:
@@ -174,11 +174,11 @@ class GoalHandler:
             return
         if fault_of(own_goal.goal.conditions):
             return
-        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, or
-        #    the swarm has revoked this robot.
+        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, the
+        #    swarm has revoked this robot, or its battery is low.
         is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
         is_barred = lifecycle.duplicate is not None or bool(lifecycle.revoked)
-        if is_busy or is_barred:
+        if is_busy or is_barred or lifecycle.battery.is_low:
             return
         if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
             return

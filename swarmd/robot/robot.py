@@ -18,6 +18,7 @@ from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal
 from swarmd.core.host_messages import TrialDone
 from swarmd.core.kernels import load_kernel
+from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import (
     MAX_TRACKS,
     Epoch,
@@ -232,8 +233,13 @@ class Robot(Ticker):
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
 
-    def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
+    def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
+        if not self._lifecycle.takes_charge(self._sensors.readings.get(BATTERY), now):
+            return None
+        effects = self._begin(now)
+        self._lifecycle.on_battery(effects)
+        return self._settle(effects)
 
     def _on_option_input(self, one: events.SensorInput, now: float) -> None:
         self._sensors.on_option_input(one)
@@ -420,7 +426,12 @@ class Robot(Ticker):
             return
         if running is not None and effects.host is None:
             self._lifecycle.start_run(
-                running.pattern, running.params, effects, wish=running.wish, until=running.until
+                running.pattern,
+                running.params,
+                effects,
+                wish=running.wish,
+                until=running.until,
+                is_restart=True,
             )
 
     def _has_new_status(self, now: float) -> bool:

@@ -11,6 +11,7 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 |             | the daemon leaves                                      | leaving              |
 |             | a greater goal; a load that peers run is refused       | superseded           |
 |             | the run lease ends                                     | lease_ended          |
+|             | the battery is low while the robot runs or loads       | low_battery          |
 |             | a roster without this robot                            | roster_changed       |
 | HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
@@ -27,7 +28,7 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 
 Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. Loads that end in
 RUN come from the requests `run` and `resume`, a reload with a new run, a goal with `on_join: run`,
-and the restart of a failed pattern.
+the restart of a failed pattern, and a low battery, whose pattern follows a run at once.
 """
 
 from __future__ import annotations
@@ -70,6 +71,7 @@ from swarmd.protection.decision import Permit
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
+from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
 from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish
 from swarmd.robot.settings import RobotIdentity
@@ -163,7 +165,7 @@ _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
 MAX_TEXT = 300  # characters
 # The load of a next run that was already requested continues; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
-_BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET})
+_BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET, Reason.LOW_BATTERY})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
@@ -196,6 +198,7 @@ class Lifecycle:
         self.wrong_type_count = 0  # messages with a value of an undeclared type
         # Generations (numbers of loads) of pushed code that a fault would replace.
         self.provisional: tuple[int, ...] = ()
+        self.battery = LowBattery()
         self._last_fault_text = ""  # of the pattern
         self._load_command: host_messages.Load | None = None  # the last sent
         if self.latches.held:
@@ -346,7 +349,8 @@ class Lifecycle:
             now,
             is_resumed=not isinstance(loading.request, RunRequest),
         )
-        text = f"runs {loading.pattern}; {note}" if note else f"runs {loading.pattern}"
+        battery = f"its battery is low{self._charge_text}" if self.battery.is_low else ""
+        text = "; ".join(filter(None, (f"runs {loading.pattern}", note, battery)))
         if loading.request is None:
             self.log(text, now)
         else:
@@ -356,6 +360,8 @@ class Lifecycle:
         text = event.text
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
+            if loading is not None and loading.wish.is_own:  # the state is stopped before and after
+                self.log(f"{loading.pattern} is not loaded: {text}", effects.now)
             self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
             is_unknown = event.refusal is Refusal.UNKNOWN_PATTERN
             if loading is not None and loading.goal is not None and is_unknown:
@@ -553,15 +559,16 @@ class Lifecycle:
         goal: Goal | None = None,
         start_at: float | None = None,
         is_fresh: bool = False,
+        is_restart: bool = False,
     ) -> None:
         """Command the pattern host to load a pattern; the run begins once the host has loaded it.
 
         `wish`: when and by whom the run was requested. `seconds`: the longest time of the run, None
         without a limit. `until`: conditions; the first that holds ends the run. `request`: the
         request that is answered when the run begins, or refused if the load fails. `goal`: the goal
-        of the run. Without `request` and `goal` the load is a restart of a failed pattern.
-        `start_at`: the run does not begin before this time, s on the own clock. `is_fresh`: load in
-        a new host process; also done if the present host has outdated code.
+        of the run. `start_at`: the run does not begin before this time, s on the own clock.
+        `is_fresh`: load in a new host process; also done if the present host has outdated code.
+        `is_restart`: the failed pattern of the present run is loaded again.
         """
         run = self.pattern_run
         run.generation += 1
@@ -576,13 +583,14 @@ class Lifecycle:
             until=until,
             goal=goal,
             start_at=start_at,
+            is_restart=is_restart,
         )
         run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
             self.load_of(run.generation, pattern, params),
             is_fresh=is_fresh or run.is_outdated,
             until=until,
-            is_restart=run.loading.is_restart,
+            is_restart=is_restart,
         )
         effects.command_host(self._load_command)
         run.is_outdated = False
@@ -650,6 +658,52 @@ class Lifecycle:
         self.raise_revision(f"a hazard: {text}")
         self._end(Trigger.HAZARD, Reason.HAZARD, text, effects)
         self.goals.bar(effects.now)
+
+    def takes_charge(self, charge: float | None, now: float) -> bool:
+        """Take in the charge of the battery; True if `on_battery` must follow.
+
+        `charge`: a share; None without a fresh reading.
+        """
+        settings = self.identity.settings.on_low_battery
+        return settings is not None and self.battery.take(charge, settings, now)
+
+    @property
+    def _charge_text(self) -> str:
+        """The charge in brackets; empty without a fresh reading."""
+        return "" if self.battery.charge is None else f" ({self.battery.charge:.2f})"
+
+    def on_battery(self, effects: Effects) -> None:
+        """After the battery has become low or is no longer low. A charged battery starts nothing.
+
+        A low battery ends the run or the load, and the robot joins no goal that was set before. A
+        robot that ran then runs the pattern of `on_low_battery`, unless its run had a lease: the
+        operator of a lease wants a robot that stands once the operator is not heard.
+        """
+        settings, battery, now = self.identity.settings.on_low_battery, self.battery, effects.now
+        assert settings is not None
+        if not battery.is_low:
+            self.log(f"the battery is no longer low{self._charge_text}", now)
+            return
+        text = f"the battery is below {settings.below:g}{self._charge_text}"
+        run = self.pattern_run
+        running, has_lease = run.running, self.goals.lease_ends is not None
+        if running is None and run.loading is None:
+            self.log(text, now)
+            self.goals.on_end(text)
+            self.goals.bar(now)
+            return
+        if running is not None and running.wish.is_own and run.loading is None:
+            return  # the charge has risen and fallen again meanwhile
+        self.raise_revision("a low battery")
+        self._end(Trigger.STOP, Reason.LOW_BATTERY, text, effects)
+        if running is not None and settings.pattern is not None and not has_lease:
+            self.start_run(
+                settings.pattern,
+                settings.params,
+                effects,
+                wish=Wish(running.wish.at, "its low battery", is_own=True),
+                seconds=settings.seconds,
+            )
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """After a change of the daemon's network: end the run, make earlier epochs stale."""

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from swarmd.core.bounds import BoundedScalar
-from swarmd.core.messages import DecisionSummary, FenceSummary, Health, Param, Reason, Status
+from swarmd.core.messages import (
+    BatterySummary,
+    DecisionSummary,
+    FenceSummary,
+    Health,
+    Param,
+    Reason,
+    Status,
+)
 from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision, WayState
 from swarmd.protection.protection import Protection
@@ -108,10 +116,12 @@ def make_status(
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
         fence=_fence(settings, sensors, decision, protection, now),
+        battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
+        words=dict(identity.platform.words.get(settings.driver, {})),
     )
 
 
@@ -135,6 +145,21 @@ def _fence(
         limits=decision.is_fenced,
         holds=fence.without_pose == "hold",
         text=sensors.fence_text(now)[:MAX_VALUE],
+    )
+
+
+def _battery(lifecycle: Lifecycle) -> BatterySummary | None:
+    settings, battery = lifecycle.identity.settings.on_low_battery, lifecycle.battery
+    if settings is None:
+        return None
+    run = lifecycle.pattern_run
+    present = run.running or run.loading
+    return BatterySummary(
+        charge=battery.charge,
+        below=settings.below,
+        is_low=battery.is_low,
+        pattern=settings.pattern,
+        runs=present is not None and present.wish.is_own,
     )
 
 

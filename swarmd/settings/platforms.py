@@ -13,6 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 
 import swarmd.config
 from swarmd.core.angles import wrap
+from swarmd.core.bounds import Line, Word
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
@@ -172,6 +173,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
+    - `words`: by driver, what each word of an operator, such as `stop`, means to a robot that does
+      more than it says. `describe` shows these texts.
     """
 
     description: str = ""
@@ -187,6 +190,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
     ranges: ScanSection | None = None
     sensors: dict[SensorName, Sensors] = {}
+    words: dict[str, dict[Word, Line]] = {}
 
 
 def platform_names() -> tuple[str, ...]:
@@ -506,6 +510,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         body=file.body,
         ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
         sensors={name: _sensors(some) for name, some in file.sensors.items()},
+        words=file.words,
     )
 
 

@@ -20,6 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.values import OPTION_INPUTS, Platform, TouchZone, Value, sensor_names
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
@@ -67,6 +68,7 @@ class DaemonSettings:
     accepts: Accepts
     neighbors: NeighborSettings
     fence: FenceSettings | None
+    on_low_battery: LowBatterySettings | None
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
@@ -147,6 +149,7 @@ def load_daemon_settings(
         accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
         neighbors=file.neighbors,
         fence=file.fence,
+        on_low_battery=file.on_low_battery,
         roster=file.robots if identity is None else identity.roster.robots,
         state_dir=state_dir,
         plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),

@@ -16,6 +16,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
 from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.names import expand_globs, expand_names
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
@@ -99,6 +100,7 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
       `accepts_faster`: the same for platforms that are faster than the barrier assumes. Both: a
       list of platforms, or reasons by platform.
     - `fence`: the area in a shared frame that robots do not leave.
+    - `on_low_battery`: what a running robot does when its battery is low. None: nothing.
     """
 
     identity: str | None = None
@@ -112,6 +114,7 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
     fence: FenceSettings | None = None
+    on_low_battery: LowBatterySettings | None = None
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -220,9 +223,10 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
         yield from _check_names(file)
         for key, text in file.neighbors.faults():
             yield fault_at(("neighbors", key), text)
-        if file.fence is not None:
-            for keys, text in file.fence.faults():
-                yield fault_at(("fence", *keys), text)
+        for key in ("fence", "on_low_battery"):
+            if (section := getattr(file, key)) is not None:
+                for keys, text in section.faults():
+                    yield fault_at((key, *keys), text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)

@@ -29,6 +29,7 @@ SENTENCES = {
     Reason.ROSTER_CHANGED: f"it has taken another roster{{detail}}; {_START}",
     Reason.SUPERSEDED: "a later goal ended its run{detail}; see `swarmctl goal`",
     Reason.LEASE_ENDED: f"the operator of its run was not heard{{detail}}; {_START}",
+    Reason.LOW_BATTERY: f"its battery is low{{detail}}; charge it, then {_START}",
     Reason.NO_SCAN: "no scan arrives{detail}; check the driver{driver}",
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",

@@ -174,6 +174,27 @@ def test_a_drone_beside_an_obstacle_does_not_take_off() -> None:
     play(drone, story)
 
 
+def test_a_drone_that_is_not_armed_stays_on_the_ground_and_says_so() -> None:
+    drone = Drone()
+    firmware = drone.robots.firmware("cf")
+    firmware.is_armed = False
+
+    async def story(harness: DriverHarness) -> None:
+        harness.driver.send(ZERO, 1, 1)
+        harness.driver.send(ZERO, 1, 1)
+
+        def is_told() -> bool:
+            harness.driver.send(TWIST, 1, 1)
+            assert not firmware.has_motors_on
+            return "not armed" in harness.sink.states[-1][1]
+
+        await harness.until(is_told, publishing=True)
+        firmware.is_armed = True  # by hand
+        await flying(harness, drone)
+
+    play(drone, story)
+
+
 def test_a_drone_flies_on_over_a_link_that_loses_and_delays() -> None:
     drone = Drone()
 
