@@ -653,7 +653,8 @@ class BlindZoneMemory:
                 return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
-            # 4. Adds the candidate. A return still in view only continues a face, and is doubtful.
+            # 4. Adds the candidate, as far within the rim as it can have moved since. A return
+            # still in view only continues a face, and is doubtful.
             if is_gone or (is_entered and self._is_in_entered_sector[ray]):
                 k = self._candidate_count
                 self._hidden_bearing[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
@@ -776,8 +777,8 @@ class BlindZoneMemory:
 
         1. Obstacles cross the rim at both ends: they fill the sector, doubtful.
         2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
-           Its
-           age: 0 where a robot has room; else at most doubtful while an obstacle crosses the rim;
+           Age
+           then: 0 where a robot has room; else at most doubtful while an obstacle crosses the rim;
            else older by `seconds`.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         4. Else the rays stay as they are.

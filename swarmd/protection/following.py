@@ -146,7 +146,7 @@ class _Axis:
 
         The bounds are the speeds of a slow base, which responds late and accelerates slowly, and of
         a fast base, which responds at once to any command of the last WINDOW s. The speed is known
-        twice. The base follows if either speed is within the bounds.
+        from the twist and from the pose. The base follows if either speed is within the bounds.
 
         `period`: s since the reading before. `stamp`: s, of this reading. `by_twist`: the measured
         speed in m/s or rad/s. `by_pose`: the speed by the change of the pose.
