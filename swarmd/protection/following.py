@@ -154,7 +154,7 @@ class _Axis:
         i: cython.Py_ssize_t
 
         # 1. Moves the slow base on. Two periods are added to its delay: a command has the stamp of
-        # the reading before it, and a speed by the pose is a mean over the last period.
+        # the reading before it, and the motion that is compared began with the last period.
         response: cython.double = stamp - DELAY - 2.0 * period
         while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
             self._held += 1
