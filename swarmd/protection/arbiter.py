@@ -63,7 +63,7 @@ _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 class Protection:
     """Decides on the safe command of one robot, in every state and mode.
 
-    What it stores follows from its calls alone, so that a recording can be replayed. `seed` seeds
+    The stored state follows from the calls alone, so that a recording can be replayed. `seed` seeds
     the random choices of recovery and right of way.
 
     Attributes:
