@@ -682,9 +682,9 @@ class BlindZoneMemory:
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-        # 2. Rules 4 and 5: which candidates are still hidden. `_find_reappeared` sets `_angles` to
-        # those of reappeared returns. Of a narrow obstacle, half of the width that vanished
-        # suffices.
+        # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
+        # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
+        # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
