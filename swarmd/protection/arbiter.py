@@ -63,8 +63,8 @@ _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 class Protection:
     """Decides on the safe command of one robot, in every state and mode.
 
-    The state follows from the calls alone, so that a recording can be replayed. `seed` seeds the
-    random choices of recovery and right of way.
+    The stored state follows from the calls alone, so that a recording can be replayed. `seed` seeds
+    the random choices of recovery and right of way.
 
     Attributes:
         events: texts that the caller has yet to log.

@@ -361,7 +361,8 @@ class _Brake:
         self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
-        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND.
+        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND: half of the
+        # difference of their misfits, which are chi-squares in units of the variance.
         misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
         log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
@@ -464,8 +465,8 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )
-    freedom = max(len(distances) - 3.0, 1.0)  # fitted: the delay, the scale and the braking
-    return misfits, freedom, float(delays[misfits.argmin()])
+    # Degrees of freedom: less the delay, the scale and the braking, which are fitted.
+    return misfits, max(len(distances) - 3.0, 1.0), float(delays[misfits.argmin()])
 
 
 def _view(values):

@@ -211,7 +211,7 @@ def _crosses_rim(
     while face_rays < _EDGE_RAYS:
         i = (i + direction + ray_count) % ray_count
         next_range: cython.double = _finite_range(ranges, i)
-        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or NaN
+        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or no range
             break
         far_range = next_range
         face_rays += 1
@@ -653,7 +653,8 @@ class BlindZoneMemory:
                 return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
-            # 4. Adds the candidate. A return still in view only continues a face, and is doubtful.
+            # 4. Adds the candidate, as far within the rim as it can have moved since. A return
+            # still in view only continues a face, and is doubtful.
             if is_gone or (is_entered and self._is_in_entered_sector[ray]):
                 k = self._candidate_count
                 self._hidden_bearing[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
@@ -681,8 +682,9 @@ class BlindZoneMemory:
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-        # 2. Rules 4 and 5: which candidates are still hidden. `_find_reappeared` sets `_angles` to
-        # those of reappeared returns. Of an obstacle narrower than noise shows, half must emerge.
+        # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
+        # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
+        # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
@@ -776,9 +778,8 @@ class BlindZoneMemory:
 
         1. Obstacles cross the rim at both ends: they fill the sector, doubtful.
         2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
-           Its
-           age: 0 where a robot has room; else at most doubtful while an obstacle crosses the rim;
-           else older by `seconds`.
+           Its age there: 0 where a robot has room; else at most doubtful while an obstacle crosses
+           the rim; else older by `seconds`.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         4. Else the rays stay as they are.
         """

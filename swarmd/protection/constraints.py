@@ -232,7 +232,7 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Place the first `placed.seen` returns (by `begin`), and add their constraints.
+        """Place the first `placed.seen` returns (set by `begin`), and add their constraints.
 
         The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
         A return too far away to constrain any command within the limits is left out. `near`: near

@@ -138,8 +138,8 @@ class Fence:
             requested: within the limits of the platform.
             context: the time, odometry and the anchor with their ages.
             command: the command in force, by which the base moves until the next command.
-            is_even: reduce all speeds by one share. So the result still satisfies constraints that
-                the request satisfies, are convex and permit zero, as those of a mode.
+            is_even: reduce all speeds by one share. If the request satisfies constraints that are
+                convex and permit zero, such as those of a mode, then so does the result.
         """
         if requested.is_zero or context.anchor is None or context.odometry is None:
             return requested
@@ -281,7 +281,7 @@ class Fence:
         clearance = self.clearances(places).reshape(4 * n, _STEPS)
 
         # 2. Between two steps the axle moves by half of a step away from the nearer one. Inwards:
-        # the clearance never falls, and rises by more than an error of the direction can feign.
+        # the clearance never falls, and rises by at least what an error of the direction can feign.
         steps = np.diff(travel, axis=1, prepend=0.0)
         is_clear = clearance >= need + turn_error * travel + 0.5 * steps
         before = np.concatenate((np.full((4 * n, 1), present), clearance[:, :-1]), axis=1)

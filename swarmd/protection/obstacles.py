@@ -227,8 +227,9 @@ class NearObstacles:
     ) -> cython.double:
         """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
-        The result is the least gap in m among the returns with a range up to `longest_range`; inf
-        without such a return. Returns too close to measure go to `rays`, and have no gap.
+        `min_gap` is the least gap of all returns, at any range. The result is the least gap in m
+        among the returns with a range up to `longest_range`; inf without such a return. Returns too
+        close to measure go to `rays`, and have no gap.
 
         `ranges`, `range_min`, `ages`: as in `take_scan`. `longest_range`: m from the lidar.
         `binding_range`: m from the outline.

@@ -490,12 +490,12 @@ class RightOfWay:
             if came_from > 0.0 or backs_out:
                 # The track comes out. Compares the m that each robot would have to back out.
                 own_m, other_m = place.s + _IN, place.depth + _IN - along
-                is_in_opening = along < place.depth + _IN
+                is_in_or_through = along < place.depth + _IN
                 if place.is_in and is_ahead:
                     is_near = along - place.s < _MEETING + place.depth
                     is_met |= is_near and other_m > max(own_m + slack, 0.0)
-                elif is_in_opening or along - place.depth < -place.s + slack:  # or is nearer to it
-                    is_busy = True
+                elif is_in_or_through or along - place.depth < -place.s + slack:
+                    is_busy = True  # the track is in or through the opening, or nearer to it
                     is_within |= -_THRESHOLD < along < place.depth + _THRESHOLD
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
