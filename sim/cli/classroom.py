@@ -175,7 +175,7 @@ def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeo
     pupil = path.name if path.is_dir() else path.stem
     checks: list[Point] = []
     try:
-        if plan is None:
+        if plan is None:  # a lesson without a pattern
             mark = mark_results(lesson, path)
             return Work(pupil, mark=mark, why=mark.why)
         with _folder_of(path, lesson) as folder:

@@ -170,6 +170,7 @@ def tune(
                 seeds=parse_seeds(seeds),
                 param=params,
                 set=parse_sets(sets),
+                # Patterns of which missions are composed, or the file of a mission.
                 mission=modules.split(",") if modules else (),
                 # A number of seeds, which then follow those of the search; or the seeds.
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),

@@ -166,12 +166,14 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
             return await super().call_tool(name, arguments, context)
 
     def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
+        """Add a method of `tools` to the server; its SwarmError becomes a ToolError."""
+
         @wraps(method)
         async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
             try:
                 return await method(*args, **kwargs)
             except SwarmError as error:
-                # Another error may come after a request was sent.
+                # A ConfigError comes before a request is sent; other errors may come later.
                 is_unsent = is_command and isinstance(error, ConfigError)
                 text = f"nothing was sent: {error}" if is_unsent else str(error)
                 raise ToolError(_cut(text)) from error

@@ -245,9 +245,8 @@ def entries_of(
 ) -> tuple[list[TaskEntry], list[Misfit]]:
     """The pairs of task and pattern to run, and the pairs whose task does not fit the pattern.
 
-    In a pair that does not fit, the robots lack an input that the pattern needs.
-
-    `patterns`: the names to try in each task; if empty, each task tries the candidates of its file.
+    In a pair that does not fit, the robots lack an input that the pattern needs. `patterns`: the
+    names to try in each task; if empty, each task tries the candidates of its file.
     ConfigError for an unknown pattern, and for a candidate of a task file that does not fit.
     """
     for pattern in patterns:

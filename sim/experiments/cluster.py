@@ -152,6 +152,7 @@ class Cluster:
             self._receive()
             if self._refusal:
                 raise ConfigError(f"{self._refusal}; install the same software there")
+        # Workers that answer after the deadline are used later, if their software fits.
         if not self._software:
             text = (
                 f"{len(self._workers)} workers, and none answers" if self._workers else "no worker"
@@ -341,7 +342,7 @@ class Cluster:
             return "", None
         name = self._worker_by_query.pop(key, None)
         worker = self._workers.get(name or "")
-        if name is None or worker is None:
+        if name is None or worker is None:  # of a run, or of the query for a worker that is gone
             return key, answer
         difference = self._difference(answer)
         worker.is_fit = difference is None

@@ -110,7 +110,7 @@ class MissionSpace(Missions):
         self.ranges = dict(ranges)
         self.folder = folder
         self.conditions: list[str] = []
-        for key in self.ranges:
+        for key in self.ranges:  # a timeout or a probability is not negated
             self.conditions += [key] if key in _LOG else [key, f"not {key}"]
         # The conditions of a switch, which is evaluated anew at each step: no random event.
         self.lasting = [name for name in self.conditions if name != PROBABILITY]
@@ -143,7 +143,7 @@ class MissionSpace(Missions):
                 self._draw_transitions(trial, n, states, values)
             elif values["kind"] == "sequence":
                 self._draw_condition(trial, f"{n}", self.conditions, values)
-            elif n < states:
+            elif n < states:  # the last pattern of a switch runs if no condition holds
                 self._draw_condition(trial, f"{n}", self.lasting, values)
         if not is_machine:
             return values
@@ -182,8 +182,8 @@ class MissionSpace(Missions):
     def _draw_transitions(self, trial: Trial, n: int, states: int, values: dict[str, Any]) -> None:
         """Draw up to MAX_TRANSITIONS transitions of state n, to different other states.
 
-        Adds to `values`, for transition k: `target_n_k`, `condition_n_k` and `bound_n_k`. With
-        another condition than a timeout or a probability, which hold for a moment, also
+        Adds to `values`, for transition k: `target_n_k`, `condition_n_k` and `bound_n_k`. A timeout
+        or a probability is an event. With any other condition, which may hold for long, also
         `chance_n_k`: the probability per second of the transition while the condition holds.
         """
         for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
@@ -326,6 +326,7 @@ def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
                 try:
                     mission_class(tried, find)
                 except ConfigError as error:
+                    # Without the line number and the path, which is that of a temporary file.
                     text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
                     raise ConfigError(
                         f"{SOURCE} {parameter.key}: {value} is refused: {text}"

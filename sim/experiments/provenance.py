@@ -103,8 +103,8 @@ def git_state(folder: Path) -> GitState | None:
     # `-c KEY=` cannot switch off a key that contains "=".
     if scopes_and_keys is None or "=" in scopes_and_keys:
         return None
-    lines = scopes_and_keys.splitlines()
-    filters = [line.partition("\t")[2] for line in lines if line[:1] in "lw"]
+    scoped_keys = [line.partition("\t") for line in scopes_and_keys.splitlines()]
+    filters = [key for scope, _, key in scoped_keys if scope in ("local", "worktree")]
     changed_files = _git(folder, *_STATUS, no_filters=filters)
     return GitState(commit=commit, is_dirty=bool(changed_files))
 

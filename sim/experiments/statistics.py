@@ -307,22 +307,22 @@ def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str,
     A metric that is 0 or 1 has the interval of its share. For a time to an event that never
     happened in some runs, the number of these runs stands in place of the mean.
     """
-    return [
-        (
-            metric.name,
-            metric.unit or NOTHING,
-            f"{summary.never} of {summary.n + summary.never} never"
-            if summary.never
-            else number(summary.mean),
-            interval(summary.mean_interval if summary.share is None else summary.share_interval),
-            number(summary.median) if summary.share is None else NOTHING,
-            interval(summary.median_interval if summary.share is None else None),
-            number(summary.min),
-            number(summary.max),
-            str(summary.n + (summary.never or 0)),
-        )
-        for metric, summary in summaries
-    ]
+    rows = []
+    for metric, summary in summaries:
+        runs = summary.n + (summary.never or 0)
+        mean = f"{summary.never} of {runs} never" if summary.never else number(summary.mean)
+        if summary.share is None:
+            middle = (
+                interval(summary.mean_interval),
+                number(summary.median),
+                interval(summary.median_interval),
+            )
+        else:  # the median of values that are 0 or 1 says nothing
+            middle = (interval(summary.share_interval), NOTHING, interval(None))
+        least, greatest = number(summary.min), number(summary.max)
+        unit = metric.unit or NOTHING
+        rows.append((metric.name, unit, mean, *middle, least, greatest, str(runs)))
+    return rows
 
 
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

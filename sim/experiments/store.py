@@ -250,11 +250,12 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     """The store of a new or continued experiment; removes partly written traces and lines."""
     table, traces = folder / TABLE, folder / TRACES
     if (folder / manifests.NAME).exists():
-        requested, manifest = manifest, read_manifest(folder)
-        difference = next(manifests.differences(manifest, requested), None)
+        recorded = read_manifest(folder)
+        difference = next(manifests.differences(recorded, manifest), None)
         if difference is not None:
             text = f"{folder}: holds another experiment: {difference}"
             raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+        manifest = recorded
     else:
         _refuse_other_files(folder)
         # The manifest comes first: it marks the folder as the folder of an experiment.

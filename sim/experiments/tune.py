@@ -664,9 +664,8 @@ class _Tuner:
             candidate = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
             self.candidates.append(candidate)
             accepted.append(candidate)
-        is_first_race = (
-            len(self.candidates) == 1
-        )  # there is only candidate 0, the scenario's values
+        # In race 0 the only earlier candidate is number 0, which has the scenario's values.
+        is_first_race = len(self.candidates) == 1
         if count and not accepted and is_first_race:
             text = f"no values of {', '.join(self.space.text)} are accepted"
             raise ConfigError(f"{text}; the last: {last_refusal}")
@@ -805,7 +804,7 @@ def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space
     worst = max(finite)
     finishers = (racer for racer in racing if not racer.is_out)
     leader = min(finishers, key=lambda racer: mean_loss(racer.losses))
-    losses = np.minimum(candidate.losses, worst)
+    losses = np.minimum(candidate.losses, worst)  # inf, a failed run, counts as the worst run
     leader_losses = np.minimum(leader.losses, worst)
     difference = (losses - leader_losses[: len(losses)]).mean()
     candidate.estimate = float(leader_losses.mean() + difference)

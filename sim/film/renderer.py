@@ -131,6 +131,7 @@ class Renderer:
         poses = poses_at(self._t, trace.pose, time)
         instant = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
         has_pose = _are_known(poses)
+        # `qpos`: x, y and yaw of each robot, then of each movable box.
         self._data.qpos[: 3 * n] = np.where(has_pose[:, None], poses, 0.0).ravel()
         colours = self._colouring.rgb[instant] / 255.0
         model.geom_rgba[self.stage.bodies, :3] = colours

@@ -86,6 +86,8 @@ def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
         if len(where) < 2:
             continue
         tree = _tree(where, instant, _diagonal(where))
+        # The two nearest points of each point are the point itself and its neighbor. If points
+        # coincide, the point itself may come second.
         first, second = tree.query(tree.data, k=2)[1].T
         neighbor = np.where(second == np.arange(len(where)), first, second)
         away = np.hypot(*(where - where[neighbor]).T)

@@ -60,7 +60,8 @@ def radio_components(trace: Trace) -> Array:
             low, high = int(links.instant.min()), int(links.instant.max()) + 1
             node = (links.instant - low) * n
             root = pairs.components((high - low) * n, node + links.a, node + links.b)
-            # A node that is not the lowest of its component makes one component less.
+            # `counts` begins with a component for each robot. Each node that is not the lowest of
+            # its component makes one component less.
             is_joined = root != np.arange(len(root))
             counts[low:high] -= is_joined.reshape(-1, n).sum(axis=1)
     return np.where(counts > 0.0, counts, np.nan)

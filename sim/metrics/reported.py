@@ -95,8 +95,11 @@ def check_reported(name: str, trace: Trace) -> None:
     prefix, key, text, _, _ = _parts(name)
     numbers, words = _named(trace, prefix)
     texts = [str(word) for word in np.unique(words[key]) if word] if key in words else []
-    if text[:_MAX_TEXT] in texts or (not text and key in numbers):
+    has_text = text[:_MAX_TEXT] in texts  # a trace keeps the beginning of a long text
+    has_number = not text and key in numbers
+    if has_text or has_number:
         return
+    # What was meant instead: a text of this key, or another key, maybe with a suffix.
     if texts and not text:
         listed = ", ".join(f"{key}={word}" for word in texts)
         raise ConfigError(f"metric {name!r}: {key} is a text; name one: {listed}")

@@ -376,11 +376,11 @@ class _Gallery:
                 title = f"{self._title(variant)}, seed {run.seed}"
                 title += f"\n{word} run{self._primary_value(run, has_name=True)}"
                 name = word.replace(" ", "_")
-                paths = trajectories_figure(trace, title, fields=fields, width=width)
-                ends = start_and_end_figure(trace, title, fields=fields, width=width)
+                trajectories = trajectories_figure(trace, title, fields=fields, width=width)
+                start_and_end = start_and_end_figure(trace, title, fields=fields, width=width)
                 return [
-                    self._save(paths, f"{name}_trajectories", variant),
-                    self._save(ends, f"{name}_start_and_end", variant),
+                    self._save(trajectories, f"{name}_trajectories", variant),
+                    self._save(start_and_end, f"{name}_start_and_end", variant),
                 ], run
         return [], None
 

@@ -116,7 +116,8 @@ def rows_of(names: Sequence[str]) -> PanelRows:
     values = np.array([finite_number(name) for name in names])
     if len(names) < _FEWEST_ON_SCALE or not (np.diff(values) > 0.0).all():  # NaN: not a number
         return equal
-    for is_log in (False, True) if values[0] > 0.0 else (False,):
+    scales = (False, True) if values[0] > 0.0 else (False,)  # only numbers above 0 have logarithms
+    for is_log in scales:
         scaled = np.log(values) if is_log else values
         places = (scaled - scaled[0]) / np.diff(scaled).min()
         if places[-1] <= _LONGEST * (len(names) - 1):

@@ -181,10 +181,10 @@ def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantit
 
 def _unit_of(plan: Plan, key: str) -> str:
     """The unit of a swept key, if it is a pattern's parameter or one of _UNITS; else empty."""
-    *_, kind, name = ("", *key.split("."))
-    if kind != "parameters":
+    words = key.split(".")  # of a pattern's parameter: groups, GROUP, parameters, NAME
+    if len(words) < 2 or words[-2] != "parameters":
         return _UNITS.get(key, "")
-    group = key.split(".")[1]
+    group, name = words[1], words[-1]
     patterns = {
         one.effective.get("groups", {}).get(group, {}).get("pattern") for one in plan.variants
     }

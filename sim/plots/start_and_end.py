@@ -126,6 +126,8 @@ def by_cluster(part: Trace, link: float | None) -> Grouping:
     labels = [int(label) for label in clusters(part, link)[0]]
     sizes = Counter(label for label in labels if label >= 0)
     by_size = sorted((label for label in sizes if sizes[label] > 1), key=lambda k: (-sizes[k], k))
+    # A single robot has NO_COLOUR. A cluster is grey, but the largest have a colour each: the
+    # colours without the last, which is grey too.
     colour_of = dict.fromkeys(sizes, NO_COLOUR) | dict.fromkeys(by_size, SMALL_COLOUR)
     colour_of |= dict(zip(by_size, ROBOT_COLOURS[:-1], strict=False))
     colours = [colour_of.get(label, NO_COLOUR) for label in labels]

@@ -154,7 +154,8 @@ def _enter_statuses(
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:
-            enter_named(named, (slice(int(np.searchsorted(t, at)), None), row), shape, status)
+            since = slice(int(np.searchsorted(t, at)), None)  # until a later status overwrites it
+            enter_named(named, (since, row), shape, status)
     is_silent = np.array([not track.is_heard(now) for now in t.tolist()])
     for kind, blank in NAMED.items():
         for values in named[kind].values():
