@@ -54,6 +54,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.barrier",
     ),
     "swarmd.protection._blind_zone": ("swarmd.protection.blind_zone",),
+    "swarmd.protection._fence_stops": ("swarmd.protection.fence_stops",),
     "swarmd.protection._following": ("swarmd.protection.following",),
     "swarmd.protection._openings": ("swarmd.protection.openings",),
     "swarmd.protection._tracks": ("swarmd.protection.tracks",),
