@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from swarmd.core.errors import CodecError
 from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
@@ -25,6 +26,7 @@ NAME = "ros2dds"
 
 _RELIABILITY = {"0": "best effort", "1": "reliable"}  # by the numbers of DDS
 _TRANSIENT_LOCAL = "1"
+_REQUEST_MARK, _REQUEST_SIZE = b"rqh", 20  # of the attachment: client, number, byte order
 
 
 def make_driver(
@@ -115,3 +117,20 @@ class Ros2Dds(Ros2Middleware):
     def attachment(self, token: str = "") -> bytes | None:
         """None: the bridge uses no attachments."""
         return None
+
+    def service_key(self, service: str) -> str:
+        """The one key of the service."""
+        return self.subscription_key(service)
+
+    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
+        """None: the bridge offers a service to each client that it finds in DDS."""
+        return ()
+
+    def call_stamp(self, key: str, attachment: bytes | None) -> None:
+        """None: the bridge hands on no time. CodecError without the header of a DDS request."""
+        is_marked = attachment is not None and attachment.startswith(_REQUEST_MARK)
+        if "*" in key or not is_marked or len(attachment or b"") != _REQUEST_SIZE:
+            raise CodecError("no call of a bridge")
+
+    def reply_attachment(self, attachment: bytes | None) -> None:
+        """None: the bridge needs no attachment of a reply."""

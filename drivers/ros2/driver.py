@@ -24,6 +24,7 @@ from swarmd.core.messages import Motion, Reason, ShownPose, Status
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
+from swarmd.driver_api.command_source import TakeCommand
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, diagnosis, from_ros
@@ -36,6 +37,7 @@ from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
+from swarmd.drivers.ros2.services import CommandServices
 from swarmd.drivers.ros2.session import (
     KEPT,
     MAX_OPEN_TIME,
@@ -96,6 +98,7 @@ class RosDriver:
             *(stats.message_type for stats in self._subscriptions.topics.values()),
         )
         self._state = StateTopics(scheme, platform, options)
+        self._services = CommandServices(scheme, options)
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -129,6 +132,15 @@ class RosDriver:
         age = self._subscriptions.odometry_age(asyncio.get_running_loop().time())
         self._state.show(status, motion, pose, age)
 
+    @property
+    def receives_commands(self) -> bool:
+        """True with the option `services`."""
+        return self._services.is_on
+
+    def serve_commands(self, take: TakeCommand) -> None:
+        """Hand the calls of the robot's ROS services to `take`."""
+        self._services.serve(take)
+
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
         return self._zero_sender
@@ -150,7 +162,8 @@ class RosDriver:
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
-            return (*self._report().findings(), *self._state.findings())
+            own_findings = *self._state.findings(), *self._services.findings()
+            return (*self._report().findings(), *own_findings)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
@@ -234,15 +247,18 @@ class RosDriver:
             self._subscribe(session, inbox, loop)
             if not is_check:
                 self._state.open(session)
+                self._services.open(session, loop)
             opened_at = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened_at)
                 self._state.publish()
+                self._services.advance(sink.dropped)
         finally:  # in any case a last zero to a base that was driven, and no open session
             inbox.close()
             self._state.close()
+            self._services.close()
             try:
                 if self._gate.end():
                     self._put(ZERO, frame="")

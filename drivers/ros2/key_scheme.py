@@ -64,3 +64,18 @@ class KeyScheme(Middleware, Protocol):
 
     def attachment(self, token: str = "") -> bytes | None:
         """The attachment of the next message of the publisher that this token announces."""
+
+    def service_key(self, service: str) -> str:
+        """The key expression on which calls of a service of type std_srvs/Trigger arrive."""
+
+    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
+        """The tokens that announce a node with these services; empty behind a bridge."""
+
+    def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
+        """When a call was sent, in s since 1970 by the caller's clock; None: not known.
+
+        CodecError if key or attachment are not those of a call.
+        """
+
+    def reply_attachment(self, attachment: bytes | None) -> bytes | None:
+        """The attachment of the reply to a call with this attachment."""

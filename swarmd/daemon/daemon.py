@@ -37,6 +37,7 @@ from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
+from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
@@ -51,6 +52,7 @@ from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
+from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
@@ -187,6 +189,8 @@ class Daemon:
         self._carrier = message_carrier(driver)
         self._display = state_display(driver)
         self._shown_status: Status | None = None  # for the display, with the next motion
+        self._command_source = command_source(driver)
+        self._driver_commands: DriverCommands | None = None  # with a source of commands
         self._may_rest = may_rest(base, driver)
         self._resting_driver = resting_driver(driver)
         self._is_driver_resting = False
@@ -291,6 +295,11 @@ class Daemon:
             settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
         )
         self.sink = DriverSink(self.step, self._neighborhood)
+        if self._command_source is not None:
+            self._driver_commands = DriverCommands(
+                self._robot, self._requests, lambda: self._rosters.identity
+            )
+            self._command_source.serve_commands(self._driver_commands.take)
         self._timer = TickTimer(self._loop, self._on_tick)
         self._health = HealthMeter(
             self._timer,
@@ -599,6 +608,8 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
+        if self._driver_commands is not None:
+            self._driver_commands.note_epoch(boottime())
         # 3. The network.
         self._network.advance()
         if self._recording.recorder.is_on:
