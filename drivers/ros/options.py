@@ -18,6 +18,7 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.opinion_options import OpinionOptions
 from swarmd.drivers.ros.service_options import ServiceOptions
 from swarmd.drivers.ros.topic_detections import DetectionOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
@@ -163,11 +164,13 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
     - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
       `diagnostics`.
     - `services`: the services by which ROS runs and stops this robot.
+    - `opinions`: the opinions of voting patterns that are published and heard.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
     publish_state: bool = False
     services: ServiceOptions | None = None
+    opinions: OpinionOptions | None = None
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -247,7 +250,7 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
-    others = {*ENTRY_KINDS, "message_path", "services"}
+    others = {*ENTRY_KINDS, "message_path", "services", "opinions"}
     return {name: value for name, value in options.items() if name not in others}
 
 
@@ -260,6 +263,8 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         )
     if isinstance(options, RosOptions) and options.services is not None:
         yield from options.services.faults()
+    if isinstance(options, RosOptions) and options.opinions is not None:
+        yield from options.opinions.faults()
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):

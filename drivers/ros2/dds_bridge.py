@@ -37,7 +37,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, Ros2Dds(), platform, read, spec)
+    return RosDriver(NAME, Ros2Dds(), platform, read, spec, robot)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
@@ -76,6 +76,10 @@ class Ros2Dds(Ros2Middleware):
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
         """The fault of a put on a wildcard key; the key does not name the type."""
         return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
+
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The name of the topic; the key does not name the type."""
+        return None if "*" in key else f"/{key}"
 
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for inner slashes.

@@ -50,6 +50,12 @@ class KeyScheme(Middleware, Protocol):
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
         """The fault of a sample's key; empty if the key is of that topic and type."""
 
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The full name of the topic of a sample's key; None for a wildcard or another type.
+
+        For topics of other robots: the key changes nothing that is known of the own robot.
+        """
+
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint that a liveliness token announces; None if it announces no topic."""
 

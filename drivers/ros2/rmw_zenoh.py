@@ -48,7 +48,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, _scheme(read), platform, read, spec)
+    return RosDriver(NAME, _scheme(read), platform, read, spec, robot)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
@@ -128,6 +128,16 @@ class RmwZenoh(Ros2Middleware):
         if topic != self._cmd_vel:
             self._is_humble = hashed == NO_HASH
         return ""
+
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The name of the topic; None for a wildcard, or another type or hash."""
+        domain, _, rest = key.partition("/")
+        topic, _, typed = rest.removesuffix("/").rpartition("/")[0].rpartition("/")
+        hashed = key.rpartition("/")[2]
+        is_known = hashed == NO_HASH or hashed in known_hashes(message_type)
+        is_one = "*" not in key and domain == str(self.domain) and bool(topic)
+        is_typed = typed == dds_name(name_of(message_type)) and is_known
+        return f"/{topic}" if is_one and is_typed else None
 
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of a token.
