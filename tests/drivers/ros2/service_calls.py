@@ -1,18 +1,17 @@
 """Calls of a robot's services, as a client of each middleware makes them."""
 
-# No `from __future__ import annotations`: cyclonedds reads the annotations as types.
+from __future__ import annotations
 
 import struct
 import threading
 import time
-from dataclasses import dataclass
 from typing import Any
 
 import zenoh
-from cyclonedds.idl import IdlStruct
 
 from tests.drivers.ros2.robots import Robot, ZenohRobot
 from tests.support.processes import wait_until
+from tests.support.ros2_types import TriggerResponse
 
 EMPTY = b"\0\1\0\0\0"
 CALL = struct.Struct("<qqB16s")
@@ -21,14 +20,6 @@ TRIGGER = (
     "std_srvs::srv::dds_::Trigger_/"
     "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 )
-
-
-@dataclass
-class TriggerResponse(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Response_"):
-    """The answer, by the codec of cyclonedds."""
-
-    success: bool = False
-    message: str = ""
 
 
 class Call:
@@ -62,7 +53,7 @@ class Call:
         return self._ended.is_set()
 
     @property
-    def answers(self) -> list["TriggerResponse"]:
+    def answers(self) -> list[TriggerResponse]:
         """All answers so far."""
         oks = [reply.ok for reply in self.replies if reply.ok is not None]
         return [TriggerResponse.deserialize(ok.payload.to_bytes()) for ok in oks]

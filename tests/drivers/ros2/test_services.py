@@ -23,9 +23,10 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.harness import check
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot, scan
-from tests.drivers.ros2.service_calls import CALL, EMPTY, Call, TriggerResponse
+from tests.drivers.ros2.service_calls import CALL, EMPTY, Call
 from tests.support.drive_daemon import ROBOT, status
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.ros2_types import TriggerResponse
 from tests.support.stories import story
 
 SERVICES: dict[str, Value] = {
@@ -300,6 +301,7 @@ def test_a_daemon_is_run_and_stopped_by_services(make: Callable[[], Robot], tmp_
             assert refused.message.startswith("estopped")
             assert "anna" in refused.message
             assert not any(twist.linear for twist in robot.commands()[-3:])
+            assert daemon.terminate() == 0  # the audit log is written by then
 
         log = next(tmp_path.rglob("audit.jsonl")).read_text().splitlines()
         entries = [json.loads(line) for line in log]
