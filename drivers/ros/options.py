@@ -18,6 +18,8 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.opinion_options import OpinionOptions
+from swarmd.drivers.ros.service_options import ServiceOptions
 from swarmd.drivers.ros.topic_detections import DetectionOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_hazards import HazardOptions
@@ -161,10 +163,14 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
     - `endpoint`: the address at which the bridge or router listens.
     - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
       `diagnostics`.
+    - `services`: the services by which ROS runs and stops this robot.
+    - `opinions`: the opinions of voting patterns that are published and heard.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
     publish_state: bool = False
+    services: ServiceOptions | None = None
+    opinions: OpinionOptions | None = None
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -244,8 +250,8 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
-    of_sensors = {*ENTRY_KINDS, "message_path"}
-    return {name: value for name, value in options.items() if name not in of_sensors}
+    others = {*ENTRY_KINDS, "message_path", "services", "opinions"}
+    return {name: value for name, value in options.items() if name not in others}
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
@@ -255,6 +261,10 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             f"master is {options.master_uri!r}; expected a value such as {DEFAULT_MASTER}"
             " (without it, $ROS_MASTER_URI counts)"
         )
+    if isinstance(options, RosOptions) and options.services is not None:
+        yield from options.services.faults()
+    if isinstance(options, RosOptions) and options.opinions is not None:
+        yield from options.opinions.faults()
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):

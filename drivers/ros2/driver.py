@@ -24,7 +24,9 @@ from swarmd.core.messages import Motion, Reason, ShownPose, Status
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
+from swarmd.driver_api.command_source import TakeCommand
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
+from swarmd.driver_api.opinion_link import HearOpinion
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, diagnosis, from_ros
 from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
@@ -36,6 +38,8 @@ from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
+from swarmd.drivers.ros2.opinions import OpinionTopics
+from swarmd.drivers.ros2.services import CommandServices
 from swarmd.drivers.ros2.session import (
     KEPT,
     MAX_OPEN_TIME,
@@ -83,8 +87,9 @@ class RosDriver:
         platform: Platform,
         options: RosOptions,
         zero_sender: ZeroSenderSpec,
+        robot: str,
     ) -> None:
-        """Not connected yet."""
+        """Not connected yet. `robot`: its id."""
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
@@ -96,6 +101,8 @@ class RosDriver:
             *(stats.message_type for stats in self._subscriptions.topics.values()),
         )
         self._state = StateTopics(scheme, platform, options)
+        self._services = CommandServices(scheme, options)
+        self._opinions = OpinionTopics(scheme, options, robot)
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -129,6 +136,28 @@ class RosDriver:
         age = self._subscriptions.odometry_age(asyncio.get_running_loop().time())
         self._state.show(status, motion, pose, age)
 
+    @property
+    def receives_commands(self) -> bool:
+        """True with the option `services`."""
+        return self._services.is_on
+
+    def serve_commands(self, take: TakeCommand) -> None:
+        """Hand the calls of the robot's ROS services to `take`."""
+        self._services.serve(take)
+
+    @property
+    def exchanges_opinions(self) -> bool:
+        """True with the option `opinions`."""
+        return self._opinions.is_on
+
+    def hear_opinions(self, hear: HearOpinion) -> None:
+        """Hand the opinions of ROS robots to `hear`."""
+        self._opinions.hear(hear)
+
+    def publish_opinion(self, opinion: int) -> None:
+        """Publish the opinion of the own pattern."""
+        self._opinions.publish(opinion)
+
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
         return self._zero_sender
@@ -150,7 +179,9 @@ class RosDriver:
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
-            return (*self._report().findings(), *self._state.findings())
+            parts = self._state, self._services, self._opinions
+            own_findings = (finding for part in parts for finding in part.findings())
+            return (*self._report().findings(), *own_findings)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
@@ -234,15 +265,21 @@ class RosDriver:
             self._subscribe(session, inbox, loop)
             if not is_check:
                 self._state.open(session)
+                self._services.open(session, loop)
+                self._opinions.open(session)
             opened_at = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened_at)
                 self._state.publish()
+                self._services.advance(sink.dropped)
+                self._opinions.advance(sink.dropped)
         finally:  # in any case a last zero to a base that was driven, and no open session
             inbox.close()
             self._state.close()
+            self._services.close()
+            self._opinions.close()
             try:
                 if self._gate.end():
                     self._put(ZERO, frame="")
@@ -501,7 +538,7 @@ class RosDriver:
         graph = self._foreign_graph()
         topics = self._subscriptions.topics.values()
         subscribed = [_subscribed_end(stats, graph) for stats in topics]
-        state_ends = self._state.ends
+        state_ends = [*self._state.ends, *self._opinions.ends]
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
@@ -512,7 +549,9 @@ class RosDriver:
         *earlier_tokens, self._command_token = tokens
         state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]
         state_topics = (end.topic for end in state_ends)
-        self._state.announced(dict(zip(state_topics, state_tokens, strict=True)))
+        token_of = dict(zip(state_topics, state_tokens, strict=True))
+        self._state.announced(token_of)
+        self._opinions.announced(token_of)
         self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
 
     def _close_gate(self, sink: Sink, text: str) -> None:

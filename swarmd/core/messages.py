@@ -106,7 +106,7 @@ class Refusal(StrEnum):
     FAULTED = "faulted"
     BUSY = "busy"  # an earlier request is still under way
     OVERTAKEN = "overtaken"  # a stop, a fault, a greater goal or another change came first
-    TOO_LATE = "too_late"  # the time at which the run was to start is over
+    TOO_LATE = "too_late"  # the time at which the run was to start is over, or the age is unknown
     NO_GOAL = "no_goal"  # the robot has no goal to resume
     INVALID_GOAL = "invalid_goal"  # for other robots, of another run, or not signed by its issuer
     NOT_RUNNING = "not_running"
@@ -125,6 +125,7 @@ class Refusal(StrEnum):
     NOT_SIGNED = "not_signed"  # the code is not signed by an operator of the roster
     NAME_TAKEN = "name_taken"  # the robot has a pattern of that name that was not pushed
     CHANGED_CODE = "changed_code"  # the file of a pushed pattern differs from the pushed code
+    NOT_PERMITTED = "not_permitted"  # the role of the operator does not permit the request
 
 
 class Epoch(Struct, frozen=True):

@@ -37,6 +37,8 @@ from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
+from swarmd.daemon.driver_commands import DriverCommands
+from swarmd.daemon.foreign_opinions import ForeignOpinions
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
@@ -51,6 +53,7 @@ from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
+from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
@@ -60,6 +63,8 @@ from swarmd.driver_api.driver import (
     state_display,
 )
 from swarmd.driver_api.hw_codec import encode_scan
+from swarmd.driver_api.opinion_link import opinion_link
+from swarmd.kit.voting_pattern import OPINION
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
@@ -187,6 +192,10 @@ class Daemon:
         self._carrier = message_carrier(driver)
         self._display = state_display(driver)
         self._shown_status: Status | None = None  # for the display, with the next motion
+        self._command_source = command_source(driver)
+        self._driver_commands: DriverCommands | None = None  # with a source of commands
+        self._opinion_link = opinion_link(driver)
+        self._opinions: ForeignOpinions | None = None  # with an opinion link
         self._may_rest = may_rest(base, driver)
         self._resting_driver = resting_driver(driver)
         self._is_driver_resting = False
@@ -291,6 +300,22 @@ class Daemon:
             settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
         )
         self.sink = DriverSink(self.step, self._neighborhood)
+        if self._command_source is not None:
+            self._driver_commands = DriverCommands(
+                self._robot, self._requests, lambda: self._rosters.identity
+            )
+            self._command_source.serve_commands(self._driver_commands.take)
+        if self._opinion_link is not None:
+            network = self._network
+            self._opinions = ForeignOpinions(
+                self._opinion_link,
+                lambda: self._robot.channel_named(OPINION),
+                lambda: {settings.id, *network.roster, *network.members},
+                self.step,
+                self.on_event,
+                is_secured=settings.identity is not None,
+                drops=self._drops,
+            )
         self._timer = TickTimer(self._loop, self._on_tick)
         self._health = HealthMeter(
             self._timer,
@@ -598,6 +623,8 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
+        if self._driver_commands is not None:
+            self._driver_commands.note_epoch(boottime())
         # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
         self._network.advance()
         if self._recording.recorder.is_on:
@@ -711,6 +738,8 @@ class Daemon:
         self._network.publish(
             "message", partial(_ViewerValues(self._robot).message, channel, value)
         )
+        if self._opinions is not None:
+            self._opinions.on_sent(channel, value)
         if self._carrier is None:
             self._network.publish_message(channel, payload)
         else:  # the base has a radio for the messages of patterns

@@ -198,6 +198,33 @@ class RequestServer:
         self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
         self._on_request(request)
 
+    def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:
+        """Carry out a request for this robot that came from the robot's own system.
+
+        `source`: of the request, for the audit. `answer` sends the reply. The copies of a stop have
+        one id, as in `stop`.
+        """
+        is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
+        if not is_stop and len(self._pending) >= MAX_PENDING:
+            text = "too many requests wait for their replies"
+            self.refuse(request, source, answer, Refusal.BUSY, text)
+            return
+        self._pending[request.id] = _Pending(request, answer, lambda: source)
+        self._on_request(request)
+
+    def refuse(
+        self,
+        request: verbs.Request,
+        source: str,
+        answer: Callable[[Reply], None],
+        refusal: Refusal,
+        text: str,
+    ) -> None:
+        """Refuse and audit a request of `take` that must not reach the robot."""
+        self._pending[request.id] = _Pending(request, answer, lambda: source)
+        code = Code.REFUSED
+        self.reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
     def handle(self, verb: str, query: Query) -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`."""
         with self._drops.refusing(f"control/{verb}", partial(self._refuse, verb, query)):

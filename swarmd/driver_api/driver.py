@@ -179,29 +179,30 @@ class RestingDriver(Protocol):
 
 def resting_driver(driver: Driver) -> RestingDriver | None:
     """The bare driver, if the driver can leave odometry in its socket."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, RestingDriver) else None
 
 
 def message_carrier(driver: Driver) -> MessageCarrier | None:
     """The driver, or the driver that it wraps, if its base carries messages."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, MessageCarrier) and bare.carries_messages else None
 
 
 def gripper_of(driver: Driver) -> Gripper | None:
     """The driver, or the driver that it wraps, if its base has a gripper."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, Gripper) else None
 
 
 def state_display(driver: Driver) -> StateDisplay | None:
     """The driver, or the driver that it wraps, if it shows the state of its robot."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, StateDisplay) and bare.shows_state else None
 
 
-def _unwrapped(driver: Driver) -> Driver:
+def unwrapped(driver: Driver) -> Driver:
+    """The driver itself, without the watchdog that wraps it."""
     while hasattr(driver, "wrapped"):
         driver = driver.wrapped
     return driver

@@ -36,7 +36,8 @@ PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max
 """Platforms that are accepted, perhaps each with the reason."""
 Parameters = dict[str, dict[str, BoundedScalar | None]]
 _Flat = BoundedScalar | list[BoundedScalar]
-Option = _Flat | dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]] | None
+_Inner = dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]]
+Option = _Flat | dict[str, _Flat | _Inner] | None
 Options = dict[str, Option]
 
 # Command-line options that are not named like their key.
