@@ -321,6 +321,7 @@ class RequestServer:
         # 2. The reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
+        refusal: Refusal | None
         if version != codec.VERSION:  # the cause of any other error
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
