@@ -92,8 +92,8 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
 def git_state(folder: Path) -> GitState | None:
     """The commit of the git checkout that tracks files of `folder`, and whether files have changed.
 
-    None if no checkout tracks files of the folder, if git is missing, or if the checkout's
-    configuration has a filter program that cannot be switched off.
+    None if no checkout tracks files of the folder, or if git is missing. None also if git would run
+    a filter program of the checkout's configuration that cannot be switched off.
     """
     tracked = _git(folder, "ls-files", "--", ".")
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
