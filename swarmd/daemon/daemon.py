@@ -17,7 +17,6 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Reply, ShownMessage, Status
+from swarmd.core.messages import Reply, Status
 from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
@@ -37,8 +36,7 @@ from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
-from swarmd.daemon.driver_commands import DriverCommands
-from swarmd.daemon.foreign_opinions import ForeignOpinions
+from swarmd.daemon.driver_exchange import DriverExchange
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
@@ -53,7 +51,7 @@ from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
-from swarmd.driver_api.command_source import command_source
+from swarmd.daemon.viewer_feed import ViewerFeed
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
@@ -62,9 +60,6 @@ from swarmd.driver_api.driver import (
     resting_driver,
     state_display,
 )
-from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.driver_api.opinion_link import opinion_link
-from swarmd.kit.voting_pattern import OPINION
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
@@ -76,7 +71,6 @@ from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
-from swarmd.robot.robot import Robot
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import base_options, may_rest
@@ -123,32 +117,6 @@ async def serve(settings: DaemonSettings) -> int:
     return 0
 
 
-class _ViewerValues:
-    """What viewers get of a robot: each method encodes a present value; None without a value."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-
-    def motion(self) -> bytes | None:
-        motion = self._robot.motion(boottime())
-        return None if motion is None else encode(motion)
-
-    def pose(self) -> bytes | None:
-        pose = self._robot.shared_pose(boottime())
-        return None if pose is None else encode(pose)
-
-    def decision(self) -> bytes:
-        return encode(self._robot.shown_decision(boottime()))
-
-    def tracks(self) -> bytes | None:
-        tracks = self._robot.tracks(boottime())
-        return None if tracks is None else encode(tracks)
-
-    def message(self, channel: str, value: Value) -> bytes:
-        shown = ShownMessage(robot=self._robot.id, at=boottime(), channel=channel, value=value)
-        return encode(shown)
-
-
 class Daemon:
     """One robot's daemon; `run` is its whole life. `sink` takes the inputs of the driver."""
 
@@ -177,25 +145,18 @@ class Daemon:
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
         self._provisional: tuple[int, ...] = ()  # generations of loads of provisional code
-        self._shown_scan = -1  # sequence number of the last scan that was published for viewers
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._begin_records(folder)  # first; each part uses the parts before it
         self._begin_code(folder)
         self._begin_network()
         self._begin_requests()
-        self._begin_robot()
+        self._begin_robot(driver)
 
     def _begin_driver(self, driver: Driver) -> None:
-        """The output to the base, and to the display of the driver if it has one."""
+        """The output to the base."""
         settings = self._settings
         base = base_options(settings.driver_options, f"driver {settings.driver}")
         self._carrier = message_carrier(driver)
-        self._display = state_display(driver)
-        self._shown_status: Status | None = None  # for the display, with the next motion
-        self._command_source = command_source(driver)
-        self._driver_commands: DriverCommands | None = None  # with a source of commands
-        self._opinion_link = opinion_link(driver)
-        self._opinions: ForeignOpinions | None = None  # with an opinion link
         self._may_rest = may_rest(base, driver)
         self._resting_driver = resting_driver(driver)
         self._is_driver_resting = False
@@ -286,7 +247,7 @@ class Daemon:
             is_secured=settings.identity is not None,
         )
 
-    def _begin_robot(self) -> None:
+    def _begin_robot(self, driver: Driver) -> None:
         """The robot and the sources of its inputs: driver, neighbours and ticks."""
         settings = self._settings
         self._robot = make_robot(
@@ -300,22 +261,17 @@ class Daemon:
             settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
         )
         self.sink = DriverSink(self.step, self._neighborhood)
-        if self._command_source is not None:
-            self._driver_commands = DriverCommands(
-                self._robot, self._requests, lambda: self._rosters.identity
-            )
-            self._command_source.serve_commands(self._driver_commands.take)
-        if self._opinion_link is not None:
-            network = self._network
-            self._opinions = ForeignOpinions(
-                self._opinion_link,
-                lambda: self._robot.channel_named(OPINION),
-                lambda: {settings.id, *network.roster, *network.members},
-                self.step,
-                self.on_event,
-                is_secured=settings.identity is not None,
-                drops=self._drops,
-            )
+        self._exchange = DriverExchange(
+            driver,
+            self._robot,
+            self._requests,
+            identity=lambda: self._rosters.identity,
+            robots=lambda: {settings.id, *self._network.roster, *self._network.members},
+            step=self.step,
+            on_event=self.on_event,
+            drops=self._drops,
+        )
+        self._viewer_feed = ViewerFeed(self._robot, self._network, state_display(driver))
         self._timer = TickTimer(self._loop, self._on_tick)
         self._health = HealthMeter(
             self._timer,
@@ -623,8 +579,7 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
-        if self._driver_commands is not None:
-            self._driver_commands.note_epoch(boottime())
+        self._exchange.on_tick()
         # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
         self._network.advance()
         if self._recording.recorder.is_on:
@@ -632,7 +587,7 @@ class Daemon:
         if pose_and_age := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
-            self._publish_motion()
+            self._viewer_feed.publish_motion()
         # 4. Log, disk (if latches could not be written), CPU use, neighbors, systemd's watchdog.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
@@ -646,22 +601,6 @@ class Daemon:
         if is_due(NEIGHBORS_PERIOD):
             self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
-
-    def _publish_motion(self) -> None:
-        """Publish what viewers follow: motion, pose and decision, and each new scan with tracks."""
-        values = _ViewerValues(self._robot)
-        self._network.publish("motion", values.motion)
-        self._network.publish("pose", values.pose)
-        self._network.publish("decision", values.decision)
-        if self._display is not None:
-            status, self._shown_status = self._shown_status, None
-            now = boottime()
-            self._display.show(status, self._robot.motion(now), self._robot.shared_pose(now))
-        scan = self._robot.scan
-        if scan is not None and scan.seq != self._shown_scan:
-            self._shown_scan = scan.seq
-            self._network.publish("scan", lambda: encode_scan(scan))
-            self._network.publish("tracks", values.tracks)
 
     def _check_storage(self) -> None:
         """Try to write to the state folder, also latches not yet written; log a change."""
@@ -708,8 +647,7 @@ class Daemon:
             self._send_message(channel, value)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
-            if self._display is not None:
-                self._shown_status = self._status()
+            self._viewer_feed.show_status(self._status)
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
         # 3. Replies. A goal that a stop or reset has ended must stay ended after a restart: the
@@ -735,11 +673,8 @@ class Daemon:
             log.debug("message on %s not sent: %s", channel, error)
             self._drops.add(f"msg/{channel}:unsendable")
             return
-        self._network.publish(
-            "message", partial(_ViewerValues(self._robot).message, channel, value)
-        )
-        if self._opinions is not None:
-            self._opinions.on_sent(channel, value)
+        self._viewer_feed.publish_message(channel, value)
+        self._exchange.on_sent(channel, value)
         if self._carrier is None:
             self._network.publish_message(channel, payload)
         else:  # the base has a radio for the messages of patterns
