@@ -1,7 +1,8 @@
 """Detection of replayed stops without a shared clock. Pure.
 
 A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
-the operator's clock, and at least the counter of the last stop plus 1. A robot accepts
+the operator's clock, and at least the counter of the last stop plus 1. A file in the folder of the
+operator's identity keeps both. A robot accepts
 
 - a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
   the robot first heard the stop. So a copy ends no run that began later, and does not renew an
