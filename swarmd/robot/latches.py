@@ -43,6 +43,13 @@ class Latches:
         """The latches that hold the robot now."""
         return self._held
 
+    @property
+    def text(self) -> str:
+        """The issuers and reasons of the held latches, in one line."""
+        held = self._held.values()
+        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
+        return ", ".join(dict.fromkeys(texts))
+
     def add(self, latch_id: str, latch: Latch) -> bool:
         """Hold a latch; True if it is new."""
         if latch_id not in self._held and len(self._held) >= MAX_HELD:

@@ -25,6 +25,16 @@ class LowBattery:
         self.is_low = False
         self._below_since = math.inf  # s, own clock
 
+    @property
+    def remark(self) -> str:
+        """For the answer to a run; empty if the battery is not low."""
+        return f"its battery is low{self.charge_text}" if self.is_low else ""
+
+    @property
+    def charge_text(self) -> str:
+        """The charge in brackets; empty without a fresh reading."""
+        return "" if self.charge is None else f" ({self.charge:.2f})"
+
     def take(self, charge: float | None, settings: LowBatterySettings, now: float) -> bool:
         """Take in the charge, None without a fresh reading; True if `is_low` has changed."""
         self.charge = charge

@@ -9,9 +9,10 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from swarmd.core.goal import Goal
-from swarmd.core.host_messages import Loaded
+from swarmd.core.host_messages import REQUEST_LAYER, Load, Loaded
 from swarmd.core.values import Scalar
 from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
+from swarmd.robot.settings import RobotIdentity
 
 
 class Wish(Struct, frozen=True):
@@ -71,3 +72,12 @@ class Trial:
     since: float
     request: ReloadRequest
     wish: Wish
+
+
+def load_command(
+    identity: RobotIdentity, generation: int, pattern: str, params: Mapping[str, Scalar | None]
+) -> Load:
+    """The command that loads a pattern for a robot; `params` form the strongest layer."""
+    layers = (*identity.settings.layers(pattern), (REQUEST_LAYER, dict(params)))
+    seed = (identity.seed * 1_000_003 + generation) % 2**63
+    return Load(generation, pattern, layers, identity.robot, identity.platform, seed)

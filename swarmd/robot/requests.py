@@ -37,7 +37,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
-from swarmd.robot.pattern_load import PendingParams, Trial, Wish
+from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
@@ -316,7 +316,7 @@ class RequestHandler:
             lifecycle.latches.clear(latches_cleared)
             effects.is_latched = True
         if lifecycle.latches.held:
-            text = f"still estopped {lifecycle.latch_text()}; look again and reset once more"
+            text = f"still estopped {lifecycle.latches.text}; look again and reset once more"
             if latches_cleared:
                 lifecycle.raise_revision(cause)
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
@@ -384,7 +384,7 @@ class RequestHandler:
         self._trials += 1
         wish = self._wish_of(request, effects.now)
         lifecycle.trial = Trial(self._trials, effects.now, request, wish)
-        effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
+        effects.trial = StartTrial(load_command(lifecycle.identity, self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
         """Act on the end of the trial of new code that a reload request started.

@@ -15,7 +15,7 @@ from msgspec.structs import astuple
 
 from swarmd.core import events
 from swarmd.core.events import Input
-from swarmd.core.goal import GoalRecord, HeldGoal
+from swarmd.core.goal import GoalRecord, HeldGoal, digest_of
 from swarmd.core.host_messages import TrialDone
 from swarmd.core.kernels import load_kernel
 from swarmd.core.low_battery import READING as BATTERY
@@ -243,10 +243,12 @@ class Robot(Ticker):
 
     def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
-        if not self._lifecycle.takes_charge(self._sensors.readings.get(BATTERY), now):
+        lifecycle, charge = self._lifecycle, self._sensors.readings.get(BATTERY)
+        settings = lifecycle.identity.settings.on_low_battery
+        if settings is None or not lifecycle.battery.take(charge, settings, now):
             return None
         effects = self._begin(now)
-        self._lifecycle.on_battery(effects)
+        lifecycle.on_battery(settings, effects)
         return self._settle(effects)
 
     def _on_option_input(self, one: events.SensorInput, now: float) -> None:
@@ -316,8 +318,12 @@ class Robot(Ticker):
         return self._settle(effects)
 
     def _on_forget(self, one: events.ForgetInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.forget_goals(one.digests, effects)
+        """Drop goals whose issuers are no longer operators; `on_roster` has ended their runs."""
+        effects, lifecycle = self._begin(now), self._lifecycle
+        lifecycle.log(
+            f"forgets {len(one.digests)} goals that no operator of the roster signed", now
+        )
+        lifecycle.goals.forget(lambda goal: digest_of(goal).hex() not in one.digests)
         return self._settle(effects)
 
     def _on_lease(self, one: events.LeaseInput, now: float) -> None:

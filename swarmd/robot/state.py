@@ -44,8 +44,9 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from swarmd.core import host_messages
-from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
+from swarmd.core.goal import Goal, GoalRecord, GoalState
 from swarmd.core.kernels import load_kernel
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import (
     MAX_EVENTS,
     Code,
@@ -73,7 +74,7 @@ from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish
+from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_command
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
@@ -196,13 +197,13 @@ class Lifecycle:
         self.trial: Trial | None = None  # the present trial of new code
         self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
-        # Generations (numbers of loads) of pushed code that a fault would replace.
-        self.provisional: tuple[int, ...] = ()
+        self.provisional: tuple[int, ...] = ()  # numbers of loads of code that a fault replaces
         self.battery = LowBattery()
         self._last_fault_text = ""  # of the pattern
         self._load_command: host_messages.Load | None = None  # the last sent
         if self.latches.held:
-            self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
+            text = shortened(self.latches.text, MAX_TEXT)
+            self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, text, now)
 
     @property
     def is_running(self) -> bool:
@@ -259,12 +260,6 @@ class Lifecycle:
         """Raise the revision: requests that quote an earlier epoch are refused from now on."""
         self.revision += 1
         self.changed_by = by[:MAX_TEXT]
-
-    def latch_text(self) -> str:
-        """The issuers and reasons of the held latches, in one line."""
-        held = self.latches.held.values()
-        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
-        return shortened(", ".join(dict.fromkeys(texts)), MAX_TEXT)
 
     # Events of the pattern host
 
@@ -349,8 +344,7 @@ class Lifecycle:
             now,
             is_resumed=not isinstance(loading.request, RunRequest),
         )
-        battery = f"its battery is low{self._charge_text}" if self.battery.is_low else ""
-        text = "; ".join(filter(None, (f"runs {loading.pattern}", note, battery)))
+        text = "; ".join(filter(None, (f"runs {loading.pattern}", note, self.battery.remark)))
         if loading.request is None:
             self.log(text, now)
         else:
@@ -587,7 +581,7 @@ class Lifecycle:
         )
         run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
-            self.load_of(run.generation, pattern, params),
+            load_command(self.identity, run.generation, pattern, params),
             is_fresh=is_fresh or run.is_outdated,
             until=until,
             is_restart=is_restart,
@@ -603,17 +597,6 @@ class Lifecycle:
         else:
             run.is_outdated = True
 
-    def load_of(
-        self, generation: int, pattern: str, params: Mapping[str, Scalar | None]
-    ) -> host_messages.Load:
-        """The command that loads a pattern for this robot; `params` form the strongest layer."""
-        identity = self.identity
-        layers = (*identity.settings.layers(pattern), (host_messages.REQUEST_LAYER, dict(params)))
-        seed = (identity.seed * 1_000_003 + generation) % 2**63
-        return host_messages.Load(
-            generation, pattern, layers, identity.robot, identity.platform, seed
-        )
-
     def latch(self, latch_id: str, latch: Latch, effects: Effects) -> None:
         """Add a latch and stop, in every state."""
         effects.is_latched = True
@@ -621,7 +604,7 @@ class Lifecycle:
             self.raise_revision(f"{latch.issuer} (estop)")
         elif self.state_machine.state is State.ESTOPPED:
             return  # a copy of a held latch: a trial that began after the first copy continues
-        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latches.text, effects)
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
         """Adopt the swarm-wide latches of a peer, except latches that were reset here."""
@@ -630,7 +613,7 @@ class Lifecycle:
             return
         effects.is_latched = True
         self.raise_revision(f"{latches[new[0]].issuer} (estop)")
-        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latches.text, effects)
 
     def stall(self, late: float, effects: Effects) -> None:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
@@ -659,32 +642,18 @@ class Lifecycle:
         self._end(Trigger.HAZARD, Reason.HAZARD, text, effects)
         self.goals.bar(effects.now)
 
-    def takes_charge(self, charge: float | None, now: float) -> bool:
-        """Take in the charge of the battery; True if `on_battery` must follow.
-
-        `charge`: a share; None without a fresh reading.
-        """
-        settings = self.identity.settings.on_low_battery
-        return settings is not None and self.battery.take(charge, settings, now)
-
-    @property
-    def _charge_text(self) -> str:
-        """The charge in brackets; empty without a fresh reading."""
-        return "" if self.battery.charge is None else f" ({self.battery.charge:.2f})"
-
-    def on_battery(self, effects: Effects) -> None:
+    def on_battery(self, settings: LowBatterySettings, effects: Effects) -> None:
         """After the battery has become low or is no longer low. A charged battery starts nothing.
 
         A low battery ends the run or the load, and the robot joins no goal that was set before. A
         robot that ran then runs the pattern of `on_low_battery`, unless its run had a lease: the
         operator of a lease wants a robot that stands once the operator is not heard.
         """
-        settings, battery, now = self.identity.settings.on_low_battery, self.battery, effects.now
-        assert settings is not None
+        battery, now = self.battery, effects.now
         if not battery.is_low:
-            self.log(f"the battery is no longer low{self._charge_text}", now)
+            self.log(f"the battery is no longer low{battery.charge_text}", now)
             return
-        text = f"the battery is below {settings.below:g}{self._charge_text}"
+        text = f"the battery is below {settings.below:g}{battery.charge_text}"
         run = self.pattern_run
         running, has_lease = run.running, self.goals.lease_ends is not None
         if running is None and run.loading is None:
@@ -718,11 +687,6 @@ class Lifecycle:
         self.log(f"roster: {text}", effects.now)
         trigger = Trigger.STOP if is_revoked else Trigger.NETWORK
         self._end(trigger, Reason.ROSTER_CHANGED, text, effects)
-
-    def forget_goals(self, digests: tuple[str, ...], effects: Effects) -> None:
-        """Drop goals whose issuers are no longer operators; the caller has ended their runs."""
-        self.log(f"forgets {len(digests)} goals that no operator of the roster signed", effects.now)
-        self.goals.forget(lambda goal: digest_of(goal).hex() not in digests)
 
     def on_duplicate(self, holder: str | None, effects: Effects) -> None:
         """Take in the instance that uses the same robot id; None after that instance has left."""
