@@ -63,8 +63,8 @@ class NetworkOptions:
         values["swarm"] = swarm or context.swarm
         for name in ("config", "identity"):
             values[name] = Path(values[name]) if values[name] else None
-        missing = {name: value for name, value in values.items() if not getattr(self, name)}
-        return replace(self, **missing)
+        not_set = {name: value for name, value in values.items() if not getattr(self, name)}
+        return replace(self, **not_set)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
         """An operator in the swarm's network, a context manager.

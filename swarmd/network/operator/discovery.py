@@ -260,8 +260,8 @@ class Discovery:
         the reported robots without an answer at most MAX_INDIRECT_DIALS are included: the robots
         with the most reporters.
         """
-        direct: dict[tuple[str, str], Address] = {}
-        indirect: dict[tuple[str, str], Address] = {}
+        direct: dict[tuple[str, str], Address] = {}  # heard here, or with an answer
+        indirect: dict[tuple[str, str], Address] = {}  # only reported
         for robot in self._mentioned:
             heard = self._members.lives(robot)
             if heard:
