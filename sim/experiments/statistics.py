@@ -307,7 +307,7 @@ def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str,
     A metric that is 0 or 1 has the interval of its share. For a time to an event that never
     happened in some runs, the number of these runs stands in place of the mean.
     """
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for metric, summary in summaries:
         runs = summary.n + (summary.never or 0)
         mean = f"{summary.never} of {runs} never" if summary.never else number(summary.mean)
