@@ -28,7 +28,6 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
 from swarmd.client.connect import Connection
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
-from swarmd.network.operator.operator_text import operator_name
 from swarmd.plugins import need
 from swarmd.security.roster import Role
 
@@ -122,8 +121,7 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
-        name = f"{operator_name()} by mcp"  # with an identity, robots use the identity's name
-        return Operator(settings, roster=roster, identity=identity, name=name)
+        return Operator(settings, roster=roster, identity=identity, program="mcp")
 
     # stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
@@ -287,13 +285,21 @@ class SwarmTools:
         return {"robots": rows}
 
     async def events(self, seconds: float = 60.0) -> Answer:
-        """What happened to robots in the last `seconds` s; each robot keeps its last 10 events."""
+        """What happened to robots in the last `seconds` s; each robot keeps its last 10 events.
+
+        `did_not_answer`: robots whose events are not known.
+        """
         lines = []
         with suppress(TimeoutError):
             async with asyncio.timeout(_LISTEN):
                 async for line in self._swarm.events(since=seconds):
                     lines.append({"robot": line.robot, "text": line.text})
-        return {"events": lines}
+        members = await self._swarm.members()
+        return {
+            "events": lines,
+            "did_not_answer": list(members.missing),
+            "exit_code": members.exit_code,
+        }
 
     async def patterns(self) -> Answer:
         """The behaviours (patterns) that are installed on this computer, with what each needs."""

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
+from swarmd.core.names import owner_of
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.daemon.store import StateFile
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -140,7 +141,7 @@ class DatagramGuard:
 
     def proven(self, ack: Ack, stop: Stop) -> Ack:
         """The ack with the proof, for the operator of the stop, that this robot made it."""
-        return replace(ack, proof=self._trust.signer.proof(ack, stop.operator))
+        return replace(ack, proof=self._trust.signer.proof(ack, owner_of(stop.operator)))
 
     def refusal(self, stop: Stop, source: Address, ack: Ack, now: float) -> Ack | None:
         """The answer to a replayed stop; None beyond REFUSAL_RATE."""

@@ -23,6 +23,7 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
 from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.names import owner_of
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -98,7 +99,7 @@ class RequestServer:
     3. `audit` takes each answered request.
     4. A request whose handler raises is refused, and counted in `drops`.
     5. If the swarm `is_secured`, the operator is the name in the certificate of the Zenoh link, not
-       the name in the request.
+       the name in the request. A program that speaks for this operator may add its own name.
     """
 
     def __init__(
@@ -257,7 +258,9 @@ class RequestServer:
 
     def _carry_out(self, request: verbs.AnyRequest, query: Query) -> None:
         if self._is_secured:
-            request = msgspec.structs.replace(request, operator=query.asker)
+            is_proved = owner_of(request.operator) == query.asker
+            name = request.operator if is_proved else query.asker
+            request = msgspec.structs.replace(request, operator=name)
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
+from swarmd.core.names import owner_of
 from swarmd.network.datagram import (
     Ack,
     Beacon,
@@ -147,4 +148,4 @@ def _may_send_stop(stop: Stop, author: Author) -> bool:
     """True if the author is the operator of the stop, or a robot that relays the stop."""
     if author.role is Role.ROBOT:
         return stop.hops > 0
-    return stop.hops == 0 and stop.operator == author.name
+    return stop.hops == 0 and owner_of(stop.operator) == author.name

@@ -28,6 +28,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
+from swarmd.core.names import named_by_program
 from swarmd.core.verbs import AnyRequest
 from swarmd.network.access import may_ask
 from swarmd.network.datagram import (
@@ -94,12 +95,14 @@ class Operator:
         roster: Iterable[str] = (),
         carrier: Carrier | None = None,
         takes_rosters: bool = True,
+        program: str = "",
     ) -> None:
         """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
 
         `name`: of the operator in a swarm without keys; None: the name of this user. `roster`:
         robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
-        tests. `takes_rosters` False: a newer roster that robots show is not taken.
+        tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: of an
+        agent that chooses the requests, for the audit of the robots.
         """
         settings.check()
         self.settings = settings
@@ -107,6 +110,7 @@ class Operator:
         if identity is not None:
             name = identity.name
         self.name = sendable_name(name or operator_name())
+        self._asker = sendable_name(named_by_program(self.name, program))
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
@@ -397,7 +401,7 @@ class Operator:
         stop = Stop(
             id=os.urandom(6).hex(),
             verb=verb,
-            operator=self.name,
+            operator=self._asker,
             scope="swarm" if select is None else "robots",
             reason=stop_reason(reason) if verb == "estop" else "",
         )
@@ -471,7 +475,7 @@ class Operator:
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:
             fields["reason"] = request_reason(fields["reason"])
-        return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
+        return kind(id=os.urandom(6).hex(), operator=self._asker, **fields)
 
     def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT

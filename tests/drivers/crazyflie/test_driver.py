@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import OdometryInput, ScanInput
+from swarmd.core.events import OdometryInput, ReadingsInput, ScanInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist, Value
@@ -227,6 +227,10 @@ def test_the_driver_hands_over_what_the_drone_measures() -> None:
         assert (pose.x, pose.y, pose.yaw) == pytest.approx((0.1, 0.2, 0.3), abs=1e-5)
         assert (twist.linear, twist.angular, twist.lateral) == pytest.approx((0.1, 0.2, 0.05))
         assert sink.taken["readings"][-1]["battery"] == pytest.approx(1.0 / 1.2)
+        drone.robots.publish("cf", ReadingsInput({"battery": 0.25}))  # of the simulated world
+        await harness.until(
+            lambda: sink.taken["readings"][-1]["battery"] == pytest.approx(0.25), publishing=True
+        )
         shared = sink.taken["pose"][-1]
         assert (shared.frame, shared.error) == ("hall", 0.05)
 
