@@ -24,9 +24,7 @@ from swarmd.core.messages import Motion, Reason, ShownPose, Status
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.command_source import TakeCommand
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
-from swarmd.driver_api.opinion_link import HearOpinion
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, diagnosis, from_ros
 from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
@@ -102,7 +100,9 @@ class RosDriver:
         )
         self._state = StateTopics(scheme, platform, options)
         self._services = CommandServices(scheme, options)
+        self.command_source = self._services if self._services.is_on else None
         self._opinions = OpinionTopics(scheme, options, robot)
+        self.opinion_link = self._opinions if self._opinions.is_on else None
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -135,28 +135,6 @@ class RosDriver:
         """Keep the newest state of the robot, which the task of `run` publishes."""
         age = self._subscriptions.odometry_age(asyncio.get_running_loop().time())
         self._state.show(status, motion, pose, age)
-
-    @property
-    def receives_commands(self) -> bool:
-        """True with the option `services`."""
-        return self._services.is_on
-
-    def serve_commands(self, take: TakeCommand) -> None:
-        """Hand the calls of the robot's ROS services to `take`."""
-        self._services.serve(take)
-
-    @property
-    def exchanges_opinions(self) -> bool:
-        """True with the option `opinions`."""
-        return self._opinions.is_on
-
-    def hear_opinions(self, hear: HearOpinion) -> None:
-        """Hand the opinions of ROS robots to `hear`."""
-        self._opinions.hear(hear)
-
-    def publish_opinion(self, opinion: int) -> None:
-        """Publish the opinion of the own pattern."""
-        self._opinions.publish(opinion)
 
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""

@@ -44,7 +44,7 @@ class DriverExchange:
         self._opinions: ForeignOpinions | None = None
         if (source := command_source(driver)) is not None:
             self._commands = DriverCommands(robot, requests, identity)
-            source.serve_commands(self._commands.take)
+            source.serve(self._commands.take)
         if (link := opinion_link(driver)) is not None:
             self._opinions = ForeignOpinions(
                 link,

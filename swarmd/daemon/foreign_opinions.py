@@ -54,7 +54,7 @@ class ForeignOpinions:
         self._is_secured, self._drops, self._clock = is_secured, drops, clock
         self._limits: dict[str, SenderLimits] = {}  # by sender
         self._has_refused = False
-        link.hear_opinions(self._hear)
+        link.hear(self._hear)
 
     def on_sent(self, channel: str, value: Value) -> None:
         """Publish the opinion in a message of the own pattern; other messages are ignored."""
@@ -62,7 +62,7 @@ class ForeignOpinions:
         if name == ROUND_VOTE and isinstance(value, list) and len(value) > 1:
             name, value = OPINION, value[1]  # [round, opinion, previous opinion]
         if name == OPINION and isinstance(value, int) and not isinstance(value, bool):
-            self._link.publish_opinion(value)
+            self._link.publish(value)
 
     def _hear(self, heard: HeardOpinion) -> None:
         """Hand an opinion to the pattern, or drop it."""

@@ -50,20 +50,22 @@ TakeCommand: TypeAlias = Callable[[DriverCommand, Answer], None]
 """Takes a command on the loop, and calls `Answer` once, at once or later, on the loop."""
 
 
-@runtime_checkable
 class CommandSource(Protocol):
-    """The extension of a driver that receives commands to its robot.
+    """Receives the commands to one robot. The daemon calls `serve` once, before the driver runs."""
 
-    While `receives_commands`, the daemon calls `serve_commands` once, before `run`.
-    """
-
-    receives_commands: bool
-
-    def serve_commands(self, take: TakeCommand) -> None:
+    def serve(self, take: TakeCommand) -> None:
         """Hand each command to `take` from now on."""
 
 
+@runtime_checkable
+class CommandingDriver(Protocol):
+    """The extension of a driver that may receive commands to its robot."""
+
+    command_source: CommandSource | None
+    """None while an option of the driver turns it off"""
+
+
 def command_source(driver: Driver) -> CommandSource | None:
-    """The driver, or the driver that it wraps, if it receives commands."""
+    """What receives commands in the driver, or in the driver that it wraps; None without it."""
     bare = unwrapped(driver)
-    return bare if isinstance(bare, CommandSource) and bare.receives_commands else None
+    return bare.command_source if isinstance(bare, CommandingDriver) else None

@@ -24,23 +24,25 @@ class HeardOpinion(NamedTuple):
 HearOpinion: TypeAlias = Callable[[HeardOpinion], None]
 
 
-@runtime_checkable
 class OpinionLink(Protocol):
-    """The extension of a driver that exchanges opinions with robots without swarmd.
+    """Exchanges opinions with robots without swarmd. The daemon calls `hear` once, first."""
 
-    While `exchanges_opinions`, the daemon calls `hear_opinions` once, before `run`.
-    """
-
-    exchanges_opinions: bool
-
-    def hear_opinions(self, hear: HearOpinion) -> None:
+    def hear(self, hear: HearOpinion) -> None:
         """Hand each opinion to `hear` from now on, on the loop."""
 
-    def publish_opinion(self, opinion: int) -> None:
+    def publish(self, opinion: int) -> None:
         """Publish the opinion of the own pattern; never blocks, dropped while lost."""
 
 
+@runtime_checkable
+class VotingDriver(Protocol):
+    """The extension of a driver that may exchange opinions with robots without swarmd."""
+
+    opinion_link: OpinionLink | None
+    """None while an option of the driver turns it off"""
+
+
 def opinion_link(driver: Driver) -> OpinionLink | None:
-    """The driver, or the driver that it wraps, if it exchanges opinions."""
+    """What exchanges opinions in the driver, or in the driver that it wraps; None without it."""
     bare = unwrapped(driver)
-    return bare if isinstance(bare, OpinionLink) and bare.exchanges_opinions else None
+    return bare.opinion_link if isinstance(bare, VotingDriver) else None

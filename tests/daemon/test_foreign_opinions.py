@@ -21,14 +21,12 @@ CHANNEL = "majority_rule/opinion"
 class Rig:
     """A link of a driver, and the daemon's side of it."""
 
-    exchanges_opinions = True
-
     def __init__(self, *, is_secured: bool = False, channel: str | None = CHANNEL) -> None:
         self.published: list[int] = []
         self.inputs: list[MessageInput] = []
         self.events: list[str] = []
         self.drops = DropCounter()
-        self.hear: Callable[[HeardOpinion], None]
+        self.give: Callable[[HeardOpinion], None]  # hands an opinion to the daemon
         self.now = 100.0
         self.opinions = ForeignOpinions(
             self,
@@ -41,10 +39,10 @@ class Rig:
             clock=lambda: self.now,
         )
 
-    def hear_opinions(self, hear: Callable[[HeardOpinion], None]) -> None:
-        self.hear = hear
+    def hear(self, hear: Callable[[HeardOpinion], None]) -> None:
+        self.give = hear
 
-    def publish_opinion(self, opinion: int) -> None:
+    def publish(self, opinion: int) -> None:
         self.published.append(opinion)
 
 
@@ -54,10 +52,10 @@ def heard(name: str, opinion: int = 1, **fields: Any) -> HeardOpinion:
 
 def test_an_opinion_is_a_message_of_a_name_that_no_robot_can_have() -> None:
     rig = Rig()
-    rig.hear(heard("tb4_07", 2))
+    rig.give(heard("tb4_07", 2))
     assert rig.inputs == [MessageInput("ros:tb4_07", CHANNEL, 2, is_program=True, size=3)]
     assert not is_id(rig.inputs[0].sender)
-    rig.hear(heard("tb4_07", 1))
+    rig.give(heard("tb4_07", 1))
     assert len(rig.events) == 1
     assert "not authenticated" in rig.events[0]
 
@@ -67,7 +65,7 @@ def test_an_opinion_is_a_message_of_a_name_that_no_robot_can_have() -> None:
 )
 def test_a_robot_of_the_swarm_votes_only_once(one: HeardOpinion) -> None:
     rig = Rig()
-    rig.hear(one)
+    rig.give(one)
     assert not rig.inputs
     assert rig.drops.counts() == {"opinion:robot": 1}
 
@@ -75,8 +73,8 @@ def test_a_robot_of_the_swarm_votes_only_once(one: HeardOpinion) -> None:
 def test_a_secured_swarm_hears_declared_robots_alone_and_says_so_once() -> None:
     rig = Rig(is_secured=True)
     for name in ("tb4_08", "tb4_09", "tb4_08"):
-        rig.hear(heard(name, is_declared=False))
-    rig.hear(heard("tb4_07"))
+        rig.give(heard(name, is_declared=False))
+    rig.give(heard("tb4_07"))
     assert [one.sender for one in rig.inputs] == ["ros:tb4_07"]
     assert rig.drops.counts() == {"opinion:undeclared": 3}
     assert len([text for text in rig.events if "refused" in text]) == 1
@@ -85,7 +83,7 @@ def test_a_secured_swarm_hears_declared_robots_alone_and_says_so_once() -> None:
 @pytest.mark.parametrize("opinion", [-1, 1000, 2**31 - 1])
 def test_an_opinion_out_of_bounds_is_dropped(opinion: int) -> None:
     rig = Rig()
-    rig.hear(heard("tb4_07", opinion))
+    rig.give(heard("tb4_07", opinion))
     assert not rig.inputs
     assert rig.drops.counts() == {"opinion:malformed": 1}
 
@@ -93,18 +91,18 @@ def test_an_opinion_out_of_bounds_is_dropped(opinion: int) -> None:
 def test_a_flood_of_one_sender_or_of_senders_is_cut() -> None:
     rig = Rig()
     for _ in range(100):
-        rig.hear(heard("tb4_07"))
+        rig.give(heard("tb4_07"))
     assert len(rig.inputs) == CHANNEL_BURST
     rig = Rig()
     for number in range(500):
-        rig.hear(heard(f"x{number}"))
+        rig.give(heard(f"x{number}"))
     assert len(rig.inputs) == len(rig.events) == MAX_SENDERS
     assert rig.drops.counts() == {"opinion:full": 500 - MAX_SENDERS}
 
 
 def test_without_a_voting_pattern_nothing_is_handed_on() -> None:
     rig = Rig(channel=None)
-    rig.hear(heard("tb4_07"))
+    rig.give(heard("tb4_07"))
     assert not rig.inputs
 
 

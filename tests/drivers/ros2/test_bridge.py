@@ -230,7 +230,7 @@ async def test_services_are_called_over_dds_and_not_late(
 
     source = command_source(harness.driver)
     assert source is not None
-    source.serve_commands(take)
+    source.serve(take)
     caller = DdsNode(robot.domain, "caller", clients=[STOP, GO])
     answers: dict[int, Any] = {}
     count = itertools.count(1)
@@ -274,7 +274,7 @@ async def test_opinions_pass_the_bridge_in_both_directions(
 ) -> None:
     link, heard = opinion_link(harness.driver), list[HeardOpinion]()
     assert link is not None
-    link.hear_opinions(heard.append)
+    link.hear(heard.append)
     voters = [f"/{name}/opinion" for name in ("tb4_07", "tb4_08")]
     other = DdsNode(
         robot.domain, "other", dict.fromkeys(voters, dds.Int32), {"/swarmd/opinion": dds.Int32}
@@ -282,7 +282,7 @@ async def test_opinions_pass_the_bridge_in_both_directions(
     taken: list[int] = []
 
     def is_exchanged() -> bool:
-        link.publish_opinion(2)
+        link.publish(2)
         for topic in voters:
             other.publish(topic, dds.Int32(data=1))
         taken.extend(message.data for message in other.take("/swarmd/opinion"))

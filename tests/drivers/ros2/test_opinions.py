@@ -56,7 +56,7 @@ class Ear:
         self.heard: list[HeardOpinion] = []
         link = opinion_link(harness.driver)
         assert link is not None
-        link.hear_opinions(self.heard.append)
+        link.hear(self.heard.append)
         self.link = link
 
 
@@ -146,7 +146,7 @@ async def test_the_own_opinion_is_published(harness: DriverHarness, robot: Robot
     robot.hub.declare_subscriber(f"{prefix}{PUBLISHED}{suffix}", samples.append)
 
     def is_published() -> bool:
-        ear.link.publish_opinion(2)
+        ear.link.publish(2)
         return bool(samples)
 
     await harness.until(is_published, publishing=True)

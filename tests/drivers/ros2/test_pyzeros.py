@@ -121,8 +121,8 @@ async def test_a_client_calls_a_service_and_opinions_pass_both_ways(
         commands.append(command)
         answer(Reply(id="i", robot="r", code=Code.APPLIED, text="done"))
 
-    source.serve_commands(take)
-    link.hear_opinions(heard.append)
+    source.serve(take)
+    link.hear(heard.append)
     client = pyzeros.Client(SERVICES.Trigger, "swarmd/stop", session=robot.node)
     await client.wait_for_service()
     call = asyncio.create_task(client.call_async(SERVICES.Trigger.Request()))
@@ -138,7 +138,7 @@ async def test_a_client_calls_a_service_and_opinions_pass_both_ways(
 
     def are_exchanged() -> bool:
         voter.publish(MESSAGES.Int32(data=1))
-        link.publish_opinion(2)
+        link.publish(2)
         return bool(heard and published)
 
     await harness.until(are_exchanged, publishing=True)

@@ -50,7 +50,7 @@ class Door:
         )
         source = command_source(harness.driver)
         assert source is not None
-        source.serve_commands(self._take)
+        source.serve(self._take)
 
     def _take(self, command: DriverCommand, answer: Answer) -> None:
         self.commands.append(command)
