@@ -36,6 +36,7 @@ from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
+from swarmd.drivers.ros2.node_tokens import NodeTokens
 from swarmd.drivers.ros2.opinions import OpinionTopics
 from swarmd.drivers.ros2.services import CommandServices
 from swarmd.drivers.ros2.session import (
@@ -51,7 +52,7 @@ from swarmd.drivers.ros2.session import (
 )
 from swarmd.drivers.ros2.state_topics import StateTopics
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
-from swarmd.network.carriers.session import has_subscriber, open_in_thread, undeclare
+from swarmd.network.carriers.session import has_subscriber, open_in_thread
 
 log = logging.getLogger(__name__)
 
@@ -204,8 +205,7 @@ class RosDriver:
     def _reset(self) -> None:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._tokens: list[zenoh.LivelinessToken] = []
-        self._command_token = ""
+        self._tokens = NodeTokens(self._scheme)
         self._endpoints: dict[str, Endpoint] = {}
         self._foreign_ends: list[Endpoint] | None = None
         self._withdrawn_at = -math.inf
@@ -503,34 +503,17 @@ class RosDriver:
         self._opened_type = self._command_type
 
     def _announce(self, command_type: type | None) -> None:
-        """Declare the liveliness tokens by which other nodes see this driver as a ROS node.
-
-        The tokens name its subscriptions, its publishers of the robot's state, and its publisher of
-        commands. They are declared again when the commands change their type.
-        """
+        """Announce this driver, with all its ends, as a ROS node; again for another type."""
         if self._session is None or command_type is None:
             return
-        if self._tokens and command_type is self._opened_type:
+        if self._tokens.are_declared and command_type is self._opened_type:
             return
-        undeclare(*self._tokens)
-        graph = self._foreign_graph()
-        topics = self._subscriptions.topics.values()
+        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         subscribed = [_subscribed_end(stats, graph) for stats in topics]
-        state_ends = [*self._state.ends, *self._opinions.ends]
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        zid = str(self._session.info.zid())
-        # The tokens of the ends come last, in the order of the ends: so the token of the commands
-        # is the last token, and the tokens of `state_ends` stand before it.
-        tokens = self._scheme.tokens(zid, [*subscribed, *state_ends, command])
-        *earlier_tokens, self._command_token = tokens
-        state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]
-        state_topics = (end.topic for end in state_ends)
-        token_of = dict(zip(state_topics, state_tokens, strict=True))
-        self._state.announced(token_of)
-        self._opinions.announced(token_of)
-        self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
+        self._tokens.declare(self._session, subscribed, command, (self._state, self._opinions))
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
@@ -679,7 +662,7 @@ class RosDriver:
             sent = {self._scheme.key(self._cmd_vel, kind): cdr.encode(message)}
         for key, payload in sent.items():
             if key in self._publishers:
-                attachment = self._scheme.attachment(self._command_token)
+                attachment = self._scheme.attachment(self._tokens.command)
                 self._publishers[key].put(payload, attachment=attachment)
 
 
