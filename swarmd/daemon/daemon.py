@@ -33,7 +33,7 @@ from swarmd.core.messages import Reply, ShownMessage, Status
 from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
-from swarmd.core.values import Neighbor, Value
+from swarmd.core.values import OPINION, Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
@@ -64,7 +64,6 @@ from swarmd.driver_api.driver import (
 )
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.driver_api.opinion_link import opinion_link
-from swarmd.kit.voting_pattern import OPINION
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
