@@ -241,6 +241,12 @@ MAX_DETECTIONS, MAX_WORD = 256, 63
 """Detections in one input, and characters of a kind or id."""
 
 
+OPINION = "opinion"
+"""The channel of voting patterns, whose values are opinions."""
+ROUND_VOTE = "round_vote"
+"""The channel that replaces OPINION with `windows: rounds`: [round, opinion, previous opinion]."""
+
+
 class Message(Struct, frozen=True, array_like=True):
     """A message of a neighbour's pattern; `sender` comes from the key, never from the payload."""
 

@@ -6,14 +6,13 @@ from collections.abc import Callable, Collection
 
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput
-from swarmd.core.values import Value
+from swarmd.core.values import OPINION, Value
 from swarmd.daemon.driver_commands import DriverCommands
 from swarmd.daemon.foreign_opinions import ForeignOpinions
 from swarmd.daemon.requests import RequestServer
 from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import Driver
 from swarmd.driver_api.opinion_link import opinion_link
-from swarmd.kit.voting_pattern import OPINION
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.robot.robot import Robot
 from swarmd.security.identity import Identity

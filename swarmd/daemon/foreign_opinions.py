@@ -15,9 +15,8 @@ from collections.abc import Callable, Collection
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput
 from swarmd.core.message_limits import SenderLimits
-from swarmd.core.values import Value
+from swarmd.core.values import OPINION, ROUND_VOTE, Value
 from swarmd.driver_api.opinion_link import HeardOpinion, OpinionLink
-from swarmd.kit.voting_pattern import OPINION, ROUND_VOTE
 from swarmd.network.carriers.inbound_queue import DropCounter
 
 MAX_SENDERS = 64

@@ -6,15 +6,10 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, TypeVar
 
-from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Value
+from swarmd.core.values import OPINION, ROUND_VOTE, Inputs, Message, Neighbor, Outputs, Value
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.kit.vote_windows import Rounds, Ties, VoteWindow, Windows, read_opinion, read_round_vote
-
-OPINION = "opinion"
-ROUND_VOTE = "round_vote"
-"""The channel that replaces OPINION with `windows: rounds`: [round, opinion, previous opinion]."""
-
 
 Opinions = Annotated[
     int,

@@ -11,12 +11,12 @@ import msgspec
 
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ParameterError, SwarmError, unknown
-from swarmd.core.values import Inputs
+from swarmd.core.values import OPINION, Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
 from swarmd.kit.conditions import simple_conditions
 from swarmd.kit.params import build, schema
-from swarmd.kit.voting_pattern import OPINION, VotingPattern
+from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.document import Document
 from swarmd.mission.schema import Map, Reference, conditions, report_of, split
 from swarmd.settings.layered import Fault, Keys, fault_at
