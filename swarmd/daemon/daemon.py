@@ -32,7 +32,7 @@ from swarmd.core.messages import Reply, Status
 from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
-from swarmd.core.values import OPINION, Neighbor, Value
+from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
