@@ -45,7 +45,9 @@ class OpinionTopics:
         if self._options is not None:
             self._name_topics(options)
         self._hear: HearOpinion | None = None
-        self.close()
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._subscribers: list[tuple[Any, type]] = []
+        self._tokens: Mapping[str, str] = {}
 
     def _name_topics(self, options: RosOptions) -> None:
         """Set the topics that are published and heard."""
@@ -143,9 +145,9 @@ class OpinionTopics:
 
     def close(self) -> None:
         """Forget the session."""
-        self._publishers: dict[str, zenoh.Publisher] = {}
-        self._subscribers: list[tuple[Any, type]] = []
-        self._tokens: Mapping[str, str] = {}
+        self._publishers.clear()
+        self._subscribers.clear()
+        self._tokens = {}
 
     def _own_name(self, heard: HeardOpinion) -> str:
         """The own name among the senders of this topic."""

@@ -64,7 +64,9 @@ class CommandServices:
         )  # guards `_limits` and `_refused`: Zenoh's threads call `on_query`
         self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
         self._refused = 0
-        self.close()
+        self._session: zenoh.Session | None = None
+        self._declared: list[object] = []
+        self._age = RequestAge()
 
     @property
     def is_on(self) -> bool:
@@ -110,9 +112,8 @@ class CommandServices:
 
     def close(self) -> None:
         """Forget the session."""
-        self._session: zenoh.Session | None = None
-        self._declared: list[object] = []
-        self._age = RequestAge()
+        self._session, self._age = None, RequestAge()
+        self._declared.clear()
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
         """Check a call on a thread of Zenoh, and hand it to the loop."""
