@@ -294,7 +294,7 @@ class Peer:
             case RunLease():
                 effects.leases.append(body)
             case Message() if body.robot != self.robot:  # of a pattern
-                is_new, effects.lost = self._windows.take(body)  # by the numbers of messages
+                is_new, effects.lost = self._windows.take(body)  # by the number of the message
                 if is_new:
                     effects.messages.append(body)
             case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
