@@ -383,7 +383,7 @@ class Peer:
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
-        # Not a stop that is older than this robot's run, or was reset here (`_is_overtaken`).
+        # Not a stop that a later run, goal or reset has overtaken (`_is_overtaken`).
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         effects.sends.extend((stop, None) for stop in stops)
 
