@@ -166,9 +166,9 @@ def turn_delay(
         return no_figure, no_figure
 
     # 3. The deviations, from the error of the headings in rad; the fit has 3 parameters. For the
-    # delay that of a single scan, since a delay must hold for each scan; for the scale that of the
-    # mean, the standard error of a slope. The fit scales odometry to scans, so the figure of
-    # odometry is the reciprocal of its scale.
+    # delay that of a single scan, since a delay must hold for each scan; for the scale the standard
+    # error of a fitted slope. The fit scales odometry to scans, so the figure of odometry is the
+    # reciprocal of its scale.
     count = len(arrivals)
     error = math.sqrt(float(errors[best]) / (count - 3))
     scans_per_odometry = fits[best][0]

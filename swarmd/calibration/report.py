@@ -93,7 +93,7 @@ def settings(
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
-    """The setting `braking_linear` or `braking_angular` (by `word`), as a list of up to one.
+    """The setting `braking_linear` or `braking_angular` (by `word`): a list of at most one setting.
 
     Its value is the weakest deceleration of the axes in `brakes`. Empty if no axis was measured. A
     stronger deceleration than assumed is set only if each axis was measured.

@@ -86,9 +86,8 @@ class Scan(Struct, frozen=True, eq=False):
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: each
-    age is then half of the duration of the scan, the most by which a ray can be older than the mean
-    ray.
+    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: each of
+    the `ages` is then half of the duration of the scan, the most by which a ray can be older.
     """
 
     seq: int

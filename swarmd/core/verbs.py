@@ -1,7 +1,7 @@
 """The verbs of the plane `control`: requests and questions of operators, with a row for each verb.
 
 The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether the
-robot compares its epoch (the count of its changes; it refuses a request with an older epoch), and
+robot compares its epoch (the count of its changes; it refuses a request with another epoch), and
 the line of the audit log. A new verb needs a struct and a row here, a method `on_<verb>` of its
 handler, a file of `cli/`, and a line in `VERBS` of `cli/swarmctl.py`.
 
@@ -70,7 +70,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
 
     - `goal`: the goal of the run, with the same pattern, parameters and ends. The robot refuses a
-      goal of an earlier generation than the goal that it holds.
+      goal that is less (by the order of `core/goal.py`) than the goal that it holds.
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
       request that arrives more than MAX_LATE after its start time.

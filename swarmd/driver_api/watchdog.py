@@ -10,8 +10,9 @@ end.
    that the base stands.
 3. Before the first tick the watchdog sends nothing.
 4. The watchdog of a daemon that has ended goes on until it is asked to end: by a farewell of that
-   daemon, by SIGTERM, or by the watchdog of a new daemon for this robot (relief). It ends after the
-   2 s of zeros. A new watchdog is ready by then.
+   daemon, by SIGTERM, by the end of the process to which it is tied, or by the watchdog of a new
+   daemon for this robot (relief), whose sender is open by then. It ends after the 2 s of zeros.
+   After a daemon that never ticked it ends at once.
 """
 
 from __future__ import annotations

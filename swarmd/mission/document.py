@@ -40,8 +40,8 @@ class Document:
 def read_document(path: Path) -> Document:
     """Read the mission of a YAML file, and check all that can be checked without patterns.
 
-    The faults are in `Document.faults`; ConfigError only if the file is not YAML. `Document.root`,
-    the outermost element, is None if an element has a fault.
+    The faults are in `Document.faults`; ConfigError only if the file cannot be read as keys and
+    values of YAML. `Document.root`, the outermost element, is None if an element has a fault.
     """
     data = read_yaml(path)
     # The keys of the mission itself; all other keys describe the root element.

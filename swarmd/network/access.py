@@ -80,7 +80,7 @@ def robot_access(roster: Roster, robot: str) -> Access:
     replied = [robot_state, robot_control, robot_shared]
     rules.allow(readers, _OUT, ["reply", "declare_queryable"], replied)
     rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
-    for flow in (_IN, _OUT):  # both ends look for the tokens of the other end
+    for flow in (_OUT, _IN):  # both ends look for the tokens of the other end
         rules.allow(readers, flow, _LIVELINESS, all_tokens)
     rules.allow(roster.operators, _OUT, ["declare_subscriber"], all_messages)
 

@@ -294,7 +294,7 @@ class Peer:
             case RunLease():
                 effects.leases.append(body)
             case Message() if body.robot != self.robot:  # of a pattern
-                is_new, effects.lost = self._windows.take(body)  # by the numbers of messages
+                is_new, effects.lost = self._windows.take(body)  # by the number of the message
                 if is_new:
                     effects.messages.append(body)
             case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
@@ -383,7 +383,7 @@ class Peer:
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
-        # Not a stop that is older than this robot's run, or was reset here (`_is_overtaken`).
+        # Not a stop that a later run, goal or reset has overtaken (`_is_overtaken`).
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         effects.sends.extend((stop, None) for stop in stops)
 

@@ -418,7 +418,7 @@ class Protection:
             self._is_recovering,
             share,
             self._avoided(context) if self._is_avoiding else None,
-            is_fenced != 0,  # a bool of Python, not an int of C
+            is_fenced != 0,
         )
 
     def _avoided(self, context: DecisionContext) -> Avoided | None:

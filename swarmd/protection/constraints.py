@@ -371,7 +371,7 @@ class Constraints:
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others_speed, is_passive)
-            # x and y of a constraint are shares of the limits, so its factors have the limits.
+            # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
@@ -555,9 +555,9 @@ class Constraints:
         """Limit the linear speed early, for obstacles that may approach from the side.
 
         The side constraints of an obstacle beside the robot (`_add_sides`) begin to hold once the
-        cap of the obstacle is 0. To brake only then is too late: when an obstacle slid to a corner
-        of a Waffle Pi, the robot still moved at 0.09 m/s. So this function assumes that the
-        obstacle approaches at `others_speed`, and limits the linear speed now to
+        cap of the obstacle is 0. To brake only then is too late: a Waffle Pi then still moved at
+        0.09 m/s. So this function assumes that the obstacle approaches at `others_speed`, and
+        limits the linear speed now to
 
             the speed that the side constraints will allow once the cap is 0
             + the speed that the brake can take off until then.

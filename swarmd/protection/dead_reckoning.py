@@ -354,8 +354,8 @@ class ScanMotion:
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
         reckoning: DeadReckoning = self._reckoning
-        # After a jump of odometry the pose of the scan before is in another frame. The new readings
-        # extrapolate back to that pose by their speed.
+        # After a reset of odometry the pose of the scan before is in another frame. It is found
+        # again in the new frame: the new readings are extrapolated back by their speed.
         if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age
             reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)

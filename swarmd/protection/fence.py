@@ -136,7 +136,7 @@ class Fence:
         pose, speeds, error = self._predicted(context, context.anchor, command)
         need = error + self._margin
         turn_error = context.anchor.yaw_error + ODOMETRY_SHARE
-        # 1.1: `_are_permitted` adds half a step, which is less than 0.1 of a stop.
+        # 1.1: `is_inside` of the kernel adds half a step, which is less than 0.1 of a stop.
         most = need + self._longest_stop * (1.1 + turn_error)
         if self._room(pose) > most:
             return requested

@@ -163,8 +163,9 @@ class _Stops:
     ) -> cython.bint:
         """True if all stops from a command are inside.
 
-        The stops: from the command with both brakes, with one ideal brake each, and from the speeds
-        of the base.
+        The stops: from the command with both brakes as weak as assumed, and with either brake
+        ideal, since the path bends otherwise if a brake is stronger; and from the speeds of the
+        base, which need not have reached the command.
         """
         b: cython.double = self.braking
         t: cython.double = self.turning
@@ -193,9 +194,10 @@ class _Stops:
         """True if the circle stays clear, or comes inwards, in a stop.
 
         The base begins at the speeds `ahead`, `left` and `turn`. It changes them towards `to_ahead`
-        and so on for TICK, and then towards zero, at `braking` in m/s2 and `turning` in rad/s2.
-        Inwards: the clearance never falls, and rises as far as errors of the direction need.
-        Between two steps the axle moves by half of a step away from the nearer one.
+        and so on (not beyond) for TICK, and then towards zero, at `braking` in m/s2 and `turning`
+        in rad/s2. Inwards: the clearance never falls, and rises by at least what an error of the
+        direction can feign. Between two steps the axle moves by half of a step away from the
+        nearer step.
         """
         linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         fastest: cython.double = max(fabs(turn), fabs(to_turn))

@@ -67,9 +67,9 @@ class LimitingRows:
         row_y: cython.p_double = checked(rows.y, rows.all)
         row_cap: cython.p_double = checked(rows.cap, rows.all)
 
-        # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, behind
-        # which the envelope's follow up to `rows.all`. Skips a cap above the last of a full
-        # ranking.
+        # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, which
+        # those of the envelope follow up to `rows.all`. Skips a row whose cap is above all caps of
+        # a full ranking.
         self.count = 0
         for i in range(rows.all):
             if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:

@@ -78,7 +78,7 @@ class Clearance(NamedTuple):
 class Others(NamedTuple):
     """What avoidance and right of way know about other moving objects."""
 
-    wanted: Twist | None = None  # the request before avoidance; None: avoidance did not decide
+    wanted: Twist | None = None  # the request before avoidance; None: there was no avoidance
     are_near: bool = False  # moving objects are near
     are_avoided: bool = False  # the request leads past a moving object
     is_settled: bool = False  # the request gives way at an opening or passes it: recovery ends
@@ -162,7 +162,7 @@ class Recovery:
             safe_for: gives the safe command for any requested command; None: no escape is
                 tried.
         """
-        # The robot is idle or moving by the request before avoidance, which may have slowed it.
+        # Whether the robot is idle is judged by the request before avoidance, which may slow it.
         now, pattern_request = context.now, others.wanted or requested
 
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),

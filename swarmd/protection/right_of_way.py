@@ -581,8 +581,8 @@ class RightOfWay:
         if not self._is_lined_up:
             return _Rule.IS_NOT_LINED_UP
 
-        # Rule 6; or rule 3 c after _HELD_TIME s without progress behind a robot that is close
-        # ahead.
+        # Rule 6; or rules 3 and 4 (by case c) after _HELD_TIME s without progress behind a robot
+        # that is close ahead.
         if not traffic.is_close or place.s > self._held_at_s + _PROGRESS:
             self._held_since, self._held_at_s = now, place.s
         elif now - self._held_since > _HELD_TIME:

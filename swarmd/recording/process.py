@@ -102,8 +102,8 @@ class Converter:
 
         `stamp`: s since 1970. A scan is written only once, as messages that a replay reads, too.
         """
-        # 1. The bytes, also of an input that cannot be decoded, since one of its values exceeds its
-        # bound: a replay reports such an input.
+        # 1. The bytes, even if the input cannot be decoded (a value exceeds its bound): a replay
+        # reports such an input.
         try:
             input = events.decode_input(entry.data)
         except CodecError:

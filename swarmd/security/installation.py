@@ -61,7 +61,7 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
-    is_swap_begun = False  # True: `folder` may be the new identity, and `backup` the old one
+    is_swap_begun = False  # True: `folder` may be the new identity, `backup` the old identity
     try:
         # 1. Restore the identity of an installation that was interrupted; remove other remains.
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)

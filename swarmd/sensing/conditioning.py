@@ -143,8 +143,9 @@ class ScanConditioner:
 
     @cython.cfunc
     def _takes_bearings(self, bearings) -> cython.bint:
-        """Store the bearings as `_bearings`; False, and nothing is stored, if a sector has no ray.
+        """Store the bearings as `_bearings`.
 
+        False, and nothing is stored, if a bearing is not finite, or a sector has no ray.
         Later stages take the same object for equal bearings. So `_bearings` stays the same object
         while bearings are equal, and is a copy if the driver may write to the given array.
         """
@@ -159,7 +160,7 @@ class ScanConditioner:
 
     @cython.cfunc
     def _takes_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
-        """Store the ages, or that no ray has one; False if an age is impossible."""
+        """Store the ages of `n` rays, or that no ray has one; False for a wrong number or age."""
         if ages is not None and ages is not self._ages:
             if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
                 return False

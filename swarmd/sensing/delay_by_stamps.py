@@ -155,7 +155,7 @@ class DelayByStamps:
 
         # 2. The lowest lag of the last two periods. The ages of scans were computed with the lowest
         # lag at the end of the period before. If that lag rises suddenly, the ages are invalid.
-        # (inf: no reading came in two periods.)
+        # (inf: no period has had a reading so far.)
         lowest_at_last_end: cython.double = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):

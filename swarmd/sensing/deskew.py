@@ -208,8 +208,9 @@ class Deskewer:
         path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
         if path_rows == 0:
             return None
-        # rad: the sector that the sensor missed, if the robot turned against it. The path ends at
-        # yaw 0, so its first yaw is minus the turn of the robot during the scan.
+        # rad: the sector that the sensor missed, if the robot turned against it. The pose at the
+        # end of the path has yaw 0. The last row has the begin of the scan, so its yaw is minus the
+        # turn of the robot during the scan.
         unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
         is_filled: cython.bint = unmeasured > 0.5 * self._spacing  # half the angle between two rays
         if is_filled and not self._can_fill(stamp, seconds):

@@ -214,7 +214,7 @@ class RobotServer:
         self._listeners: dict[str, tuple[Connection, ...]] = dict.fromkeys(robots, ())
         self._robots: dict[Connection, str] = {}  # connections whose `Hello` was accepted
         self._connections: dict[int, Connection] = {}  # all connections, by descriptor
-        self._emptied_at = clock()  # when `receive` last read all that had arrived
+        self._emptied_at = clock()  # the end of the last `receive`
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:

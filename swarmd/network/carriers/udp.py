@@ -181,8 +181,8 @@ class UdpCarrier:
         self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
         self._lost: dict[socket.socket, int] = {}  # datagrams that the kernel had dropped
         self.recipients = Recipients(self._lease, with_group=self._multicast)
-        # Every fifth beacon, of one a second, is a broadcast. A way counts as heard for the time of
-        # two such beacons, in s, so that the loss of a single broadcast does not show.
+        # Beacons go out once a second, every fifth also as a broadcast. A way counts as heard for
+        # the time of two such beacons, in s, so that the loss of a single broadcast does not show.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
         self.unsent = 0
         try:

@@ -103,7 +103,7 @@ class Admission:
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
-        # Kinds without a common check of freshness are returned in their case.
+        # A case either returns the result itself, or sets `is_fresh` for the test at the end.
         match body:
             case Beacon():
                 return self._beacon(body, now, is_claiming=is_claiming)

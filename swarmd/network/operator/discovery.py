@@ -354,7 +354,7 @@ class Discovery:
         awaited = {robot for robot in self._mentioned if self._prolongs(robot)}
         last_found_at = max((self._mentioned[robot] for robot in awaited), default=self.started)
         for robot in lacking:
-            is_found = robot in self._mentioned  # else only its roster names the robot
+            is_found = robot in self._mentioned  # else only the roster names the robot
             if is_found and robot not in awaited:
                 continue
             since = self._mentioned.get(robot, self.started)

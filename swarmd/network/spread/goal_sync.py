@@ -124,7 +124,7 @@ class GoalSync:
         """True if a robot shows a goal that may be greater than this robot's goal.
 
         `digest`: of the shown goal. `own`: of this robot's goal. If True, this robot must ask for
-        the goal. False for a digest for which the robot has answered already.
+        the goal. False for a digest for which the other robot has answered already.
         """
         return may_replace(digest, own) and not self._asks.knows(instance, digest)
 
