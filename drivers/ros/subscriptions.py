@@ -90,8 +90,7 @@ class Subscriptions:
 
         The caller must call the returned function only while the base is connected. `is_kept`: the
         message is an earlier message of a topic of `kept_topics` (published on change, so that the
-        last message counts), from the publisher's cache.
-        Raises CodecError.
+        last message counts), from the publisher's cache. Raises CodecError.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
@@ -213,8 +212,8 @@ class Subscriptions:
         assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
             names, missing = IMU, from_ros.no_yaw(message)
-            # `take_own` replaces the readings of the options imu and battery. First by none: no yaw
-            # if `imu_readings` raises CodecError.
+            # `take_own` replaces the readings `names`. First by none: if `imu_readings` raises
+            # CodecError, no earlier yaw stays.
             readings.take_own(names, {})
             values = from_ros.imu_readings(message)
         else:

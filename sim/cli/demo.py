@@ -171,9 +171,8 @@ def perform(
         _screen(is_live, served_page.addresses if served_page is not None else ()) as draw_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, draw_scene)
-        summary = run.perform(
-            spec.trace, started_at(), warn
-        )  # times count from the command's start
+        # `started_at()`: the start of this process, from which the time until motion counts.
+        summary = run.perform(spec.trace, started_at(), warn)
         if served_page is not None:
             served_page.reason = (
                 f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"

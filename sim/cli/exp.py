@@ -354,7 +354,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     A metric differs if the 95 % interval of the difference of means excludes 0. The p-values are
     corrected for the number of metrics (Holm). If some runs never reach an event, such as
     gathering, the p-value of its time is that of the log-rank test, and the mean is the restricted
-    mean: runs without the event count with the shorter duration of the runs of A and B.
+    mean: a run without the event within the shorter duration of A and B counts as that duration.
 
     If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
     swept keys a second table shows the mean for each value and the interaction of the keys.

@@ -264,7 +264,8 @@ def mission_file_space(
     `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; if empty, all
     probabilities of the file are searched. `folder`: where the missions of candidates are written.
     ConfigError if the file or a word is wrong, or if the scenario cannot run the candidates: no
-    robot runs a pattern from the start, or a pattern is a file of the scenario's plugin_dir.
+    robot runs a pattern from the start, a replaced pattern has parameters, or another pattern of
+    the scenario is a file of its plugin_dir.
     """
     # 1. The file must be a valid mission. Patterns of the scenario's plugin_dir cannot be found
     # beside it, since `folder` replaces plugin_dir.
@@ -341,8 +342,8 @@ def mission_space(
     In `scenario`, a mission replaces the pattern of each group that runs a pattern from the start.
     `words`: bounds of conditions, such as `timeout=5..60` (s), `nearer=0.3..1` (m) or
     `reading:light=0..100`. `folder`: where the missions of candidates are written. ConfigError if a
-    pattern or a condition is unknown, if no group runs a pattern from the start, or if the scenario
-    has a plugin_dir.
+    pattern or a condition is unknown, if no group runs a pattern from the start, if a replaced
+    pattern has parameters, or if the scenario has a plugin_dir.
     """
     # 1. Patterns and groups.
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))

@@ -136,7 +136,8 @@ class Lockstep:
             for row, platform in enumerate(self._platforms)
             if scenario.fence is not None or "pose" in platform.provides
         )
-        # 2. The schedules. Each robot has a random phase of 0 to 1 s, a due time of all its jobs.
+        # 2. The schedules. Each robot has a random phase of 0 to 1 s, at which its scans, readings,
+        # ticks and neighbors are due. All odometry is due together.
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(

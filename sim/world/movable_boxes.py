@@ -39,8 +39,8 @@ class MovableBoxes:
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
         self.is_there = np.zeros(m, dtype=np.bool_)  # False: out of the arena
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
-        # Friction: (m,) the force in N; (m, 3) its lever along x, y (1: a force) and yaw (m: a
-        # torque in N m); and (m, 3) the inertia along these axes in kg and kg m2.
+        # Friction: (m,) the force in N; (m, 3) its levers: 1 for the forces along x and y, metres
+        # for the torque about yaw; and (m, 3) the inertia along these axes in kg and kg m2.
         lever = np.array([_lever(box) for box in boxes])
         self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)

@@ -44,8 +44,7 @@ class Odometers:
         self._noise = noise
         self._starts = starts.copy()
         # Cosine and sine of the start headings, which turn true poses into the odometry frame. By
-        # math, since numpy's vectorised sine differs from math's in the last bit, and traces of all
-        # machines must be equal.
+        # math, since numpy's vectorised sine differs from math's in the last bit.
         self._turns = np.array([(math.cos(yaw), math.sin(yaw)) for yaw in starts[:, 2]])
         self._turns = self._turns.reshape(-1, 2)
         if noise.is_ideal:

@@ -126,9 +126,9 @@ class Caster:
 
         `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
         (w, 5): start, vector to the end, and -`range_max` times the length, the least `side` of a
-        wall in reach (`_meet_surface`). `poles` (p, 3): x, y,
-        radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
-        x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
+        wall in reach (`_meet_surface`). `poles` (p, 3): x, y, radius. `edges` (b, k, 4) of
+        polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
+        robots or boxes that have the polygons and discs.
         """
         n = len(spec.bearings)
         # 1. The rays and the sensor.

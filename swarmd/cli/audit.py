@@ -106,7 +106,7 @@ def _read(
         if reply.fault:
             faults[robot] = reply.fault
         lines += robot_lines
-    # Entries of unknown time (from another boot of a robot without a clock) come first.
+    # Entries of unknown time come first: of an earlier boot, in which the clock was not set.
     lines.sort(key=lambda line: (line.at or 0.0, line.robot, line.entry.seq))
     return lines, faults, set(replies)
 

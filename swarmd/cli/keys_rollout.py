@@ -257,8 +257,8 @@ def _send_roster(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            # 4. Send to revoked robots, in a single turn: they most likely have the generation of
-            #    roster that this operator had so far.
+            # 4. Send to revoked robots, in one turn only: that of the generation that this operator
+            #    had before. A revoked robot of another generation is not reached.
             if generation == own.roster.generation and revoked:
                 _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))

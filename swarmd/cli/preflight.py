@@ -114,7 +114,7 @@ def _check_low_battery(settings: DaemonSettings) -> list[Finding]:
 
 
 def peers_text(settings: DaemonSettings) -> str:
-    """The platforms of swarmd whose robots make this robot stand when they are near, as text.
+    """The platforms of swarmd whose robots make this robot stand, as text.
 
     The platforms of the real peers are unknown, since the roster has only names. The settings
     `accepts_unseen` and `accepts_faster` may name platforms that swarmd lacks, such as a file on

@@ -232,7 +232,7 @@ def run_cli(
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
     # 2. A closed pipe, such as `| head`. Click raises SystemExit(1) for it, as for a failure, but
-    #    only for a closed pipe also replaces `sys.stdout`. Its last output goes to /dev/null.
+    #    only for a closed pipe also replaces `sys.stdout`. Output that still waits is discarded.
     except SystemExit:
         if sys.stdout is stdout:
             raise

@@ -652,7 +652,7 @@ class Daemon:
             self._pushed_runs.on_failed(actions.failed_code)
         # 3. Replies. A goal that a stop or reset has ended must stay ended after a restart: the
         # reply waits until the goals are on disk. It need not wait while the robot runs (no goal
-        # was ended) or holds a latch (already on disk, and no goal is joined).
+        # was ended) or holds a latch (under which no goal is joined).
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:

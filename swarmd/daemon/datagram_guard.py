@@ -44,9 +44,10 @@ class StopCounters(Struct, frozen=True):
 class DatagramGuard:
     """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    A stop carries a counter that rises with each stop of an operator. A new stop with a much lower
-    counter than the greatest heard so far is refused as a replay (`StopFreshness`). The file
-    `counters` keeps the greatest counters across restarts.
+    A stop carries a counter that rises with each stop of its origin (an operator's installation). A
+    new stop is refused as a replay if its counter is far below the greatest counter of its origin,
+    or not above that counter at the start of the daemon (`StopFreshness`). The file `counters`
+    keeps the greatest counters for the next start.
     """
 
     def __init__(
@@ -77,8 +78,8 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
-        # A hint is such a beacon of a newer roster. `_asks` limits, by host, how often it leads to
-        # a query, since anyone can send hints.
+        # A hint is a beacon of a newer roster, which cannot be verified. `_asks` limits, by host,
+        # how often a hint leads to a query, since anyone can send hints.
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
         self._noticed_at = -1e9  # s; the last warning of refused datagrams; -1e9: none so far
         self._replay_at = -1e9  # s; the last warning of a replayed stop

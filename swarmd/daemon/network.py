@@ -125,8 +125,8 @@ class Network:
     """The network of one daemon: sends and receives, and hands results to the daemon.
 
     `drops` counts messages that could not be read, handled or sent. With an `identity` the swarm is
-    secured. Then `stop_counters` is required: the file with the greatest counter of each operator's
-    stops. A stop with a much lower counter is refused as a replay.
+    secured. Then `stop_counters` is required: the file with the greatest counters of stops, by
+    which replayed stops are refused (`DatagramGuard`).
     """
 
     def __init__(
@@ -286,8 +286,8 @@ class Network:
             check_goal=self._owner.check_goal,
         )
 
-        # 2. Claim the id. The claim lasts longer while another daemon (a rival) claims the id, too;
-        #    a daemon that owns the id already (the holder) ends it.
+        # 2. Claim the id. The claim lasts longer while another daemon (a rival) claims the id, too.
+        #    The claim fails if a daemon owns the id already (the holder).
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
             self.advance()

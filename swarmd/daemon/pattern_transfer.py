@@ -177,7 +177,7 @@ class PatternIntake:
     ) -> None:
         """Check, write and try one pushed pattern, or carry out a removal; reply to the push.
 
-        `entry`: the signed manifest. `code`: the bytes; unused if the robot has them already.
+        `entry`: the signed manifest. `code`: its bytes; unused if the robot has the code already.
         `source`: where the code came from, in words. `request`: the push that the reply answers;
         None: the code was pulled from a peer.
         """
@@ -467,7 +467,7 @@ class PatternPull:
                 if self._state.is_trusted(entry):
                     trusted.append(entry)
                 # Without a valid signature an entry is left out. If it names a present operator, it
-                # was forged: no table of `robot` is pulled for a while.
+                # counts as forged: no table of `robot` is pulled for a while.
                 elif operators is not None and entry.manifest.issuer in operators:
                     return _CheckedTable(trusted, len(new), has_false_signature=True)
             return _CheckedTable(trusted, len(new), has_false_signature=False)

@@ -497,7 +497,7 @@ class PushedRuns:
         """An event of the pattern host without permissions that a pushed pattern may not get.
 
         A pattern of the robot's owner may state a `scan_delay`, by which scans may be late without
-        a hold. A pushed pattern may not: the owner did not choose its code.
+        a hold. A pushed pattern may not: no file of the owner can permit this to pushed code.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"

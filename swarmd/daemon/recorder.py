@@ -298,8 +298,9 @@ class Recorder:
     def _drop(self, count: int) -> None:
         """Count dropped entries, and let the recording begin anew after the gap.
 
-        The memory (whole state) of the robot is recorded at the next step: a replay continues from
-        there. The next scan is recorded with its geometry (bearings), which the gap may have lost.
+        The memory (whole state) of the robot is recorded before the next input: a replay continues
+        from there. The next scan is recorded with its geometry (bearings), since the gap may have
+        swallowed an earlier one.
         """
         self._scans = {}
         self._is_memory_due = True

@@ -73,8 +73,8 @@ class Services:
 
     The table of core/verbs.py names for each verb the field of its service, whose method
     `on_<verb>` handles the verb. A request changes the robot: `on_<verb>(request, answer)` carries
-    it out. A question changes nothing: `on_<verb>(question)` returns the answer, or a function
-    that makes the answer in a thread.
+    it out. A question does not change the robot: `on_<verb>(question)` returns the answer, or a
+    function that makes the answer in a thread.
     """
 
     recording: RecordingService
@@ -298,8 +298,8 @@ class RequestServer:
 
         `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
         fields may have wrong types. A request without a readable head, or for other robots, is
-        dropped. The reply to a request without a readable id has the id UNREADABLE. A repeat gets
-        the kept reply; no reply is kept without a readable id, or if another request has this id.
+        dropped. The reply to a request without a readable id has the id UNREADABLE. The reply is
+        kept for repeats, unless the id is unreadable, or another request has this id.
         """
         # 1. The targets and the id.
         try:
@@ -325,7 +325,7 @@ class RequestServer:
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
         refusal: Refusal | None
-        if version != codec.VERSION:  # the cause of any other error
+        if version != codec.VERSION:  # then `text` says little: a field may have another form
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
         else:

@@ -34,7 +34,7 @@ class Make(Protocol):
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
-        """Make a part: the pattern `name`; `params` replace parameters of the platform's file.
+        """Make a part: the pattern `name` with `params`; the platform gives all other parameters.
 
         `part` names the part within this pattern (default: `name`). A part shares its message
         channels with the stand-alone pattern, unless the part is `private`. PluginError if there is

@@ -152,7 +152,7 @@ class ProcessRunner:
             return
         if isinstance(command, host_messages.Load):
             log.info("loading %s", command.pattern)
-            if command.is_fresh:  # load in a new host, since the present host hangs
+            if command.is_fresh:  # load in a new host: the present host hangs, ends or has old code
                 self._replace()
         # 2. Encode. A load also gets the places of all patterns, which it may contain.
         self._generation = command.generation

@@ -51,7 +51,7 @@ class FencePose:
         self._readings: deque[Odometry] = deque(maxlen=HISTORY)
         self._way = self._turned = 0.0
         self._used: _Fix | None = None  # the last pose in use; after a jump kept for comparison
-        # After a jump: the first and the last of the poses in a row that agree with each other.
+        # Of a place not in use: the first and the last of the poses in a row that agree.
         self._new: _Fix | None = None
         self._newest: _Fix | None = None
         self._agreeing = 0  # poses after `_new` that agree with it

@@ -130,7 +130,7 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Replace the own goal by the greater `goal`; a run ends, and a load for a lesser goal.
+        """Replace the own goal by `goal`, which is greater; a run and a load for lesser goals end.
 
         The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
         None if unknown. `may_join`: a robot that is idle or running may run `goal` without a

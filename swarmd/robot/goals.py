@@ -9,14 +9,15 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
 2. Exception: the robot joins (runs without a request) a goal with `on_join: run` whose age is known
    and below `valid`. The robot must have been idle, or must have run for a lesser goal, when the
    goal came, and no run may have ended since.
-3. If a robot could not join because it lacks the pattern, it may join again, once, after an
-   operator has pushed the pattern to it.
+3. If a load failed because the robot lacks the pattern of the goal, the robot may join again, once,
+   after the pattern has come by a push or from a peer, and has passed its trial.
 4. The robot joins a goal with a lease only while the operator of that goal is heard.
 5. The robot joins no goal that was set before its last stop, emergency stop or reset.
 6. A stop or emergency stop of all robots makes a goal without a pattern, greater by 1 generation
    than the held goal, so that no robot joins the held goal later. No such goal is made if the held
-   goal is newer than the stop. If the age of the held goal is unknown, the stop stays undecided
-   until a peer reports that age, or a greater goal.
+   goal is newer than the stop. If that is not known (the robot got the held goal, without its age,
+   after the stop was issued), the stop stays undecided until a peer reports that age, or a greater
+   goal.
 """
 
 from __future__ import annotations
@@ -248,8 +249,8 @@ class Goals:
 
         So no robot that joins later runs the held goal. All robots that hold the same goal make the
         same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False
-        if no goal is made: for a repeated stop, for a stop that is older than the held goal, and
-        while the age of the held goal is unknown.
+        if no goal is made: for a repeated stop, for a stop that is older than the held goal, while
+        it is not known which of the two is older, and if no goal can exceed the held goal.
         """
         if stop in self._stops:
             return False

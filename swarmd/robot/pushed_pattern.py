@@ -9,8 +9,8 @@
       while provisional
     removal                                  -> gone
 
-An end of the daemon counts since the code may be its cause, such as by taking all memory. A fault
-of a held version changes nothing here: the pattern is restarted and quarantined like any other.
+An end of the daemon during a run counts since the code may be its cause. A fault of a held version
+changes nothing here: the pattern is restarted and quarantined like any other.
 """
 
 from __future__ import annotations

@@ -271,8 +271,8 @@ class RequestHandler:
     ) -> Wish:
         """When (s on the own clock) and by whom the request was issued.
 
-        A stop, estop or reset raises the epoch, and this request quotes the present epoch. So the
-        request was issued after the last of these, even if its stated age says otherwise.
+        A stop, estop or reset that is carried out raises the epoch, and this request quotes the
+        present epoch. So it was issued after the last of these, even if its age says otherwise.
         """
         return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
 
@@ -322,8 +322,8 @@ class RequestHandler:
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
             return
         # 3. A running or idle robot keeps its state, but joins no goal that was set before now
-        #    (`bar`). `is_joining`: the robot itself began the present load for a peer's goal; its
-        #    state is still idle, but case 4 ends that load.
+        #    (`bar`). `is_joining`: the robot itself began the present load for a peer's goal. Its
+        #    state may still be idle, but case 4 ends that load.
         loading = lifecycle.pattern_run.loading
         is_joining = loading is not None and loading.goal is not None and loading.request is None
         if state is State.RUNNING:
@@ -390,9 +390,9 @@ class RequestHandler:
         """Act on the end of the trial of new code that a reload request started.
 
         `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
-        ignored. After a passed trial the next run of the pattern takes the new code. The reload of
-        a pushed pattern keeps the present run (`keeps_running`); the reload of an operator replaces
-        that run. A trial keeps the robot from joining a goal, so the robot may join after it.
+        ignored. After a passed trial the next run of the pattern takes the new code. A push keeps
+        the present run (`keeps_running`). A reload, or a push that asks for a new run, ends the run
+        of this pattern. During a trial the robot joins no goal, so it may join one after the trial.
         """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
@@ -449,7 +449,7 @@ class RequestHandler:
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = math.inf  # the host ends, so its answer to a step cannot be late
+        run.awaiting_since = math.inf  # no answer to a step is awaited any more: the host ends
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,

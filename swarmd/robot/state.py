@@ -142,7 +142,7 @@ class StateMachine(StateField):
         """Change state, reason and detail by a trigger.
 
         If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
-        the trigger for this state: then the newer reason says more, such as a second stop.
+        the trigger for this state, such as STOP for a stopped robot.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -619,7 +619,8 @@ class Lifecycle:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
         Requests that quote an earlier epoch are refused from now on. An idle robot without a load
-        or trial stays idle: stalls are common while the daemon starts, and it needs no reset then.
+        or trial stays idle: there is nothing to end. (A busy computer stalls most while the daemon
+        starts.)
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"

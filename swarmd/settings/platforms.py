@@ -371,9 +371,9 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 def _check_sight(platform: Platform) -> Iterator[Fault]:
     """Check that rate and range of the scan sensor suffice to stop before obstacles.
 
-    In mode `barrier` the needed range follows from speed, deceleration and age of scans. The other
-    modes promise no distance, so any range suffices. The fault of a short range also names the
-    greatest `limits.linear` with which the range suffices. `_check_cone` checks wide beams.
+    In mode `barrier` the needed range follows from speed, deceleration and age of scans. In other
+    modes any range suffices. The fault of a short range also names the greatest `limits.linear`
+    with which the range suffices. `_check_cone` checks wide beams.
     """
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)

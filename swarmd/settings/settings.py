@@ -136,7 +136,7 @@ def load_daemon_settings(
     platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
-        network=msgspec.convert(file, NetworkSettings, from_attributes=True),  # fields of its names
+        network=msgspec.convert(file, NetworkSettings, from_attributes=True),  # the fields of both
         platform=platform,
         platform_name=_absolute(file.platform, folder),
         driver=file.driver,

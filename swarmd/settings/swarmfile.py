@@ -97,9 +97,11 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
     - `accepts_unseen`: platforms that the lidar of other robots misses, as it passes over or under.
-      Normally a robot stands near such a peer; with this key it drives, and may collide with it.
-      `accepts_faster`: the same for platforms that are faster than the barrier assumes. Both: a
-      list of platforms, or reasons by platform.
+      Without this key a robot stands while it does not know where such a peer is; with the key it
+      drives, and may collide with the peer.
+    - `accepts_faster`: platforms that are faster than the barrier of other robots assumes. Without
+      this key a robot stands while it has such a peer. Both keys: a list of platforms, or reasons
+      by platform.
     - `fence`: the area in a shared frame that robots do not leave.
     - `on_low_battery`: what a running robot does when its battery is low. None: nothing.
     """

@@ -150,7 +150,7 @@ def of_robot(
     if reply.profile != "routed":
         yield _hears(reply, others)
 
-    # 3. The robot itself. `storage`: why the state folder, where latches are kept, is not writable.
+    # 3. The robot itself. `storage`: why a restart would lose latches (the state folder's fault).
     if reply.storage:
         remedy = "make the state folder writable, then repeat the estop; see docs/trouble.md"
         yield Finding("latches", False, reply.storage, remedy)

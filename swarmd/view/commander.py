@@ -35,7 +35,7 @@ class LiveCommander:
     text that robots store with each emergency stop and reset. An emergency stop is repeated until
     all robots have acknowledged it, another emergency stop begins, or `end_estop` is called.
     Requests that wait for answers delay neither a stop nor the end of the program. A task of `act`
-    that is cancelled, as the page was closed, sends no further request; a stop goes on.
+    that is cancelled, such as when the page closes, sends no further request, except a stop.
     """
 
     def __init__(

@@ -384,8 +384,8 @@ def _refusal(id: str, text: str) -> dict[str, Any]:
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
     """A class of WebSocket connections with limits, so that clients cannot fill the memory.
 
-    Each connection adds itself to `waiting`; the server removes it once it has a role (has shown
-    its token). Beyond MAX_WAITING the oldest waiting connection is aborted. A client that sends
+    Each connection adds itself to `waiting`; the server removes it once it has a role (operator or
+    viewer). Beyond MAX_WAITING the oldest waiting connection is aborted. A client that sends
     requests without reading the answers is aborted, too, once more than MAX_UNREAD bytes wait.
     """
 
