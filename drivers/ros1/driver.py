@@ -115,9 +115,10 @@ class Ros1Driver:
 
         While the base is lost, commands are dropped with two exceptions. Zero for a stopped robot
         (`is_stopped`) is sent, since another node may command the base. For the first 2 s of a loss
-        each command is sent as zero. A zero disarms the adapter: it no longer guards the base. An
-        armed adapter would take the silence for the end of the daemon, and would send zeros against
-        the next node that drives the base. The first command after a loss is sent as zero.
+        each command is sent as zero. Zeros for half a second disarm the adapter, which then no
+        longer guards the base. An armed adapter would take the silence for the end of the daemon,
+        and would send zeros against the next node that drives the base. The first command after a
+        loss is sent as zero.
         """
         twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)

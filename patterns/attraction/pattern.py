@@ -283,7 +283,8 @@ class Attraction(FieldPattern[AttractionParams]):
         if is_going == "lead" and age < _LEAD_TIME:
             return "lead"
         is_pulled = view.free > (_STOP_PULL if is_going == "gather" else _START_PULL)
-        # A robot tries to roll or lead before it settles in a line, and from time to time at rest.
+        # A robot tries to roll or lead before it settles in a line. At rest it tries again, a few
+        # times, after a wait that doubles with each try.
         is_first = is_in_line and is_going == "gather" and self._rest_time == _FIRST_REST_TIME
         is_rested = is_going == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
         if (is_first or is_rested) and age > self._rest_time:

@@ -376,9 +376,11 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 
 
 class AuditReply(Struct, frozen=True, kw_only=True):
-    """Entries, oldest first, and the age of each in s; None: written before the last boot.
+    """Entries, oldest first, and the age of each in s.
 
-    `has_more`: older entries match, too. `fault`: why entries cannot be written at present.
+    An age is None if the entry was written before the last boot, and the clock was not set then or
+    is not set now. `has_more`: older entries match, too. `fault`: why entries cannot be written at
+    present.
     """
 
     robot: Name
