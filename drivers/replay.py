@@ -229,8 +229,9 @@ def _read(path: Path) -> _Recording:
 def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]:
     """The time in ns and the input of each message that holds an input of a driver.
 
-    Messages of a damaged recording that cannot be read are left out. A scan whose exact bearings
-    are lost gets the rounded bearings of the message that viewers read.
+    Messages of a damaged recording that cannot be read are left out. The exact bearings of scans
+    are recorded once; if that message is lost, a scan gets the rounded bearings of the ROS message
+    that is recorded for viewers.
     """
     reader = InputReader()
     for message in recorded.messages:
@@ -249,10 +250,10 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """The greatest sequence number of a scan plus 1, and the span of the stamps in s.
+    """By how much sequence numbers of scans, and stamps in s, must rise for the next replay.
 
-    The span is measured for each kind of input, since their clocks may differ. The greatest span
-    counts.
+    That is the greatest sequence number plus 1, and the span of the stamps. The span is measured
+    for each kind of input, since their clocks may differ. The greatest span counts.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

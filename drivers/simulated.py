@@ -75,12 +75,12 @@ class SimulatedDriver:
         self._where = _read(self._endpoint)
         self._link: RobotClient | None = None
         self._gate = CommandGate()
-        self._last_sample = -math.inf
+        self._last_sample = -math.inf  # s on the loop's clock
         self._take_late: TakeLate | None = None
         self._scan_size = 0  # bytes of the smallest frame of a scan
         self._kinds: set[str] = set()  # kinds of sensor inputs that have come
         self._lag = 0.0  # arrival minus stamp of the last reading of odometry in s
-        self._last_read = -math.inf
+        self._last_read = -math.inf  # of the socket
         self._is_taking = False  # within `_take_frames`
 
     async def run(self, sink: Sink) -> None:
@@ -100,7 +100,7 @@ class SimulatedDriver:
             linking.result()
         finally:
             if self._gate.end():
-                self._put(ZERO, -1, -1)
+                self._put(ZERO, -1, -1)  # decided with no scan
             self._link = None
             linking.cancel()
             await asyncio.gather(linking, return_exceptions=True)
@@ -190,9 +190,10 @@ class SimulatedDriver:
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
         """Take all messages of patterns in order, and of each sensor the newest frame only.
 
-        `frames`: all that one read of the socket gave, in order; a name is a kind of input. After
-        `rest(take_late)`, odometry waits in the socket for the next scan. Then `take_late` gets the
-        newest odometry with its age, and older odometry is not counted as dropped.
+        `frames`: all that one read of the socket gave, in order; a name is a kind of input. After a
+        call of `rest` with a `take_late` (the robot stands), odometry does not wake the daemon, and
+        waits in the socket for the next scan. Then `take_late` gets the newest odometry with its
+        age, and older odometry is not counted as dropped.
         """
         newest: dict[str, bytes] = {}
         take_late = self._take_late
@@ -214,7 +215,7 @@ class SimulatedDriver:
             is_last = frames[-1].name == _ODOMETRY
             waited = self._link.age if is_last and self._link is not None else None
         batch = _Batch(take_late, waited, last_read)
-        self._is_taking = True
+        self._is_taking = True  # `_take` may lead to a call of `read`, which then does nothing
         try:
             for name, payload in newest.items():
                 self._take(sink, name, payload, batch)
@@ -245,8 +246,8 @@ class SimulatedDriver:
     def _age(self, stamp: float, batch: _Batch) -> float:
         """Seconds since a reading of odometry arrived.
 
-        The arrival of a reading that came before a scan (`waited` None) is not measured. It follows
-        from the stamp: the reading is taken to be as late after its stamp as the previous reading.
+        The arrival of a reading that came before a scan (`waited` None) is not measured. The
+        reading is assumed to have come as long after its stamp (`_lag`) as the reading before.
         """
         now, waited = self._last_read, batch.waited
         arrival = stamp + self._lag if waited is None else now - waited

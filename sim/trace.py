@@ -200,15 +200,15 @@ def _unpacked_size(path: Path) -> int:
 def load_trace(path: Path) -> Trace:
     """Load a trace from an .npz file, which may come from a stranger.
 
-    ConfigError if the file cannot be read, is not a trace, or unpacks to MAX_RATIO times its size
-    and more.
+    ConfigError if the file cannot be read, is not a trace, or unpacks to more than MAX_RATIO times
+    its size plus MAX_SPARE.
     """
     try:
         # 1. All arrays, once their unpacked size is known to be limited.
         if (size := _unpacked_size(path)) > (most := _most_unpacked(path)):
             raise ConfigError(
                 f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
-                " size and 64 MiB"
+                " size plus 64 MiB"
             )
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

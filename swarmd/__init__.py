@@ -1,7 +1,7 @@
 """swarmd: a runtime for robot swarms.
 
-`import swarmd` imports none of its public names before they are used: the daemon and each verb of
-swarmctl pass here.
+A public name is imported when it is first used: the daemon and each verb of swarmctl run
+`import swarmd`, which must not load the client and the simulation.
 """
 
 from typing import TYPE_CHECKING

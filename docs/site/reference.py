@@ -191,6 +191,14 @@ def platforms() -> Iterator[str]:
     yield from _schema("protection.presets.NAME", PotentialFieldSettings)
 
 
+def words() -> Iterator[str]:
+    """What the words of an operator mean to the robots whose platform files say so."""
+    for name in platform_names():
+        for driver, meanings in load_platform(name).words.items():
+            rows = [(f"`{word}`", meaning) for word, meaning in meanings.items()]
+            yield _table(("word", f"a {name} of driver {driver}"), rows)
+
+
 def scenarios() -> Iterator[str]:
     """Each shipped scenario, then the keys of a scenario's file."""
     yield "## Shipped scenarios"
@@ -498,6 +506,7 @@ PARTS: dict[str, Callable[[], Iterable[str]]] = {
     "comparison": comparison,
     "films": films,
     "platforms": platforms,
+    "words": words,
     "scenarios": scenarios,
     "metrics": metrics,
     "benchmark_tasks": benchmark_tasks,

@@ -30,6 +30,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import Motion, ShownPose, State, Status
 from swarmd.core.values import (
     ZERO,
@@ -45,6 +46,7 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink
 from swarmd.drivers.crazyflie.flight import (
     LANDING_RESERVE,
+    NOT_ARMED,
     Flight,
     FlightRules,
     HoverSetpoint,
@@ -53,7 +55,9 @@ from swarmd.drivers.crazyflie.flight import (
     Wish,
 )
 from swarmd.drivers.crazyflie.link import (
+    CAN_BE_ARMED,
     CAN_FLY,
+    IS_ARMED,
     IS_CRASHED,
     IS_FLYING,
     IS_LOCKED,
@@ -62,7 +66,7 @@ from swarmd.drivers.crazyflie.link import (
     DroneLink,
     has_cflib,
 )
-from swarmd.drivers.crazyflie.sensors import SENSORS, ranges_of
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, ranges_of
 from swarmd.settings.layered import Layered
 
 NAME = "crazyflie"
@@ -112,7 +116,7 @@ class CrazyflieOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     land_rate: Rate = 0.3
     land_after: Annotated[float, Meta(ge=0.0, le=600.0)] = 5.0
     clear: Annotated[float, Meta(ge=0.1, le=4.0)] = 0.4
-    battery_volts: tuple[Volts, Volts] = (3.0, 4.2)
+    battery_volts: tuple[Volts, Volts] = BATTERY_VOLTS
     low_battery: Volts = 3.2
     pose_frame: Annotated[str, Meta(max_length=63)] = ""
     pose_error: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.05
@@ -207,11 +211,11 @@ class CrazyflieDriver:
             async with asyncio.timeout(seconds):
                 while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
                     await asyncio.sleep(PERIOD)
-                while not task.done() and self._info is None:
+                while not task.done() and self._supervisor is None:
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
-        info, volts = self._info, self._volts
+        supervisor, volts = self._supervisor, self._volts
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         nothing = f"none from {self._uri}: {seen.text}"
@@ -220,11 +224,17 @@ class CrazyflieDriver:
             Finding(kind, kind in seen.last, "heard" if kind in seen.last else nothing, remedy)
             for kind in ("scan", "odometry")
         ]
-        if info is None:
+        if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
-        hazards = ", ".join(one.text for one in _hazards(info)) or "ready to fly"
-        is_well = not _hazards(info) and bool(info & CAN_FLY)
-        found.append(Finding("supervisor", is_well, hazards, "turn the drone upright, restart it"))
+        text = ", ".join(one.text for one in _hazards(supervisor))
+        is_well, remedy = (
+            not text and bool(supervisor & CAN_FLY),
+            "turn the drone upright, restart it",
+        )
+        if not text:
+            text = "ready to fly" if is_well else "not ready to fly"
+            text = NOT_ARMED if _is_unarmed(supervisor) else text
+        found.append(Finding("supervisor", is_well, text, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)
@@ -275,7 +285,7 @@ class CrazyflieDriver:
                 self._step()
             return str(lost.result())
         except asyncio.CancelledError:
-            if self._gate.end():
+            if self._gate.end():  # the drone was commanded
                 await self._land(lost)
             raise
         finally:
@@ -290,6 +300,7 @@ class CrazyflieDriver:
         deadline = time.monotonic() + limit
         while not lost.done() and time.monotonic() < deadline:
             setpoint = self._put_step(Wish.LAND, ZERO)
+            # On the ground the step sends "motors off", or sends nothing to a silent drone.
             is_told = setpoint is not None or self._seen().is_flying is None
             if self._flight.phase is Phase.GROUND and is_told:
                 break
@@ -305,9 +316,9 @@ class CrazyflieDriver:
 
     def _forget(self) -> None:
         """Forget what the drone reported."""
-        self._info: int | None = None
+        self._supervisor: int | None = None  # bits of the drone's supervisor, such as CAN_FLY
         self._volts = math.nan
-        self._info_at = self._ranges_at = self._height_at = self._heard = -math.inf
+        self._supervisor_at = self._ranges_at = self._height_at = self._heard = -math.inf
         self._volts_low_since = math.inf
         self._height, self._is_clear = 0.0, False
         self._hazards: tuple[Hazard, ...] = (_NOT_HEARD,)
@@ -328,7 +339,7 @@ class CrazyflieDriver:
         if not self._gate.is_open:
             self._gate.open()
             self._sink.state(True, self._text())
-            self._hazards = (_NOT_HEARD,)
+            self._hazards = (_NOT_HEARD,)  # until the supervisor's first report
             self._sink.take(HazardsInput(self._hazards))
         stamp = self._stamp(stamp_ms)
         if name == "ranges":
@@ -373,7 +384,7 @@ class CrazyflieDriver:
             self._sink.take(PoseInput(shared))
 
     def _take_status(self, values: Mapping[str, float], now: float) -> None:
-        self._info, self._info_at = int(values["supervisor.info"]), now
+        self._supervisor, self._supervisor_at = int(values["supervisor.info"]), now
         self._volts = values["pm.vbat"]
         if self._volts >= self._options.low_battery:
             self._volts_low_since = math.inf
@@ -381,8 +392,8 @@ class CrazyflieDriver:
             self._volts_low_since = now
         empty, full = self._options.battery_volts
         battery = min(max((self._volts - empty) / (full - empty), 0.0), 1.0)
-        self._sink.take(ReadingsInput({"battery": battery, "height": self._height}))
-        self._tell_hazards(_hazards(self._info))
+        self._sink.take(ReadingsInput({BATTERY: battery, "height": self._height}))
+        self._tell_hazards(_hazards(self._supervisor))
 
     def _tell_hazards(self, hazards: tuple[Hazard, ...]) -> None:
         if hazards != self._hazards:
@@ -400,7 +411,7 @@ class CrazyflieDriver:
         """Tell the phase of the flight if it has changed, and a silent supervisor."""
         if not self._gate.is_open:
             return
-        if now - self._info_at > SILENCE_TIMEOUT:
+        if now - self._supervisor_at > SILENCE_TIMEOUT:
             self._tell_hazards((_NOT_HEARD,))
         text = self._text()
         if text != self._told:
@@ -409,11 +420,12 @@ class CrazyflieDriver:
 
     def _seen(self) -> Seen:
         now = time.monotonic()
-        info = self._info if now - self._info_at <= SILENCE_TIMEOUT else None
+        info = self._supervisor if now - self._supervisor_at <= SILENCE_TIMEOUT else None
         return Seen(
             height=self._height if now - self._height_at <= SILENCE_TIMEOUT else None,
             is_flying=None if info is None else bool(info & IS_FLYING),
             may_fly=info is not None and bool(info & CAN_FLY) and not _hazards(info),
+            is_unarmed=info is not None and _is_unarmed(info),
             is_clear=self._is_clear and now - self._ranges_at <= SILENCE_TIMEOUT,
             is_battery_low=now - self._volts_low_since >= LOW_BATTERY_TIME,
         )
@@ -459,6 +471,11 @@ class CrazyflieDriver:
         if waiting is not None:
             self._sending = None
             self._put(waiting)
+
+
+def _is_unarmed(info: int) -> bool:
+    """True if the drone can be armed and is not; older firmware reports neither."""
+    return bool(info & CAN_BE_ARMED) and not info & IS_ARMED
 
 
 def _hazards(info: int) -> tuple[Hazard, ...]:

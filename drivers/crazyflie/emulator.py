@@ -1,4 +1,4 @@
-"""Emulated Crazyflies: the drones' side of CRTP, each at a UDP port of its own.
+"""Emulated Crazyflies: the drones' side of CRTP (their radio protocol), each at a UDP port.
 
 cflib opens such a port by its own UDP driver (`udp://HOST:PORT`). Commands and state are those of
 `firmware.py`; the simulated world moves the drones.
@@ -17,11 +17,12 @@ from collections.abc import Callable, Mapping
 
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError, NetworkError
-from swarmd.core.events import OdometryInput, PoseInput, ScanInput, SensorInput
+from swarmd.core.events import OdometryInput, PoseInput, ReadingsInput, ScanInput, SensorInput
+from swarmd.core.low_battery import READING
 from swarmd.core.values import Platform, Pose, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.crazyflie.firmware import Firmware
-from swarmd.drivers.crazyflie.sensors import SENSORS, sensor_rays
+from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, sensor_rays
 
 TICK = 0.02  # s
 _SIZE = 2048
@@ -52,9 +53,9 @@ class CrtpRobots:
     ) -> None:
         """Open a port for each drone; raises as `EmulatorFactory` does."""
         self._on_command, self._clock = on_command, clock
-        self.loss = self.delay = 0.0
+        self.loss = self.delay = 0.0  # share of packets, and s
         self.tells_status = True
-        self._draw = random.Random(0)
+        self._draw = random.Random(0)  # of lost packets
         self._lock = threading.RLock()
         self._selector = selectors.DefaultSelector()
         self._drones: dict[str, _Drone] = {}
@@ -104,6 +105,9 @@ class CrtpRobots:
                     self._log(drone, ("stateEstimate",), now)
                 if self.tells_status:
                     self.publish_status(robot)
+            elif isinstance(input, ReadingsInput) and READING in input.readings:
+                empty, full = BATTERY_VOLTS
+                drone.firmware.set_battery(empty + (full - empty) * input.readings[READING])
             elif isinstance(input, PoseInput) and drone.is_posed and drone.frame is None:
                 drone.frame = _frame(input.pose.pose, drone.odometry)
 
@@ -205,8 +209,9 @@ class CrtpRobots:
 class _Drone:
     """One emulated drone and its port.
 
-    `is_posed`: the state estimate is in a shared frame. `frame`: the origin of the odometry in the
-    frame of the estimate; None: not known yet, and no estimate is sent.
+    `is_posed`: the state estimate is in a shared frame. `frame`: the pose of the odometry's frame
+    in the frame of the estimate. None: no pose in the shared frame has come yet, so that no
+    estimate is sent.
     """
 
     def __init__(self, robot: str, link: socket.socket, *, is_posed: bool) -> None:

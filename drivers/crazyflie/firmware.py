@@ -1,4 +1,4 @@
-"""The firmware's side of CRTP for one emulated drone. Pure: bytes and times in, bytes out.
+"""The firmware's side of CRTP (the drones' radio protocol) for one emulated drone. Pure.
 
 Ports, commands and encodings follow cflib 0.1.34 (crtp/crtpstack.py, crazyflie/log.py, toc.py,
 commander.py, supervisor.py, platformservice.py). The time-outs of the commander are those of
@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from swarmd.core.values import ZERO, Pose, Twist
-from swarmd.drivers.crazyflie.link import CAN_FLY, IS_FLYING
+from swarmd.drivers.crazyflie.link import CAN_BE_ARMED, CAN_FLY, IS_ARMED, IS_FLYING
 
 LEVEL_TIMEOUT, OFF_TIMEOUT = 0.5, 2.0
 """s without a set-point until the drone levels, and until its motors stop."""
@@ -72,6 +72,7 @@ class Firmware:
         self.dropped = 0
         self.command_count = 0  # set-points that were read
         self.faults = 0  # bits of IS_TUMBLED, IS_LOCKED, IS_CRASHED
+        self.is_armed = True  # a brushed Crazyflie arms itself, a brushless one does not
         self._target = 0.0  # m; 0: the motors are off
         self._commanded_at = self._now = -math.inf
         self._blocks: dict[int, _Block] = {}
@@ -126,6 +127,7 @@ class Firmware:
         """The answers to a packet; malformed packets are counted in `dropped`."""
         if not data:
             return []
+        # The header: the port in the upper four bits, the channel in the lower two.
         port, channel, payload = data[0] >> 4, data[0] & 3, data[1:]
         if data[0] == 0xFF:  # the null packet
             return [data]
@@ -159,32 +161,37 @@ class Firmware:
             yield bytes([_LOG << 4 | 0x0C | 2, number]) + stamp_ms.to_bytes(3, "little") + packed
 
     def _info(self) -> int:
-        info = self.faults | (0 if self.faults else CAN_FLY)
+        ready = CAN_FLY | IS_ARMED if self.is_armed else CAN_BE_ARMED
+        info = self.faults or ready
         return info | (IS_FLYING if self.height > FLYING_HEIGHT else 0)
 
     def _answers(self, port: int, channel: int, payload: bytes, now: float) -> Iterator[bytes]:
-        match port, channel:  # link, platform, log, memory, parameters, supervisor, commanders
-            case 15, 0:
+        """The answers to a request, without the header, as cflib's module for its port reads them.
+
+        A table of contents (`_toc`) lists log variables or parameters, with its checksum.
+        """
+        match port, channel:
+            case 15, 0:  # link: an echo
                 yield payload
-            case 15, 1:
+            case 15, 1:  # link: the sender
                 yield b"Bitcraze Crazyflie".ljust(30, b"\0")
-            case 13, 1 if payload[0] == 0:
+            case 13, 1 if payload[0] == 0:  # platform: the version of the protocol
                 yield bytes([0, PROTOCOL_VERSION])
-            case 5, 0:
+            case 5, 0:  # log
                 yield from _toc(payload, [_log_item(name) for name in _LOG_VARIABLES], 0x10C)
             case 5, 1:
                 yield self._log_command(payload)
             case 4, 0 if payload[0] == 1:
                 yield bytes([1, 0])  # no memories
-            case 2, 0:
+            case 2, 0:  # parameters: the table, and a value
                 yield from _toc(payload, [_item(0x48, name) for name in _PARAMETERS], 0x9A6)
             case 2, 1:
                 yield payload[:2] + bytes([0, list(_PARAMETERS.values())[payload[0]]])
-            case 9, 0 if payload[0] == _GET_STATE:
+            case 9, 0 if payload[0] == _GET_STATE:  # supervisor
                 yield bytes([0x80 | _GET_STATE]) + self._info().to_bytes(2, "little")
-            case 7, 0:
+            case 7, 0:  # commander: a set-point
                 self._command(payload, now)
-            case 3, 0:
+            case 3, 0:  # commander: roll, pitch, yaw rate, thrust
                 (*_, thrust) = struct.unpack("<fffH", payload)
                 if thrust == 0:
                     self._stop_motors(now)
@@ -201,7 +208,7 @@ class Firmware:
             if not (math.isfinite(sum(speeds) + height) and max(speeds) <= MAX_COMMAND):
                 raise ValueError("a set-point that is not finite")
             self.command_count += 1
-            if not self.faults:
+            if not self.faults and self.is_armed:
                 self.twist, self._target, self._commanded_at = twist, height, now
 
     def _stop_motors(self, now: float) -> None:

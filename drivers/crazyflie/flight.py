@@ -27,6 +27,7 @@ CLIMB_RESERVE = 5.0
 """s after the highest set-point of a take-off until a drone that is still low lands."""
 MAX_STEP = 0.1
 """s: a longer pause between two steps changes the set-point of the height by no more."""
+NOT_ARMED = "the firmware is not armed; arm it, such as in the maker's client"
 _REACHED = 0.8  # share of the height at which a take-off is over
 
 
@@ -66,12 +67,14 @@ class Seen:
     """What the drone reports; None for what is not fresh.
 
     `height` in m above the floor. `is_flying`: by the firmware. `may_fly`: the firmware is ready,
-    and neither tumbled, crashed nor locked. `is_clear`: all ranges are. `is_battery_low`: for long.
+    and neither tumbled, crashed nor locked. `is_unarmed`: the firmware waits to be armed.
+    `is_clear`: all ranges permit a take-off. `is_battery_low`: the voltage has been low for long.
     """
 
     height: float | None = None
     is_flying: bool | None = None
     may_fly: bool = False
+    is_unarmed: bool = False
     is_clear: bool = False
     is_battery_low: bool = False
 
@@ -182,6 +185,8 @@ class Flight:
 
 def _take_off_obstacle(seen: Seen) -> str:
     """Why a drone on the ground must not take off; empty if it may."""
+    if seen.is_unarmed:
+        return NOT_ARMED
     if not seen.may_fly:
         return "the firmware is not ready to fly"
     if seen.is_battery_low:

@@ -1,8 +1,9 @@
 """The connection to one drone by cflib, whose threads call back.
 
 cflib (a Crazyflie object) has threads of its own, and its calls may block: all calls here are made
-on the one thread of an executor. `close_link` of cflib sends thrust 0, which stops the motors of a
-flying drone; the link is therefore taken away before, and the driver lands the drone first.
+on the one thread of an executor. `close_link` of cflib sends thrust 0, which would stop the motors
+of a flying drone. So the driver lands the drone first, and `DroneLink` takes cflib's link away
+before it calls `close_link`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 
 from swarmd.drivers.crazyflie.flight import HoverSetpoint
 
+CAN_BE_ARMED, IS_ARMED = 1 << 0, 1 << 1
 CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 1 << 6, 1 << 7
 """Bits of `supervisor.info` (cflib, crazyflie/supervisor.py)."""
 

@@ -1,4 +1,4 @@
-"""The four horizontal sensors of the Multi-ranger, in the order of the platform's rays."""
+"""The four horizontal sensors of the Multi-ranger, in the order of the rays, and the battery."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from swarmd.core.values import Array
 
 SENSORS = ("front", "left", "back", "right")
 """By bearing: 0, 90, 180, -90 degrees."""
+BATTERY_VOLTS = 3.0, 4.2
+"""V of an empty and of a full battery."""
 NO_RETURN = 8000
 """mm: cflib takes this and more for no return (utils/multiranger.py)."""
 

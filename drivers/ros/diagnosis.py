@@ -100,9 +100,10 @@ class Graph:
         wanted_type = middleware.type_name(stats.message_type)
         publishers = self._in_domain(is_publisher=True)
         types = sorted({end.type for end in publishers if end.topic == topic})
-        if wanted_type in types and stats.is_never_stale:  # a topic that is published on change
+        is_announced = wanted_type in types
+        if is_announced and stats.is_never_stale:  # published on change only
             return f"{topic} is announced and not latched: no value before its next change"
-        if wanted_type in types:
+        if is_announced:
             return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
         if types:
             option = f"driver_options.{stats.option}"
@@ -305,8 +306,10 @@ class Graph:
         unrouted = self._unrouted(topic, is_publisher=False)
         if unrouted and not base_types:
             return unrouted
-        # 3. The type is clear, and there is a subscriber: no fault.
-        if self.command_type(topic, allowed) is not None and (base_types or has_subscriber):
+        # 3. No fault: the message class is clear, and a base or another node takes the commands.
+        is_type_clear = self.command_type(topic, allowed) is not None
+        is_taken = bool(base_types) or has_subscriber
+        if is_type_clear and is_taken:
             return ""
         if base_types:
             wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
@@ -482,9 +485,9 @@ def driven_by_others(
 ) -> str:
     """The text for a base that other nodes drive by commands on `topic`.
 
-    ROS 1: `publishers` are nodes that count as driving because they are registered as publishers;
-    `is_heard`: their commands have arrived. ROS 2: only commands that arrive count, `publishers` is
-    empty, and `nodes` are the known publishers.
+    In ROS 1 a node counts as driving once the master lists it as a publisher. `publishers`: these
+    nodes. `is_heard`: their commands have arrived. In ROS 2 a node counts only if its commands
+    arrive. `publishers` is empty then, and `nodes` are the announced publishers.
     """
     names = listed(publishers)
     if names:
@@ -576,8 +579,10 @@ class DriverCheck:
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in topics.values():
+            # A topic that no option names, and that the robot does not need, may be absent.
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
-            if stats.is_needed or stats.count or stats.faults or is_named:  # else it may be absent
+            has_come = bool(stats.count or stats.faults)
+            if stats.is_needed or is_named or has_come:
                 yield self._topic(stats)
             for name in stats.further:
                 yield replace(self._topic(stats, is_entry=True), subject=name)
@@ -696,6 +701,7 @@ class DriverCheck:
             text += mux_text or f"then it has the last word, not swarmd ({LAST_WORD})"
         else:
             text = mux_text or f"no other node publishes {listed(self.foreign.topics)}"
+        # `_actions` adds the actions that may move the base, with the nodes that serve them.
         return Finding("last_word", True, text + self._actions())
 
     def _heard(self) -> str:

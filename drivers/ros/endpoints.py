@@ -58,7 +58,8 @@ def with_nodes(
 
     1. An announced endpoint without a listed node stays as announced. An endpoint that was
        announced after `listed_at` stays, too: its listed nodes may have left.
-    2. Listed nodes whose topic is not announced are not routed.
+    2. Listed nodes whose topic is not announced are not routed: the bridge does not pass the topic
+       on between DDS and Zenoh.
     3. If no listed node has the announced type, none of these nodes is routed.
     """
     # By bridge, direction and topic.

@@ -50,8 +50,9 @@ ROS1_ACTIONS = ActionProtocol(
 class ForeignCommands:
     """Tracks which other node drives the base, by its commands and its goals of actions.
 
-    `topics`: the topics of commands, the driver's own first. `actions`: the action of each topic of
-    goal states. `counts`: commands that arrived, by topic. Times are in s on one clock.
+    `topics`: the topics of commands, the driver's own first. `actions`: the name of each action, by
+    the topic on which its server publishes the states of its goals. `counts`: commands that
+    arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(
@@ -77,7 +78,8 @@ class ForeignCommands:
         is_known = not types or any(kind.rpartition("/")[2] in _COMMANDS for kind in types)
         if is_known and _is_zero(payload):
             if topic == self.topics[0]:
-                self._zeros_from = now if now - self._zero_at > YIELD_TIME else self._zeros_from
+                if now - self._zero_at > YIELD_TIME:  # a new series of zeros begins
+                    self._zeros_from = now
                 self._zero_at = now
             return False
         if topic not in self._ignored:

@@ -47,11 +47,11 @@ def scan_of(
 ) -> Scan:
     """The scan of a LaserScan, with bearings in the base frame.
 
-    `yaw`: rad to which the sensor's zero points. `seq`: the number of the scan. The angles of an
-    upside-down sensor rise clockwise. The ages of the rays are None, so that they follow from the
-    platform's `scan.sweep`. If the robot measures the sweep, the ages follow from `time_increment`,
-    unless its value is impossible. Raises CodecError for more than MAX_RAYS rays, and if the angles
-    span more than one turn.
+    `yaw`: the bearing in rad of the sensor's angle 0. `seq`: the number of the scan. The angles of
+    an upside-down sensor rise clockwise. The ages of the rays are None, so that they follow from
+    the platform's `scan.sweep`. If the robot measures the sweep, the ages follow from
+    `time_increment`, unless its value is impossible. Raises CodecError for more than MAX_RAYS rays,
+    and if the angles span more than one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)

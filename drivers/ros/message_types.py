@@ -78,6 +78,7 @@ class MessageTypes:
             raise ConfigError(f"{path}: {error.strerror}") from None
         constants, fields = _parsed(full, text, path, is_ros1=self.is_ros1)
         for _, node in fields:
+            # rosbags' node of a field: (kind, detail), of a list (kind, (item, length)).
             kind, detail = node[1][0] if node[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else node
             if kind is not Nodetype.NAME or detail in self._store.types or detail in found:
                 continue

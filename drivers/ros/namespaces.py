@@ -47,7 +47,7 @@ class Namespaces:
         named[options.scan_topic] = "scan"
         named |= {options.odometry: "odometry", options.cmd_vel: "cmd_vel"}
         self._names = [name.strip("/") for name in named]
-        self.own = options.topic("_")[:-2]
+        self.own = options.topic("_")[:-2]  # the namespace, before the slash of any topic
         self._kinds = defaultdict[str, set[str]](set)
         own = {options.topic(name): kind for name, kind in named.items()}
         self._own_kinds = {kind for topic, kind in own.items() if topic in heard}
@@ -78,8 +78,10 @@ class Namespaces:
         """The proposals for a missing topic; `alike`: the topics with its type.
 
         1. With the option `namespace`: the topics in this namespace. While no topic of this
-           namespace is announced: all namespaces.
-        2. Without the option: the topics, or all candidate namespaces if there are several.
+           namespace is announced: all announced namespaces, too, since the option may be wrong.
+        2. Without the option: the topics that may be this robot's. If they are in several
+           namespaces, or in one while several other robots are announced: no topics, but all of
+           these namespaces.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

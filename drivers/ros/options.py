@@ -18,6 +18,8 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.opinion_options import OpinionOptions
+from swarmd.drivers.ros.service_options import ServiceOptions
 from swarmd.drivers.ros.topic_detections import DetectionOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
 from swarmd.drivers.ros.topic_hazards import HazardOptions
@@ -53,8 +55,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `battery_percentage`: the unit of that percentage. Without it and `battery_volts` there is no
       `battery`.
     - `ranges`: makes one scan of several `sensor_msgs/Range`, beside `scan` if the platform has a
-      section `ranges`, otherwise in place of it. Topic to bearing in degrees, or to bearing and the
-      sensor's distance in m from the offset of the section.
+      section `ranges`, otherwise in place of it. A mapping from each topic to the sensor's bearing
+      in degrees, or to its bearing and its distance in m from the offset of the section.
     - `scan_yaw_deg`: the direction of the lidar's zero, from the base's front to the left.
     - `scan_upside_down`: the lidar hangs upside down, so that it turns the other way.
     - `shared_pose`: a topic with the pose of the base's axle in a frame that all robots share.
@@ -161,10 +163,14 @@ class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=
     - `endpoint`: the address at which the bridge or router listens.
     - `publish_state`: publish the robot's state on `swarmd/pose`, `swarmd/markers` and
       `diagnostics`.
+    - `services`: the services by which ROS runs and stops this robot.
+    - `opinions`: the opinions of voting patterns that are published and heard.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
     publish_state: bool = False
+    services: ServiceOptions | None = None
+    opinions: OpinionOptions | None = None
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -244,8 +250,8 @@ def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
 
 def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
     """The options that a zero sender needs; it must start even if a `.msg` file is missing."""
-    of_sensors = {*ENTRY_KINDS, "message_path"}
-    return {name: value for name, value in options.items() if name not in of_sensors}
+    others = {*ENTRY_KINDS, "message_path", "services", "opinions"}
+    return {name: value for name, value in options.items() if name not in others}
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
@@ -255,6 +261,10 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             f"master is {options.master_uri!r}; expected a value such as {DEFAULT_MASTER}"
             " (without it, $ROS_MASTER_URI counts)"
         )
+    if isinstance(options, RosOptions) and options.services is not None:
+        yield from options.services.faults()
+    if isinstance(options, RosOptions) and options.opinions is not None:
+        yield from options.opinions.faults()
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):
@@ -308,7 +318,9 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         first = first_options.setdefault(topic, option)
         if first == option:
             continue
-        if first not in types or option.partition(".")[0] not in ENTRY_KINDS:
+        # Only two entries may share a topic; `types` has the entries alone.
+        are_entries = first in types and option.partition(".")[0] in ENTRY_KINDS
+        if not are_entries:
             yield f"{first} and {option} are both {topic}; expected a topic each"
         elif types[first] != types[option]:
             kinds = f"{types[first]} and {types[option]}"

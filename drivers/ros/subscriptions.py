@@ -71,7 +71,8 @@ class Subscriptions:
             [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
-        # The entries of the options of topic_entries.py, also by topic.
+        # For each option of topic_entries.py the object that collects the values of its entries;
+        # and by topic the entries that read it.
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -88,8 +89,8 @@ class Subscriptions:
         """Decode a message; returns the function that delivers its values to a sink.
 
         The caller must call the returned function only while the base is connected. `is_kept`: the
-        message is an earlier message of a topic of `kept_topics`, from the publisher's cache.
-        Raises CodecError.
+        message is an earlier message of a topic of `kept_topics` (published on change, so that the
+        last message counts), from the publisher's cache. Raises CodecError.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
@@ -100,7 +101,7 @@ class Subscriptions:
         deliver_entries = partial(self.deliver_inputs, now=now)
         if is_kept and stats.stamps:
             stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
-        if stats.goes_stale:  # a topic of entries alone; stamp 0: not set
+        if stats.goes_stale:  # only entries read this topic; stamp 0: not set
             stats.record(now, stamp or now, entries_text or stats.summary)
             return deliver_entries
         if is_kept:  # an earlier message is no scan, odometry or pose
@@ -211,7 +212,9 @@ class Subscriptions:
         assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
             names, missing = IMU, from_ros.no_yaw(message)
-            readings.take_own(names, {})  # no yaw if `imu_readings` raises CodecError
+            # `take_own` replaces the readings `names`. First by none: if `imu_readings` raises
+            # CodecError, no earlier yaw stays.
+            readings.take_own(names, {})
             values = from_ros.imu_readings(message)
         else:
             names = BATTERY
@@ -273,6 +276,7 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
             topics.append(TopicStats(option, option, topic(name), message_type))
     by_topic = {stats.topic: stats for stats in topics}
     entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
+    # The sensors of one entry with one topic have the same option: one of them stands for all.
     for option, entry in {entry.option: entry for entry in entries}.items():
         new = TopicStats(option, option, entry.topic, entry.message_type, goes_stale=True)
         stats = by_topic.setdefault(entry.topic, new)  # one subscription a topic

@@ -42,7 +42,7 @@ class DetectionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     - `image_width`, `field_of_view_deg`: pixels, and the horizontal angle, of images without
       distortion.
     - `size`: m, the side of the tags or the height of the objects; the distance follows from it.
-    - `kinds`: the kind of an object by its class or id, in place of its class.
+    - `kinds`: maps the class or id of an object to its kind; else the kind is the class.
     - `stale_after`: s without a message after which the objects are not known.
     """
 
@@ -157,7 +157,7 @@ class TopicDetections(TopicEntry):
         return max(math.hypot(a.x - b.x, a.y - b.y) for a, b in sides)
 
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
-        """The horizontal position of an object in the image, and its side, both in pixels.
+        """The horizontal position and the side length of an object in the image, in pixels.
 
         None if the object is outside the image or has no distance. Simulated cameras call this
         function, which is the inverse of `read`.
@@ -195,8 +195,9 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    It is a tuple since an entry of option `readings` may have several readers. `full`: returns the
-    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
+    A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
+    the full name of a topic. `types`: the known message types. ConfigError names the key that is
+    wrong.
     """
     option = f"detections.{name}"
     type_name = options.type.replace("/msg/", "/")
@@ -205,7 +206,8 @@ def topic_detections(
     layout = _LAYOUTS[type_name]
     try:
         kind = types.kind(options.type)
-        # `detections` is a list of messages: rosbags' node is (sequence, ((name, type), ...)).
+        # `detections` is a list of messages: rosbags' node is (sequence, (item, length)), and the
+        # item is (kind of node, name of the type).
         _, (_, (item, *_)) = path_of(types, kind, "detections")
         item_type = types.kind(item[1])
         # The path to the first of these fields that the definition has; None without such a field.
@@ -264,7 +266,7 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
         """The objects of all topics if they are new, else None; see `TopicInputs`.
 
-        While a topic has been silent for too long, or was never heard, its `DetectionsInput` has
+        While any topic has been silent for too long, or was never heard, the `DetectionsInput` has
         None in place of objects.
         """
         is_known = not any(self._stale(now))

@@ -30,7 +30,6 @@ from swarmd.drivers.ros.topic_readings import (
 _KINDS = tuple(kind for kind in HazardKind if kind is not HazardKind.NOT_HEARD)
 _MAX_ITEMS = 64  # of a list in a message
 _MAX_PLACE = 64  # characters
-_NO_LIMITS = (0.0, 0.0)
 _WORD = re.compile(r"[A-Za-z0-9]+")
 _NO_PLACE = frozenset({"base", "link", "sensor"})
 
@@ -75,7 +74,7 @@ class TopicHazard(TopicEntry):
     number: tuple[Step, ...]  # the steps from an item to the number
     place: tuple[Step, ...] | None  # the steps from an item to the text of the place
     means: Mapping[int | None, Hazard]  # by number; None: any number outside `limits`
-    limits: tuple[float, float]  # a number from the first to the second is no hazard
+    limits: tuple[float, float] | None  # from the first to the second is no hazard; None: only 0
 
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
         """The hazards in a message; a text with the reason if a number is not measured.
@@ -91,10 +90,9 @@ class TopicHazard(TopicEntry):
                 number = float(value_at(item, self.number))
             except IndexError:
                 return f"the message has no item {self.field}"
-            is_limited = self.limits != _NO_LIMITS
-            if math.isnan(number) or not (is_limited or math.isfinite(number)):
+            if math.isnan(number) or (self.limits is None and math.isinf(number)):
                 return "it is not finite"
-            is_beyond = is_limited and number > self.limits[1]
+            is_beyond = self.limits is not None and number > self.limits[1]
             if not is_beyond and (lacks := why_absent(item, self.field, number)):
                 return lacks
             hazard = self._hazard(number)
@@ -103,9 +101,10 @@ class TopicHazard(TopicEntry):
         return tuple(hazards)
 
     def _hazard(self, number: float) -> Hazard | None:
-        any_number, (low, high) = self.means.get(None), self.limits
+        any_number = self.means.get(None)
         if any_number is None:
             return self.means.get(round(number))
+        low, high = self.limits or (0.0, 0.0)
         return None if low <= number <= high else any_number
 
     def _placed(self, hazard: Hazard, item: Any) -> Hazard:
@@ -123,10 +122,11 @@ def topic_hazard(
 ) -> tuple[TopicHazard]:
     """The reader of the entry `name` of option `hazards`, as a tuple of one.
 
-    It is a tuple since an entry of option `readings` may have several readers. `full`: returns the
-    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
+    A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
+    the full name of a topic. `types`: the known message types. ConfigError names the key that is
+    wrong.
     """
-    option, key = f"hazards.{name}", ""  # `key`: the key that is being read, for an error
+    option, key = f"hazards.{name}", ""  # `key`: the key that is read now, begins an error's text
     try:
         key = ".type"
         kind = item_type = types.kind(options.type)
@@ -161,7 +161,7 @@ def topic_hazard(
         number=number,
         place=place,
         means=means,
-        limits=(low, high) if is_limited else _NO_LIMITS,
+        limits=(low, high) if is_limited else None,
     )
     return (entry,)
 

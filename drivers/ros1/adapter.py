@@ -233,7 +233,7 @@ class AdapterProcess:
         kind = frame[:1]
         if kind == adapter_process.DATA and len(frame) >= adapter_process.DATA_HEAD.size:
             _, topic, arrival = adapter_process.DATA_HEAD.unpack_from(frame)
-            is_late = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
+            is_late = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE  # also NaN
             is_old = is_late and topic not in self._kept
             if is_old or topic in newest:
                 self._listener.on_dropped("overtaken")

@@ -65,9 +65,9 @@ _TWIST = struct.Struct("<6d")
 class KeptTopic:
     """The last message of a topic that is published on change, sent until the driver has taken it.
 
-    The class also reports the end of the publisher. After the publisher's end rospy keeps the
-    connection object and connects again. The new connection has another header than the earlier
-    connection.
+    The class also reports the end of the publisher, which ends the validity of the message. rospy
+    keeps the connection object after that end and connects again, so the object does not show the
+    end. The header object shows the end, since a new connection has a new header.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -346,13 +346,13 @@ class Adapter:
         listeners = [
             node
             for node in subscribers_of.get(command_topic, ())
-            if not _is_adapter(node) and master.is_alive(node)
+            if not _is_adapter(node) and master.is_alive(node)  # adapters hear commands, as no base
         ]
         connected = 0 if self._publisher is None else self._bases()
         wants = {}
         if connected < len(listeners):  # a listener that does not connect may want another type
             wants = {node: master.wants(node, command_topic) for node in listeners}
-        self._follow_type(wants.values(), connected)
+        self._follow_type(wants.values(), connected)  # ends the adapter if the type must change
         # 3. Topics that the driver may propose to the user in place of a missing topic: published
         # topics of each type that the driver reads, and subscribed topics of the command types.
         candidates = {

@@ -115,9 +115,10 @@ class Ros1Driver:
 
         While the base is lost, commands are dropped with two exceptions. Zero for a stopped robot
         (`is_stopped`) is sent, since another node may command the base. For the first 2 s of a loss
-        each command is sent as zero, which disarms the adapter. An armed adapter would take the
-        silence for the end of the daemon, and would send zeros against the next node that drives
-        the base. The first command after a loss is sent as zero.
+        each command is sent as zero. Zeros for half a second disarm the adapter, which then no
+        longer guards the base. An armed adapter would take the silence for the end of the daemon,
+        and would send zeros against the next node that drives the base. The first command after a
+        loss is sent as zero.
         """
         twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)
@@ -358,7 +359,9 @@ class Ros1Driver:
         for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
             return graph.unreadable(stats) if is_unreadable else graph.silence(stats)
-        if state.connected and (graph.bases(master.cmd_vel) or not state.listeners):
+        # A connected node that the master does not list yet may be a base, too.
+        has_base = graph.bases(master.cmd_vel) or not state.listeners
+        if state.connected and has_base:
             return ""
         return graph.no_subscriber(
             master.cmd_vel, self._options.command_types, has_subscriber=bool(state.listeners)

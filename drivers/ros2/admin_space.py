@@ -113,14 +113,16 @@ class AdminSpaces:
         each WATCH_PERIOD. `announcing`: the ids of the sessions that announce topics of this robot.
         """
         now, bridges = loop.time(), self.nodes.namespaces
-        if self.nodes.is_naming:
-            period = WATCH_PERIOD
-        elif self.nodes.is_awaited(announcing):
-            period = SETTLING if set(announcing) <= bridges.keys() else _RETRY
-        else:
-            period = PERIOD
         if not self._root or self._query is not None:
             return
+        if self.nodes.is_naming:  # a DDS reader may still get the name of its node
+            period = WATCH_PERIOD
+        elif not self.nodes.is_awaited(announcing):
+            period = PERIOD
+        elif set(announcing) <= bridges.keys():  # lists that may not be complete yet
+            period = SETTLING
+        else:  # a bridge has not answered yet
+            period = _RETRY
         if now - self._queried_at >= period:
             self._queried_at = self._watched_at = now
             # Until a bridge is known, query all: a bridge may list nodes and announce no topic.
@@ -299,9 +301,9 @@ class NodeList:
         """Take all answers to a whole query: payload by key; None if all timed out.
 
         Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
-        `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the ids of the
-        sessions that announce topics. `late`: the ids of bridges whose answers are not complete;
-        their earlier answers count for MAX_AGE.
+        `.../dds/<participant>/reader/<id>/rt/<topic>`, or `writer` for `reader`. `announcing`: the
+        ids of the sessions that announce topics. `late`: the ids of bridges whose answers are not
+        complete; their earlier answers count for MAX_AGE.
         """
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}  # whole queries
         # 1. The complete answers of this query, by bridge. Equal answers are not decoded again.
@@ -312,15 +314,16 @@ class NodeList:
         read = {} if answers is None else self._read
         complete = {zid: answer for zid, answer in read.items() if zid not in late}
         unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
-        # 2. Earlier answers of late bridges.
+        # 2. Earlier answers of late bridges are valid, too, unless they are too old.
         kept = {
             zid: answer
             for zid, answer in before.items()
             if zid in late and now - self._heard_at[zid] <= MAX_AGE
         }
         self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(complete, now)
-        if kept | complete != before:  # decoding and comparing 2000 endpoints takes 40 ms
-            self._replace(kept | complete, now)
+        valid = kept | complete
+        if valid != before:  # decoding and comparing 2000 endpoints takes 40 ms
+            self._replace(valid, now)
         # 3. A reader without a node counts as stray at once if its process is no ROS process, else
         # after NAMING_TIME.
         by_bridge = self._by_bridge.values()
@@ -411,6 +414,7 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         ]
         of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
         dds_ends, processes, not_ros = _ends_in_dds(zid, prefix, in_dds[zid])
+        # A stray of another bridge gets the bridge's name, by the process.
         processes |= {end.process: end.node for end in ends if end not in of_nodes}
         node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
         strays = (
@@ -444,7 +448,7 @@ def _ends_in_dds(
     """
     ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
-        participant, _, rest = key.partition("/")
+        participant, _, rest = key.partition("/")  # without `rest`: the participant itself
         if (read := _decoded(_in_dds, payload)) is None:
             continue
         if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:

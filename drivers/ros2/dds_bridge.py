@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from swarmd.core.errors import CodecError
 from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
@@ -25,6 +26,7 @@ NAME = "ros2dds"
 
 _RELIABILITY = {"0": "best effort", "1": "reliable"}  # by the numbers of DDS
 _TRANSIENT_LOCAL = "1"
+_REQUEST_MARK, _REQUEST_SIZE = b"rqh", 20  # of the attachment: client, number, byte order
 
 
 def make_driver(
@@ -35,7 +37,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, Ros2Dds(), platform, read, spec)
+    return RosDriver(NAME, Ros2Dds(), platform, read, spec, robot)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
@@ -75,11 +77,15 @@ class Ros2Dds(Ros2Middleware):
         """The fault of a put on a wildcard key; the key does not name the type."""
         return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
 
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The name of the topic; the key does not name the type."""
+        return None if "*" in key else f"/{key}"
+
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for inner slashes.
 
-        The server of an action has a token `AS/<key>/<type>`, which is read as the publisher of the
-        action's status.
+        MP is a publisher of messages, MS a subscriber; other tokens give None. The server of an
+        action has a token `AS/<key>/<type>`, which is read as the publisher of the action's status.
         """
         parts = token.split("/")
         if len(parts) == 6 and parts[3] == "AS":
@@ -115,3 +121,20 @@ class Ros2Dds(Ros2Middleware):
     def attachment(self, token: str = "") -> bytes | None:
         """None: the bridge uses no attachments."""
         return None
+
+    def service_key(self, service: str) -> str:
+        """The one key of the service."""
+        return self.subscription_key(service)
+
+    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
+        """None: the bridge offers a service to each client that it finds in DDS."""
+        return ()
+
+    def call_stamp(self, key: str, attachment: bytes | None) -> None:
+        """None: the bridge hands on no time. CodecError without the header of a DDS request."""
+        is_marked = attachment is not None and attachment.startswith(_REQUEST_MARK)
+        if "*" in key or not is_marked or len(attachment or b"") != _REQUEST_SIZE:
+            raise CodecError("no call of a bridge")
+
+    def reply_attachment(self, attachment: bytes | None) -> None:
+        """None: the bridge needs no attachment of a reply."""

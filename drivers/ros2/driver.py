@@ -36,6 +36,9 @@ from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
+from swarmd.drivers.ros2.node_tokens import NodeTokens
+from swarmd.drivers.ros2.opinions import OpinionTopics
+from swarmd.drivers.ros2.services import CommandServices
 from swarmd.drivers.ros2.session import (
     KEPT,
     MAX_OPEN_TIME,
@@ -49,7 +52,7 @@ from swarmd.drivers.ros2.session import (
 )
 from swarmd.drivers.ros2.state_topics import StateTopics
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
-from swarmd.network.carriers.session import has_subscriber, open_in_thread, undeclare
+from swarmd.network.carriers.session import has_subscriber, open_in_thread
 
 log = logging.getLogger(__name__)
 
@@ -83,8 +86,9 @@ class RosDriver:
         platform: Platform,
         options: RosOptions,
         zero_sender: ZeroSenderSpec,
+        robot: str,
     ) -> None:
-        """Not connected yet."""
+        """Not connected yet. `robot`: its id."""
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
@@ -96,6 +100,10 @@ class RosDriver:
             *(stats.message_type for stats in self._subscriptions.topics.values()),
         )
         self._state = StateTopics(scheme, platform, options)
+        self._services = CommandServices(scheme, options)
+        self.command_source = self._services if self._services.is_on else None
+        self._opinions = OpinionTopics(scheme, options, robot)
+        self.opinion_link = self._opinions if self._opinions.is_on else None
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -150,7 +158,9 @@ class RosDriver:
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
-            return (*self._report().findings(), *self._state.findings())
+            parts = self._state, self._services, self._opinions
+            own_findings = (finding for part in parts for finding in part.findings())
+            return (*self._report().findings(), *own_findings)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
@@ -195,8 +205,7 @@ class RosDriver:
     def _reset(self) -> None:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._tokens: list[zenoh.LivelinessToken] = []
-        self._command_token = ""
+        self._tokens = NodeTokens(self._scheme)
         self._endpoints: dict[str, Endpoint] = {}
         self._foreign_ends: list[Endpoint] | None = None
         self._withdrawn_at = -math.inf
@@ -229,20 +238,26 @@ class RosDriver:
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session, self._was_linked = session, True
-            for key in self._zero_by_key:
+            for key in self._zero_by_key:  # each key to which a base may subscribe for commands
                 self._publishers[key] = command_publisher(session, key)
             self._subscribe(session, inbox, loop)
             if not is_check:
                 self._state.open(session)
+                self._services.open(session, loop)
+                self._opinions.open(session)
             opened_at = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
                 self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened_at)
                 self._state.publish()
+                self._services.advance(sink.dropped)
+                self._opinions.advance(sink.dropped)
         finally:  # in any case a last zero to a base that was driven, and no open session
             inbox.close()
             self._state.close()
+            self._services.close()
+            self._opinions.close()
             try:
                 if self._gate.end():
                     self._put(ZERO, frame="")
@@ -271,7 +286,7 @@ class RosDriver:
         Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
         callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
-        # For the query of the last message of a kept topic, from its publisher's cache.
+        # The receivers of last messages of kept topics, from publishers' caches (name with KEPT).
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
@@ -340,14 +355,15 @@ class RosDriver:
             return
         # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
         # announcements of other topics cannot fill the table before them.
-        now, self._foreign_ends = asyncio.get_running_loop().time(), None
+        now, self._foreign_ends = asyncio.get_running_loop().time(), None  # None: merge anew
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))
         elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-        # 2. Without a server (the publisher of the action's states) no state ends its goals.
+        # 2. A server publishes the states of its action's goals. Without a server no state would
+        # say that a goal has ended, so all its goals end here.
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._foreign_graph().publishers(end.topic):
@@ -393,7 +409,7 @@ class RosDriver:
             own, asked_at = self._own_zid(), self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
-            is_newer = asked_at > self._withdrawn_at
+            is_newer = asked_at > self._withdrawn_at  # else the nodes listed may have left
             self._foreign_ends = [end for end in ends if end.is_routed or is_newer]
         return diagnosis.Graph(
             middleware=self._scheme,
@@ -487,32 +503,17 @@ class RosDriver:
         self._opened_type = self._command_type
 
     def _announce(self, command_type: type | None) -> None:
-        """Declare the liveliness tokens by which other nodes see this driver as a ROS node.
-
-        The tokens name its subscriptions, its publishers of the robot's state, and its publisher of
-        commands. They are declared again when the commands change their type.
-        """
+        """Announce this driver, with all its ends, as a ROS node; again for another type."""
         if self._session is None or command_type is None:
             return
-        if self._tokens and command_type is self._opened_type:
+        if self._tokens.are_declared and command_type is self._opened_type:
             return
-        undeclare(*self._tokens)
-        graph = self._foreign_graph()
-        topics = self._subscriptions.topics.values()
+        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         subscribed = [_subscribed_end(stats, graph) for stats in topics]
-        state_ends = self._state.ends
         command = TopicEnd(
             self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
         )
-        zid = str(self._session.info.zid())
-        # The tokens of the ends come last, in the order of the ends: so the token of the commands
-        # is the last token, and the tokens of `state_ends` stand before it.
-        tokens = self._scheme.tokens(zid, [*subscribed, *state_ends, command])
-        *earlier_tokens, self._command_token = tokens
-        state_tokens = earlier_tokens[len(earlier_tokens) - len(state_ends) :]
-        state_topics = (end.topic for end in state_ends)
-        self._state.announced(dict(zip(state_topics, state_tokens, strict=True)))
-        self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
+        self._tokens.declare(self._session, subscribed, command, (self._state, self._opinions))
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
@@ -530,7 +531,7 @@ class RosDriver:
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        if hubs and (not was_linked or hubs != last_hubs):
+        if hubs and (not was_linked or hubs != last_hubs):  # linked again, or to another hub
             self._gate.repeat_zero(now)
             if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())
@@ -539,7 +540,8 @@ class RosDriver:
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
         # 2. The first change that applies closes the gate, or is only reported to the daemon.
-        # Without a change, zeros are repeated after a loss.
+        # Without a change, zeros are repeated after a loss, but not against another node that
+        # drives.
         silence_s = now - self._subscriptions.last_arrival
         last_conflict, self._conflict = self._conflict, self._find_conflict()
         is_open = self._gate.is_open
@@ -660,7 +662,7 @@ class RosDriver:
             sent = {self._scheme.key(self._cmd_vel, kind): cdr.encode(message)}
         for key, payload in sent.items():
             if key in self._publishers:
-                attachment = self._scheme.attachment(self._command_token)
+                attachment = self._scheme.attachment(self._tokens.command)
                 self._publishers[key].put(payload, attachment=attachment)
 
 

@@ -72,6 +72,7 @@ class EmulatedRobots:
         options_of = {robot: _options(spec, robot, platform) for robot, platform in robots.items()}
         _check_distinct(spec, options_of)
         _check_tags(spec, options_of)
+        # The first use of a message type takes milliseconds, which would delay a scan.
         cdr.warm(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
         self._hub, self.endpoint = open_listening(endpoint, _OPTIONS, f"the robots' {spec.driver}")
         platforms = {platform.name: platform for platform in robots.values()}
@@ -148,7 +149,8 @@ class _Robot:
                     TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
                     for topic, message_type in encoder.topics
                 ]
-        # rmw_zenoh has a token of the node first. The tokens of the topics come last, in order.
+        # rmw_zenoh has a token of the node first. The tokens of `published` and of `command` come
+        # last, in order.
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]

@@ -50,6 +50,12 @@ class KeyScheme(Middleware, Protocol):
     def key_fault(self, key: str, topic: str, message_type: type) -> str:
         """The fault of a sample's key; empty if the key is of that topic and type."""
 
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The full name of the topic of a sample's key; None for a wildcard or another type.
+
+        For topics of other robots: the key changes nothing that is known of the own robot.
+        """
+
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint that a liveliness token announces; None if it announces no topic."""
 
@@ -64,3 +70,18 @@ class KeyScheme(Middleware, Protocol):
 
     def attachment(self, token: str = "") -> bytes | None:
         """The attachment of the next message of the publisher that this token announces."""
+
+    def service_key(self, service: str) -> str:
+        """The key expression on which calls of a service of type std_srvs/Trigger arrive."""
+
+    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
+        """The tokens that announce a node with these services; empty behind a bridge."""
+
+    def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
+        """When a call was sent, in s since 1970 by the caller's clock; None: not known.
+
+        CodecError if key or attachment are not those of a call.
+        """
+
+    def reply_attachment(self, attachment: bytes | None) -> bytes | None:
+        """The attachment of the reply to a call with this attachment."""

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 
 import xxhash
 
+from swarmd.core.errors import CodecError
 from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
@@ -30,6 +31,10 @@ NAME = "rmw_zenoh"
 NO_HASH = "TypeHashNotSupported"
 """The placeholder of Humble for the hash of every type."""
 
+TRIGGER = "std_srvs::srv::dds_::Trigger_"
+TRIGGER_HASH = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+"""Type name and hash (REP 2016) of std_srvs/Trigger, equal in all distributions from Iron on."""
+
 _MAX_KEY = 600
 _BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"  # rmw's numbers for reliability and for durability
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -43,7 +48,7 @@ def make_driver(
     spec = ZeroSenderSpec(
         f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
     )
-    return RosDriver(NAME, _scheme(read), platform, read, spec)
+    return RosDriver(NAME, _scheme(read), platform, read, spec, robot)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
@@ -111,6 +116,7 @@ class RmwZenoh(Ros2Middleware):
         """The fault of a key: another topic or type, or a hash that no distribution has."""
         prefix = f"{self.domain}{topic}/"
         type_name, _, hashed = key.removeprefix(prefix).partition("/")
+        # A key of one topic: a type and a hash behind the topic, and no wildcard.
         is_one = bool(type_name) and bool(hashed) and "*" not in key and "/" not in hashed
         if not (is_one and key.startswith(prefix) and key.isprintable() and len(key) < _MAX_KEY):
             return f"sent on key {key[:80]!a}"
@@ -123,6 +129,16 @@ class RmwZenoh(Ros2Middleware):
         if topic != self._cmd_vel:
             self._is_humble = hashed == NO_HASH
         return ""
+
+    def topic_of(self, key: str, message_type: type) -> str | None:
+        """The name of the topic; None for a wildcard, or another type or hash."""
+        domain, _, rest = key.partition("/")
+        topic, _, typed = rest.removesuffix("/").rpartition("/")[0].rpartition("/")
+        hashed = key.rpartition("/")[2]
+        is_known = hashed == NO_HASH or hashed in known_hashes(message_type)
+        is_one = "*" not in key and domain == str(self.domain) and bool(topic)
+        is_typed = typed == dds_name(name_of(message_type)) and is_known
+        return f"/{topic}" if is_one and is_typed else None
 
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of a token.
@@ -170,11 +186,48 @@ class RmwZenoh(Ros2Middleware):
         gid = gid_of(token) if token else bytes(16)
         return _ATTACHMENT.pack(self._sent[token], time.time_ns(), 16, gid)
 
+    def service_key(self, service: str) -> str:
+        """The key expression of the service with any hash, for Humble's placeholder, too."""
+        return f"{self.domain}{service}/{TRIGGER}/*"
+
+    def service_tokens(self, zid: str, services: Sequence[str]) -> tuple[str, ...]:
+        """The token of a node of its own, and a token for each service."""
+        number = self._index + 1
+        context, node = f"@ros2_lv/{self.domain}/{zid}/{number}", f"{self._node}_services"
+        tokens = [f"{context}/{100 * number}/NN/{node}"]
+        for entity, service in enumerate(services, start=100 * number + 1):
+            end = f"{_mangled(service)}/{TRIGGER}/{TRIGGER_HASH}/::,10:,:,:,,"
+            tokens.append(f"{context}/{entity}/SS/{node}/{end}")
+        return tuple(tokens)
+
+    def call_stamp(self, key: str, attachment: bytes | None) -> float | None:
+        """The stamp of the caller. CodecError for a wildcard, a foreign hash or attachment."""
+        hashed = key.rpartition("/")[2]
+        if "*" in key or hashed not in (TRIGGER_HASH, NO_HASH):
+            raise CodecError("no call of a client")
+        _, stamp, _ = _unpacked(attachment)
+        return stamp * 1e-9
+
+    def reply_attachment(self, attachment: bytes | None) -> bytes | None:
+        """Sequence number and gid of the call, and the present time."""
+        sequence, _, gid = _unpacked(attachment)
+        return _ATTACHMENT.pack(sequence, time.time_ns(), len(gid), gid)
+
     def _hash_of(self, message_type: type) -> str:
         return NO_HASH if self._is_humble else type_hash(message_type)
 
     def _key(self, topic: str, message_type: type, hashed: str) -> str:
         return f"{self.domain}{topic}/{dds_name(name_of(message_type))}/{hashed}"
+
+
+def _unpacked(attachment: bytes | None) -> tuple[int, int, bytes]:
+    """Sequence number, ns since 1970 and gid; CodecError for any other attachment."""
+    if attachment is None or len(attachment) != _ATTACHMENT.size:
+        raise CodecError("no attachment of rmw_zenoh")
+    sequence, stamp, size, gid = _ATTACHMENT.unpack(attachment)
+    if size != len(gid):
+        raise CodecError("no attachment of rmw_zenoh")
+    return sequence, stamp, gid
 
 
 def _mangled(name: str) -> str:

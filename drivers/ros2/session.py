@@ -111,8 +111,8 @@ def query_kept(session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample
     A newer message may arrive before the answer. A publisher with durability TRANSIENT_LOCAL is an
     advanced publisher of zenoh-ext, in the bridge ros2dds 1.10 and in rmw_zenoh since 0.2.2: its
     cache answers on `<key>/@adv/**`. Other publishers do not answer. An advanced subscriber is not
-    used here: it drops a message that it has had before, so that after a loss of the link the last
-    value of a reading would not come again.
+    used here: it drops a message that it has received before. After a loss of the link the driver
+    has forgotten the last value of a reading, and needs the same message again.
     """
 
     def on_reply(reply: zenoh.Reply) -> None:

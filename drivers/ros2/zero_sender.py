@@ -28,6 +28,7 @@ def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[s
     5e-324 m/s. With the frame `base_link` the base would read 1e180 m/s to the side.
     """
     topic = options.topic(options.cmd_vel)
+    # The class `wanted` comes last, and so takes the place of another class with the same key.
     return {
         key: encode(command_message(ZERO, kind, ""))
         for kind in sorted(options.command_types, key=lambda kind: zero_hint(kind) == wanted)

@@ -209,13 +209,14 @@ def read_parameter_file(path: Path) -> Conversion:
     left_out: dict[str, str] = {}
     vote = _VOTES.get(node)
     opinions = {} if vote is None else _opinions(path, vote, given)
+    names_of_vote = {f"{vote}_{end}" for end in _OPINIONS}  # read by `_opinions`
     notes = [counterpart.note] if counterpart.note else []
     for name, value in given.items():
         if name in counterpart.names:
             parameters[counterpart.names[name]] = _number(path, name, value)
         elif name in counterpart.without:
             left_out[name] = counterpart.without[name]
-        elif vote is None or name not in [f"{vote}_{one}" for one in _OPINIONS]:
+        elif vote is None or name not in names_of_vote:
             left_out[name] = "ROS2swarm has no such parameter in this node"
     if opinions and (lowest := given.get(f"{vote}_min_opinion", 0)) != 0:
         notes.append(f"opinion 0 here is opinion {lowest} of ROS2swarm")

@@ -212,7 +212,7 @@ class Attraction(FieldPattern[AttractionParams]):
         adjacent, axis = 0, 0j
         for distance, bearing in robots:
             adjacent += distance < near
-            axis += cmath.rect(1.0, 2.0 * bearing)
+            axis += cmath.rect(1.0, 2.0 * bearing)  # doubled: ahead and behind are one line
         pull = self._pull(robots)
         free = math.hypot(*points.keep_clear(*pull, spacing=spacing, brake=params.brake))
         is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
@@ -265,6 +265,7 @@ class Attraction(FieldPattern[AttractionParams]):
         return x / length, y / length
 
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
+        """The next state; `received`: the number of robots that are heard."""
         if len(view.robots) == 0:
             return "search"
         is_going = self.state
@@ -272,6 +273,8 @@ class Attraction(FieldPattern[AttractionParams]):
             self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
             is_going = "gather" if is_going == "lead" else is_going
         age = now - self._since
+        # Few robots in sight, unless messages say that there are no more. A place is incomplete if
+        # few robots are adjacent although there are more.
         is_few = view.seen <= _FEW_ROBOTS and not 0 < received <= view.seen
         is_all = view.adjacent == len(view.robots) and received <= view.seen
         is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not is_all)
@@ -280,6 +283,8 @@ class Attraction(FieldPattern[AttractionParams]):
         if is_going == "lead" and age < _LEAD_TIME:
             return "lead"
         is_pulled = view.free > (_STOP_PULL if is_going == "gather" else _START_PULL)
+        # A robot tries to roll or lead before it settles in a line. At rest it tries again, a few
+        # times, after a wait that doubles with each try.
         is_first = is_in_line and is_going == "gather" and self._rest_time == _FIRST_REST_TIME
         is_rested = is_going == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
         if (is_first or is_rested) and age > self._rest_time:

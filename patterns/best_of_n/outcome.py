@@ -45,7 +45,7 @@ class Choice:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> list[Outcome]:
-    """Compare how often and how fast the better of two options wins with the paper's results.
+    """Compare the share and the time of wins of the better of two options with the papers' results.
 
     A swarm of point robots (no bodies) makes one run for each seed, rule and pair of qualities. The
     choice between the qualities 1 and 0.5 is easy. `has_hard`: the choice between 1 and 0.9 is

@@ -189,6 +189,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         if member is not None and now >= self._share_at:
             self._share_at = now + params.share_period
             messages[_CHANNEL] = [member.hops, member.before, member.leads]
+        # Reported hops of -1: the goal, or a robot without a place in a chain.
         report: dict[str, Scalar] = {"state": state, "hops": _GOAL, "leads": False}
         if member is not None:
             report.update(hops=member.hops, leads=member.leads)
@@ -201,7 +202,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """
         now = inputs.now
         for message in inputs.messages:
-            match (message.channel == _CHANNEL) and message.value:
+            match (message.channel == _CHANNEL) and message.value:  # False matches no case
                 case [int(hops), str(before), bool(leads)] if _GOAL <= hops < _MAX_HOPS:
                     heard_at = now - message.age  # `hops` _GOAL: the sender is the goal
                     self._heard[message.sender] = _Member(int(hops), before[:64], leads, heard_at)
@@ -307,7 +308,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         has_arrived = math.hypot(*places[reached]) <= _ARRIVAL * params.distance
         if has_arrived:
             self._waypoint = self._next_waypoint(reached)
-        # `_next_waypoint` returns `reached` where no member comes next.
+        # `_next_waypoint` returns `reached` where no member comes next: at a tail, or at the nest
+        # if it has drawn that the robot starts a chain (`_starts_chain`, and `_turn_sign` at
+        # random).
         is_at_end = has_arrived and self._waypoint == reached
         # 2. Rest or join, neither on the way home. No robot joins where a member is too near.
         is_outward_end = is_at_end and not self._is_homeward
@@ -354,7 +357,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
             leading = [name for name in after if self._heard[name].leads]
             if self._is_homeward or leading or not self._starts_chain:
                 self._is_homeward = False
-                choices = leading or [*after, *after, ""]
+                choices = leading or [*after, *after, ""]  # each chain twice as often as none
                 chosen = choices[int(self.context.rng.integers(len(choices)))]
                 self._starts_chain = not chosen
                 self._turn_sign = float(self.context.rng.choice((-1.0, 1.0)))

@@ -77,9 +77,10 @@ def outcomes(
 ) -> list[Outcome]:
     """Measure how often the robots agree that the floor is mostly black, and how fast.
 
-    For each seed a swarm of point robots (no bodies) runs with each rule on floors with these
-    shares of black tiles. `has_bodies`: simulated Burgers also run, with the majority rule. An
-    outcome: text of the number, bound, values of the runs, source of the bound.
+    For each seed a swarm of point robots (no bodies) runs with each rule on floors with the
+    `shares` of black tiles, by default those of SHARES except 0.56. `has_bodies`: simulated Burgers
+    also run, with the majority rule. An outcome: text of the number, bound, values of the runs,
+    source of the bound.
     """
     runs = agreements(seeds, jobs, shares)  # by rule and share
     low, high = min(shares), max(shares)

@@ -32,10 +32,11 @@ def outcomes(
     shapes: Sequence[tuple[float, float]] = SHAPES,
     duration: float = DURATION,
 ) -> list[Outcome]:
-    """Measure whether six robots bring the box to the lamp, by which way, and one robot does not.
+    """Measure whether six robots push the box to the lamp, and how long the path of the box is.
 
-    `shapes`: sides of the box in m. Six robots run `duration` s for each seed and shape; a single
-    robot runs once. An outcome: text of the number, bound, values of the runs, source of the bound.
+    A robot alone must not move the box. `shapes`: sides of the box in m. Six robots run `duration`
+    s for each seed and shape; a single robot runs once. An outcome: text of the number, bound,
+    values of the runs, source of the bound.
     """
     sweep = {"arena.boxes.0.size": [list(shape) for shape in shapes]}
     changes = {"duration": duration, "trace_rate": 2.0}

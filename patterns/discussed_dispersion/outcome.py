@@ -1,7 +1,7 @@
 """Discussed dispersion: experiment 2 of the paper, where there is room for every opinion.
 
-Seven Waffle Pis run in 1.4 times the paper's arena, so that also the distance of opinion 2, 1.4 m,
-has room. In further runs an eighth robot joins late with another opinion.
+Seven Waffle Pis run in 1.4 times the paper's arena, in which they can also keep the largest
+distance, 1.4 m of opinion 2. In further runs an eighth robot joins late with another opinion.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list
     # 1. Seven robots in the larger arena. `judged` measures votes, ranges and motion of a run.
     changes = {"arena.size": list(LARGER), "duration": seconds}
     courses = [judged(t) for t in simulate("paper_exp2", seeds, set=changes, jobs=jobs).traces]
-    over = [course.least - course.wanted for course in courses]  # m above the agreed distance
+    # m above the agreed distance; far above, the robots would keep that of another opinion.
+    over = [course.least - course.wanted for course in courses]
     # 2. An eighth robot joins while seven robots disperse. The vote takes 3 s in place of 20 s, so
     # that a run is short.
     robot = "tb3-08"

@@ -146,6 +146,8 @@ class FireflySynchronization(Pattern[FireflySynchronizationParams]):
         phase = (at - self._flashed_at) / self.params.period
         if phase < self.params.refractory:
             return
+        # The state of Mirollo and Strogatz is a concave function of the phase, and rises by
+        # `coupling` at a flash. Their equation for the phase after that is linear.
         rise = math.exp(self.params.concavity * self.params.coupling)
         ahead = rise * phase + (rise - 1.0) / math.expm1(self.params.concavity)
         if ahead >= 1.0:

@@ -365,7 +365,8 @@ class Flocking(MovementPattern[FlockingParams]):
             return self._either(), True
         if min_width <= right < max_width:
             return "left", True
-        # Far objects: rules 3 to 5. A width of 0 stands for a wall, or for no object.
+        # Far objects: rules 3 to 5. From afar a robot is narrower than _NEAR_WIDTH, so a wider
+        # object is a wall. A width of 0 stands for a wall, or for no object.
         is_seen = ranges < scan.range_max
         _, left, _, right = _filled(sector, is_seen & (ranges > params.far_aside))
         left, right = (width if width < _NEAR_WIDTH else 0.0 for width in (left, right))

@@ -109,6 +109,7 @@ class Foraging(CombinedPattern[ForagingParams]):
         distance, bearing = seen["food_distance"], seen["food_bearing"]
         is_ahead = abs(bearing) < _AIM
         turn = max(-params.turn, min(params.turn, 2.0 * bearing))
+        # Slower near the item, to stop 2 cm within reach.
         linear = min(params.speed, distance - params.reach + 0.02) if is_ahead else 0.0
         is_near = is_ahead and distance <= params.reach
         return Outputs(Twist(max(linear, 0.0), turn), report={"state": "fetch"}, grip=is_near)

@@ -100,8 +100,9 @@ def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float
 def lattice(places: Array) -> Lattice:
     """The order of robots at places (n, 2) in m.
 
-    The order psi6 is the mean over the robots with two bonds or more. Without a bond: all zero, and
-    a spread of inf.
+    The order psi6 of a robot is the absolute mean of exp(6 i bearing) over its bonds: 1 if they are
+    multiples of 60 degrees apart. The mean is over the robots with two bonds or more. Without a
+    bond: all zero, and a spread of inf.
     """
     offsets = places[None] - places[:, None]  # (n, n, 2) m
     distances = np.hypot(offsets[..., 0], offsets[..., 1]) / DISTANCE

@@ -68,6 +68,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> l
     if not has_slow:
         return ballistic_outcomes
     levy, slow = searches(2.0), searches(4.0)
+    # The mean time of a random search is inverse to the sight s and to the number N of walkers.
     number_ratio = ratio_of(_times(ballistic), _times(twice))
     displacement_ratio = ratio_of(*([run.displaced for run in runs] for runs in (ballistic, slow)))
     return [
@@ -113,7 +114,7 @@ def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
     search_s = np.full((len(targets), len(begins)), np.inf)
     for index, target in enumerate(targets):
         offset = place - target
-        offset -= SIDE * np.round(offset / SIDE)
+        offset -= SIDE * np.round(offset / SIDE)  # the shortest way on the torus
         is_near = np.hypot(offset[..., 0], offset[..., 1]) <= setting.sight
         seen = np.flatnonzero(is_near.any(axis=1))
         first = np.searchsorted(seen, begins)
@@ -124,6 +125,6 @@ def _judge(track: Track, targets: Array, setting: _Setting) -> Search:
     step = np.diff(place, axis=0)
     speed = float(np.hypot(step[..., 0], step[..., 1]).sum()) / SECONDS / setting.robots
     law = SIDE**2 / (2.0 * setting.robots * setting.sight * speed)
-    minute = place[120:] - place[:-120]
+    minute = place[120:] - place[:-120]  # 120 samples of 0.5 s
     displaced = float(np.hypot(minute[..., 0], minute[..., 1]).mean())
     return Search(float(search_s[is_found].mean()), law, float((~is_found).mean()), displaced)

@@ -47,10 +47,10 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
 
 
 def of_random_search(trace: Trace) -> float:
-    """The covered floor as a share of the floor that random search of the same path covers.
+    """The covered floor as a share of the floor that a random search with an equal path covers.
 
-    1 - exp(-w L / A) of the floor A, with a search width w of twice 0.5 m and a path L of all
-    robots.
+    Random search covers the share 1 - exp(-w L / A) of the floor A: w is the search width, twice
+    0.5 m, and L the length of the paths of all robots.
     """
     path = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0)).sum()
     expected = FLOOR * (1.0 - math.exp(-2.0 * COVER * float(path) / FLOOR))

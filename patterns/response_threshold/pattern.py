@@ -4,7 +4,7 @@ Source: Bonabeau, Theraulaz and Deneubourg, "Quantitative study of the fixed thr
 regulation of division of labour in insect societies", Proc. Royal Society B 263, 1996. An idle
 robot that meets the stimulus s begins to work with probability s^2 / (s^2 + theta^2). A working
 robot stops with a fixed probability. Robots with a low threshold theta begin first. Robots with a
-high threshold follow if the work of these robots does not lower the stimulus enough.
+high threshold follow if the stimulus stays high although the first robots work.
 
 Ours: a driver measures the stimulus as a reading: the objects left, the fill of a store, a light.
 """

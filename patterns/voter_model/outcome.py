@@ -48,7 +48,7 @@ def outcomes(
 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
-    """Compare how often opinion 1 wins with theory, by a chi-squared test.
+    """Compare the number of wins of opinion 1 with theory, by a chi-squared test.
 
     The windows do not overlap, and the radio loses messages. In theory opinion 1 wins with a
     probability equal to its share at the start.
@@ -118,7 +118,7 @@ def simulated(count: int, first: int) -> float:
     taken = []
     for _ in range(_SIMULATED):
         held = rng.permutation([1] * first + [0] * (count - first)).tolist()
-        ends = np.sort(rng.random(count)).tolist()
+        ends = np.sort(rng.random(count)).tolist()  # when the windows of each robot end
         turn = 0
         while 0 < sum(held) < count:
             robot = turn % count

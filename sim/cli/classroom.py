@@ -112,10 +112,11 @@ def check(
 ) -> None:
     """Mark the work of a class: FOLDER holds a folder FOLDER/PUPIL for each pupil.
 
-    `class lessons` lists what each lesson asks for. In a lesson with a pattern, each pupil's
-    pattern has to pass `plugin check`. Then the experiment of the lesson runs with this pattern and
-    fixed seeds. A pupil may hand in the pattern's file without a folder, as FOLDER/PUPIL.py. In the
-    other lessons the experiments in the pupil's folder are compared with the targets of the lesson.
+    `class lessons` lists what each lesson asks for, and its targets. In a lesson with a pattern,
+    each pupil's pattern has to pass `plugin check`. Then the experiment of the lesson runs with
+    this pattern and fixed seeds, and its metrics have to meet the targets. A pupil may hand in the
+    pattern's file without a folder, as FOLDER/PUPIL.py. In the other lessons the experiments in the
+    pupil's folder have to meet the targets.
 
     Exit code 0 if the work of all pupils passes, else 1.
     """
@@ -174,7 +175,7 @@ def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeo
     pupil = path.name if path.is_dir() else path.stem
     checks: list[Point] = []
     try:
-        if plan is None:
+        if plan is None:  # a lesson without a pattern
             mark = mark_results(lesson, path)
             return Work(pupil, mark=mark, why=mark.why)
         with _folder_of(path, lesson) as folder:

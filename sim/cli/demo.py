@@ -73,7 +73,8 @@ def demo(
     one seed. The demo leaves summary.json, trajectories.png, the trace and all logs in
     runs/<time>/. Exit code 0 only if every robot ran to the end and no two robots touched.
     """
-    # 1. Faults of the options are found here, before any process starts.
+    # 1. Faults of the options are found here, before any process starts. `world`: the values of
+    #    `fleet_options`, such as scenario, platform and plugin_dir.
     need("mujoco")
     if video is not None:
         need_film()
@@ -92,7 +93,7 @@ def demo(
         check_parameters(pattern, values, world["plugin_dir"], world["platform"])
 
     # 2. The fleet, and a new folder for the results.
-    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)  # `spec` sets the folder
+    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)  # its folder is set below
     if fleet.scenario is not None:  # robots that join later, by an event of the scenario
         fleet = replace(fleet, absent=fleet.scenario.scenario.absent)
     stamp = time.strftime("%Y%m%d-%H%M%S")
@@ -159,17 +160,18 @@ def perform(
     from swarmd.sim.live.fleet import Fleet, end_on_signals, started_at
     from swarmd.sim.live.link import WorldView
 
-    end_on_signals()
-    assert spec.trace is not None
+    end_on_signals()  # SIGTERM also ends the processes
+    assert spec.trace is not None  # `demo` has set it; the summary is measured on the trace
     warn(f"Starting a world and {len(spec.robots)} daemons; logs are in {spec.folder}/")
     with (
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as world,
         Operator(NetworkSettings(swarm=spec.swarm)) as operator,
         world_page(fleet, page) as served_page,
-        _screen(is_live, served_page.addresses if served_page is not None else ()) as on_scene,
+        _screen(is_live, served_page.addresses if served_page is not None else ()) as draw_scene,
     ):
-        run = DemoRun(settings, fleet, operator, world, on_scene)
+        run = DemoRun(settings, fleet, operator, world, draw_scene)
+        # `started_at()`: the start of this process, from which the time until motion counts.
         summary = run.perform(spec.trace, started_at(), warn)
         if served_page is not None:
             served_page.reason = (

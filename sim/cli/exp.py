@@ -175,7 +175,7 @@ def run(
              "--out": folder}  # fmt: skip
     command = _command(scenario, seeds, {"--set": sets, "--sweep": sweeps}, given)
     command += ["--no-traces"] if no_traces else []
-    if custom:
+    if custom:  # to resume, the runs need these metrics; the others are measured in any case
         command += ["--metrics", ",".join(metric.origin or metric.name for metric in custom)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(
@@ -203,6 +203,7 @@ def run(
                 cluster = stack.enter_context(
                     connect(scheduler, manifest, step_timeout, warn, jobs)
                 )
+                # This manifest names the software and processors of the workers.
                 manifest, runner = cluster.manifest, cluster.run_jobs
             on_progress = stack.enter_context(progress())
             results = run_experiment(manifest, folder, runner, on_progress=on_progress)
@@ -234,10 +235,10 @@ def _command(
     repeated: Mapping[str, tuple[str, ...]],
     given: Mapping[str, object],
 ) -> list[str]:
-    """The words of the command line that resumes an experiment.
+    """The words of the command line that resumes an experiment, without flags.
 
-    `repeated`: the values of each option that may be repeated. `given`: the value of each other
-    option; None for an option that the user did not give.
+    `repeated`: by option, such as `--set`, all values that the user gave. `given`: by option the
+    only value; None for an option that the user did not give.
     """
     words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     for option, values in repeated.items():
@@ -353,7 +354,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     A metric differs if the 95 % interval of the difference of means excludes 0. The p-values are
     corrected for the number of metrics (Holm). If some runs never reach an event, such as
     gathering, the p-value of its time is that of the log-rank test, and the mean is the restricted
-    mean up to the end of the runs.
+    mean: a run without the event within the shorter duration of A and B counts as that duration.
 
     If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
     swept keys a second table shows the mean for each value and the interaction of the keys.
@@ -365,10 +366,12 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     if b is None:
         _compare_variants(a, metrics, is_trusted=is_trusted, is_json=is_json)
         return
-    # A pair of sides per variant. The results of A and of B are the same in all pairs.
+    # A side is one variant of an experiment, with the results of the whole experiment. So the
+    # results of A and of B are the same in all pairs.
     side_pairs = comparing.sides(a, b, is_trusted=is_trusted)
     results_of_both = [side.results for side in side_pairs[0]]
-    chosen = chosen_metrics(metrics, results_of_both[0].asked)
+    find_metric = results_of_both[0].asked  # also knows custom metrics that A has measured
+    chosen = chosen_metrics(metrics, find_metric)
     comparisons = [
         (left, right, comparing.compare(left, right, chosen)) for left, right in side_pairs
     ]
@@ -503,7 +506,7 @@ def list_metrics(is_json: bool) -> None:
 @_metrics
 @output_option
 def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None:
-    """Compute metrics of traces: of experiments, of `swarmctl demo`, of a recorded world.
+    """Compute metrics of traces: of experiments, and of simulations in real time (`swarmctl demo`).
 
     A trace of a run in real time has no requested commands. Metrics that need requested commands
     have no value there.
@@ -607,8 +610,11 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
         raise ConfigError(
             f"{folder}: nothing was swept; name a second experiment, or run a --sweep"
         )
-    listed_metrics, _ = shown_metrics(results, chosen_metrics(metrics, results.asked))
-    factors = sweep.factors(results, listed_metrics)  # of each metric; empty without two keys
+    chosen = chosen_metrics(metrics, results.asked)
+    listed_metrics = shown_metrics(results, chosen)[0]  # the rest is for reports
+    # For each metric: the mean for each value of both keys, and their interaction. Empty if not
+    # exactly two keys were swept.
+    factors = sweep.factors(results, listed_metrics)
     if is_json:
         document = {"variants": sweep.variants_document(results, listed_metrics)}
         print_json("Variants", {**document, "factors": [asdict(factor) for factor in factors]})

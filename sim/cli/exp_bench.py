@@ -86,8 +86,8 @@ def bench(
     TASK is a name of `exp bench list`, or a file of that format. Without TASK all ten tasks are
     run. A cell of the table has the median over the seeds and its 95 % interval. A cell has a rank
     within its task only if its interval overlaps no other interval of the task. A pattern is not
-    run in a task whose robots do not meet the pattern's needs. A line names the missing needs.
-    The first line estimates the time.
+    run in a task whose robots lack an input that the pattern needs; a line on stderr names it.
+    Before the runs, a line estimates the time.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
@@ -168,7 +168,7 @@ def bench(
                 for row_name, cells in table.items()
             ],
         )
-    warn_of_few(
+    warn_of_few(  # NaN: a failed run, or a metric without a value
         sum(math.isfinite(value) for value in by_seed.values()) for by_seed in values.values()
     )
     duration = time_span(time.monotonic() - start_time)
@@ -247,7 +247,11 @@ def _values_of_files(
 
 
 def _print_tasks(tasks: Sequence[Task], is_json: bool) -> None:
-    """Print tasks of the benchmark suite, as a table or as JSON."""
+    """Print tasks of the benchmark suite, as a table or as JSON.
+
+    The candidates of a task are the patterns that run if the user names none. The budget is the
+    duration of a run.
+    """
     from swarmd.sim.experiments.benchmark import SUITE
 
     listed: list[dict[str, Any]] = [

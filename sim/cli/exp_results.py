@@ -56,7 +56,7 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     """
     if no_traces and form == "mcap":
         raise click.UsageError("--to mcap exports traces; leave out --no-traces")
-    extra, *modules = _MODULES[form]
+    extra, *modules = _MODULES[form]  # the extra of swarmd that installs these modules
     need(*modules, extra=extra)
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.export import export as exported
@@ -73,7 +73,9 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
                 written.append(path)
                 done = sum(file.stem != "results" for file in written)  # traces
                 left = total_traces - done
-                show(Progress(done, total_traces, 0, worked=float(done), left=float(left)))
+                # For the estimate of the time, each trace counts as the same work.
+                now = Progress(done, total_traces, failed=0, worked=float(done), left=float(left))
+                show(now)
     finally:
         # Also after a fault. The names come after the end, since text that is printed while the
         # progress bar is drawn would be lost.
@@ -146,11 +148,11 @@ def report(
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
-    FILE.mcap is the recording of one robot, or of a swarm (`record merge`). Its report shows
-    states, gaps, stops, and paths by odometry. A report needs no network and no other file, and
-    prints well.
+    Or write the report of FILE.mcap, the recording of one robot, or of a swarm (`record merge`),
+    with states, gaps, stops, and paths by odometry. A report needs no network and no other file,
+    and prints well.
 
-    Exit code 1 if planned runs are missing.
+    Exit code 1 if planned runs of the experiment are missing.
     """
     # 1. The path of the report, and options that do not fit a recording.
     need("mujoco", "matplotlib")
@@ -185,6 +187,7 @@ def report(
         experiments.append(results)
         chosen = _metrics_of(results, metrics)  # before the line of progress: this may be refused
         warn(f"measuring, drawing and writing {len(results.runs)} runs ...")
+        # Loads the results again, without trust: `chosen` has the trusted code already.
         text = report_of(place, chosen, seed, variant)
 
     # 3. The file.
@@ -296,15 +299,18 @@ def plot(
     chosen_seeds = None if seed_range is None else parse_seeds(seed_range)
     inches = None if width is None else parse_width(width)
     results = load_results(folder, is_trusted=is_trusted)
+    target_by_name = parse_targets(targets)
     look = Look(
         suffix=f".{form}",
         width=inches,
         facet=facet,
-        targets={results.asked(name).name: value for name, value in parse_targets(targets).items()},
+        # By the metric's own name: for path/to/file.py:warm it is file.py:warm.
+        targets={results.asked(name).name: value for name, value in target_by_name.items()},
         only=None if only is None else parse_kinds(only),
         labels=parse_labels(labels),
     )
     chosen = _metrics_of(results, metrics)
+    # Loads the results again, without trust: `chosen` has the trusted code already.
     paths = draw_experiment(folder, out, metrics=chosen, seeds=chosen_seeds, look=look)
     for path in paths:
         click.echo(str(path))

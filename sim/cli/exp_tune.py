@@ -170,7 +170,9 @@ def tune(
                 seeds=parse_seeds(seeds),
                 param=params,
                 set=parse_sets(sets),
+                # Patterns of which missions are composed, or the file of a mission.
                 mission=modules.split(",") if modules else (),
+                # A number of seeds, which then follow those of the search; or the seeds.
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
@@ -201,9 +203,9 @@ def tune(
 def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
     """Yield the callbacks `on_look`, `on_step` and `on_progress` of `tune`: progress on stderr.
 
-    A `Look` is an interim result: the candidates, best first. `on_step` gets the name of a step of
-    the tuning. A terminal shows a table of the best candidates. Any other output gets a line for
-    each interim result and for each step.
+    A `Look` is an interim result: the candidates, best first. `on_step` gets a line that names the
+    next race or set of held-out runs. A terminal shows a table of the best candidates. Any other
+    output gets a line for each interim result and for each step.
     """
     if not sys.stderr.isatty():
 
@@ -288,10 +290,12 @@ def table(look: Look, note: str, width: int) -> Table:
                 text = " ".join(f"{label}={value}" for label, value in pairs if value)
                 cells = [text if len(text) <= values_width else f"{text[: values_width - 1]}…"]
             mean, runs = number(look.value(candidate)), str(len(candidate.losses))
+            # `is_out`: the candidate was significantly worse, and gets no further runs.
             made.add_row(name, *cells, mean, runs, style="dim" if candidate.is_out else "")
         return made
 
     wide = make_table(is_wide=True)
+    # The width without line breaks, which a console as narrow as the terminal would not measure.
     wide_width = Console(width=10_000).measure(wide).maximum
     return wide if wide_width <= width else make_table(is_wide=False)
 

@@ -86,7 +86,7 @@ def video(
     from swarmd.sim.view.trace_source import runs_of
 
     settings = FilmSettings(
-        camera="perspective" if camera == "perspective" else "top",
+        camera="perspective" if camera == "perspective" else "top",  # for the type: str to Literal
         colour=colour,
         speed=speed,
         size=None if size is None else _size_of(size),

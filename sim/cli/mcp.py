@@ -28,7 +28,6 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.plugin_check import DESCRIBE_TIMEOUT, describe_patterns
 from swarmd.client.connect import Connection
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
-from swarmd.network.operator.operator_text import operator_name
 from swarmd.plugins import need
 from swarmd.security.roster import Role
 
@@ -114,12 +113,15 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         )
     rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
 
-    def operator(tell: Tell) -> Operator:
+    def operator(_: Tell) -> Operator:
+        """A new operator of the connection's pool, with the present files of roster and identity.
+
+        The argument would print notes on the connection, for which an agent has no terminal.
+        """
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
-        name = f"{operator_name()} by mcp"  # with an identity, robots use the identity's name
-        return Operator(settings, roster=roster, identity=identity, name=name)
+        return Operator(settings, roster=roster, identity=identity, program="mcp")
 
     # stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
@@ -146,7 +148,7 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
-    arguments_of: dict[str, type[msgspec.Struct]] = {}
+    arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
@@ -156,17 +158,20 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
                 try:
                     msgspec.convert(arguments, expected)
                 except msgspec.ValidationError as error:
-                    text = _cut(f"{'nothing was sent: ' * (name in COMMANDS)}{error}")
+                    prefix = "nothing was sent: " if name in COMMANDS else ""
+                    text = _cut(f"{prefix}{error}")
                     raise ToolError(f"Error executing tool {name}: {text}") from error
             return await super().call_tool(name, arguments, context)
 
     def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
+        """Add a method of `tools` to the server; its SwarmError becomes a ToolError."""
+
         @wraps(method)
         async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
             try:
                 return await method(*args, **kwargs)
             except SwarmError as error:
-                # Another error may come after a request was sent.
+                # A ConfigError comes before a request is sent; other errors may come later.
                 is_unsent = is_command and isinstance(error, ConfigError)
                 text = f"nothing was sent: {error}" if is_unsent else str(error)
                 raise ToolError(_cut(text)) from error
@@ -200,7 +205,7 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """Simulates a run in a scenario that is known to be like the place of the robots."""
+    """Simulates a run, before robots do it, in a scenario that is like the place of the robots."""
 
     scenario: Scenario
     name: str
@@ -213,10 +218,10 @@ class Rehearsal:
     def simulate(
         self, pattern: str, params: Mapping[str, Any], seconds: float, cancelled: threading.Event
     ) -> Answer:
-        """Simulate one run of `seconds` s, at most REHEARSAL; returns its metrics.
+        """Simulate one run of `seconds` s, limited to REHEARSAL s; returns its metrics.
 
-        SwarmError if a metric is beyond its bound in _SAFE, and soon after `cancelled` is set.
-        Blocks until the run has ended.
+        Blocks until the run has ended. SwarmError if a metric exceeds its bound in _SAFE, so that
+        the robots do not run the pattern. SwarmError also soon after `cancelled` is set.
         """
         duration = min(seconds, REHEARSAL)
         variant = _variant(self.scenario, duration, pattern, params)
@@ -239,8 +244,8 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    A run is sent only if no stop came since the agent asked for it: neither by this server nor, as
-    far as their status tells, by anybody else to one of its robots.
+    With a rehearsal, a run is sent only if no stop came while the rehearsal lasted: neither a stop
+    by this server, nor one by anybody else that a status of a robot shows.
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
@@ -280,13 +285,21 @@ class SwarmTools:
         return {"robots": rows}
 
     async def events(self, seconds: float = 60.0) -> Answer:
-        """What happened to robots in the last `seconds` s; each robot keeps its last 10 events."""
+        """What happened to robots in the last `seconds` s; each robot keeps its last 10 events.
+
+        `did_not_answer`: robots whose events are not known.
+        """
         lines = []
         with suppress(TimeoutError):
             async with asyncio.timeout(_LISTEN):
                 async for line in self._swarm.events(since=seconds):
                     lines.append({"robot": line.robot, "text": line.text})
-        return {"events": lines}
+        members = await self._swarm.members()
+        return {
+            "events": lines,
+            "did_not_answer": list(members.missing),
+            "exit_code": members.exit_code,
+        }
 
     async def patterns(self) -> Answer:
         """The behaviours (patterns) that are installed on this computer, with what each needs."""
@@ -359,13 +372,16 @@ class SwarmTools:
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
-            stops = self._stops
+            # A stop during the rehearsal takes precedence over the run: a stop by this server
+            # counts in `_stops`, a stop by others changes the epochs of robots.
+            stops_before = self._stops
             async with self._simulating:
-                epochs = await self._epochs()
+                epochs_before = await self._epochs()
                 rehearsal = await _cancellable(
                     partial(self._rehearse, pattern, params or {}, seconds)
                 )
-            self._check_unstopped(stops, epochs, await self._epochs())
+            self._check_unstopped(stops_before, epochs_before, await self._epochs())
+        # `lease`: robots stop by themselves if this server renews the run no more.
         outcome = await self._swarm.run(
             pattern, robots, params=params, seconds=seconds, lease=LEASE
         )
@@ -461,8 +477,8 @@ def _variant(
 ) -> Scenario:
     """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
 
-    Events after the end are left out. `params` takes the place of all parameters of the scenario,
-    which belong to other patterns, or differ from those of the run.
+    Events after the end are left out. `params` are parameters of `pattern`, and take the place of
+    all parameters in the scenario, which are for the patterns that `pattern` replaces.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 

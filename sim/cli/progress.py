@@ -48,8 +48,9 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
         def show_lines(now: Progress) -> None:
             nonlocal printed_tenths, has_estimate
             text = failures_and_time_left(now)
-            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES  # of 10
-            is_first_estimate = not has_estimate and "left" in text  # text has an estimate
+            # Tenths of the runs that have ended, 0 to 10; without any run all have ended.
+            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES
+            is_first_estimate = not has_estimate and text.endswith(" left")
             if tenths > printed_tenths or is_first_estimate:
                 printed_tenths, has_estimate = tenths, has_estimate or is_first_estimate
                 warn(f"{now.done} of {now.total} runs{text}")

@@ -75,9 +75,11 @@ def up(
     from swarmd.sim.live.simulated_swarm import kept_folder
 
     # The name of the swarm: of the verb's option, of the option before the verb, or of $SWARM.
-    swarm_option = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
+    common = ctx.find_object(CommonOptions)  # the options before the verb; None without `swarmctl`
+    swarm_option = swarm or (common.swarm if common is not None else None)
     name = check_id(swarm_option or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     with kept_folder(keep) as folder:
+        # `world`: the values of `fleet_options`. `bases_only`: the user starts the daemons.
         spec = dataclasses.replace(fleet_for(name, folder, **world), endpoint=endpoint)
         if bases_only:
             serve_bases(spec, page)

@@ -62,7 +62,8 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
     """Start a simulated swarm with a unique name, and run the steps of the tour in it.
 
     Each step prints its text, then runs a `swarmctl` command as a process. `is_waiting`: before a
-    command the user presses Enter. Returns 0, or the exit code of the first command that fails.
+    command the user presses Enter. `world`: the values of `fleet_options`. Returns 0, or the exit
+    code of the first command that fails.
     """
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
@@ -86,6 +87,8 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
             )
             if is_waiting:
                 click.prompt("   [Enter]", default="", show_default=False, prompt_suffix=" ")
+            # `swarmctl` of this installation, which need not be on PATH. -P: no module is imported
+            # from the user's folder.
             command = [sys.executable, "-P", "-c", _ENTRY, *step.words]
             sys.stdout.flush()
             exit_code = subprocess.run(command, check=False).returncode
@@ -93,7 +96,7 @@ def _toured(folder: Path, *, is_waiting: bool, **world: Any) -> int:
                 warn(f"swarmctl {step.words[0]} ended with exit code {exit_code}")
                 return exit_code
             time.sleep(step.seconds)
-            fleet.check()
+            fleet.check()  # SwarmError if a process of the swarm has ended
     click.echo(
         "\nThe swarm has ended. To keep one, with its map in a browser: swarmctl sim up --web, and"
         "\nin another terminal the commands above."

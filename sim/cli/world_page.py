@@ -53,13 +53,15 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
 
     spec = fleet.spec
 
+    # The source of the page reads the swarm with its own operator; the commander, which carries out
+    # the commands of the page, makes an operator for each command.
     def make_operator() -> Operator:
         return Operator(NetworkSettings(swarm=spec.swarm))
 
     with ExitStack() as exit_stack:  # closes in reverse order: first the page, then its sources
         operator = exit_stack.enter_context(make_operator())
         world = exit_stack.enter_context(WorldView(spec.swarm, fleet.endpoint))
-        describe = functools.partial(describe_patterns, (), spec.plugin_dir)
+        describe = functools.partial(describe_patterns, (), spec.plugin_dir)  # (): all patterns
         names = sorted(pattern_names(spec.plugin_dir))
         source = WorldSource(operator, names, fleet, world, describe)
         exit_stack.callback(source.close)

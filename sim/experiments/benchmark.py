@@ -1,8 +1,9 @@
 """The public suite of benchmark tasks: task files, patterns that fit a task, and the result table.
 
-A task file in `config/benchmark` has a scenario without the judged pattern, and a head: what the
-robots shall do, the metric in words with its better direction, the seeds, and the patterns to try.
-A task file needs no other file. Each pattern of a task is an experiment in a folder of its own.
+A task file in `config/benchmark` has a head and a scenario. The head says what the robots shall do,
+the metric in words with its better direction, the seeds, and the patterns to try. The scenario has
+groups without a pattern: the judged pattern, which is tried in the task, runs there. A task file
+needs no other file. The runs of a pattern in a task are an experiment in a folder of its own.
 """
 
 from __future__ import annotations
@@ -169,7 +170,7 @@ def load_task(name: str) -> Task:
         text = f"suite is {file.suite}; this swarmd has version {SUITE} of the suite"
         raise layers.error(("suite",), text)
 
-    # 2. The scenario: complete, with judged groups that have no pattern yet.
+    # 2. The scenario: complete, and the groups that run the judged pattern have no pattern.
     try:
         msgspec.convert(file.scenario, CompleteScenario)
     except msgspec.ValidationError as error:
@@ -183,7 +184,8 @@ def load_task(name: str) -> Task:
             text = f"scenario.groups.{group}.pattern: the group is judged; leave its pattern out"
             raise layers.error(("scenario", "groups", group, "pattern"), text)
     for platform, section in file.scenario["platforms"].items():
-        if section.get("extends", "") is not None:
+        # Without the key, a platform would extend the installed platform of its name.
+        if "extends" not in section or section["extends"] is not None:
             text = (
                 f"scenario.platforms.{platform}.extends: expected null, so that no file is needed"
             )
@@ -201,8 +203,8 @@ def load_task(name: str) -> Task:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
 
-    # With a pattern in place of the judged pattern; raises ConfigError for faults that only a whole
-    # scenario shows.
+    # 4. ConfigError for faults that only a whole scenario shows: _STAND_IN is a pattern that runs
+    # on each robot, in place of the judged pattern.
     task.scenario(_STAND_IN)
     return task
 
@@ -241,9 +243,10 @@ class Misfit:
 def entries_of(
     tasks: Sequence[Task], patterns: Sequence[str] = (), plugin_dir: Path | None = None
 ) -> tuple[list[TaskEntry], list[Misfit]]:
-    """The pairs of task and pattern to run, and the pairs whose robots cannot run the pattern.
+    """The pairs of task and pattern to run, and the pairs whose task does not fit the pattern.
 
-    `patterns`: the names to try in each task; if empty, each task tries the candidates of its file.
+    In a pair that does not fit, the robots lack an input that the pattern needs. `patterns`: the
+    names to try in each task; if empty, each task tries the candidates of its file.
     ConfigError for an unknown pattern, and for a candidate of a task file that does not fit.
     """
     for pattern in patterns:
@@ -384,11 +387,11 @@ def read_results(
 ) -> dict[tuple[str, str], dict[int, float]]:
     """The values of another program from a CSV file, by (name of the table row, task) and by seed.
 
-    The file has a line for each run, with the columns COLUMNS and maybe `name`, the name of the
-    table row; without `name` it is the file's name. An empty value, for a run without a result,
-    becomes NaN. `tasks`: the tasks that a line may name. `bounds`: (least, greatest) value of the
-    metric by task; a value outside is wrong or in another unit. ConfigError with path and line for
-    a fault of the file.
+    The file has a line for each run, with the columns task, seed and value. A column `name` may
+    give the name of the table row, which else is the file's name. An empty value, for a run without
+    a result, becomes NaN. `tasks`: the tasks that a line may name. `bounds`: (least, greatest)
+    value of the metric by task; a value outside is wrong or in another unit. ConfigError with path
+    and line for a fault of the file.
     """
     task_names = tuple(tasks)
     values: dict[tuple[str, str], dict[int, float]] = {}

@@ -126,7 +126,7 @@ class Cluster:
         self._note = note
         self._at_a_time = at_a_time
         self._folders = plugin_folders(manifest.plan)
-        self._metrics = [metric.origin for metric in manifest.metrics]
+        self._metric_origins = [metric.origin for metric in manifest.metrics]  # of custom metrics
         self._topic = f"swarmd-{uuid.uuid4().hex}"
         self._workers: dict[str, _Worker] = {}  # by address
         self._worker_by_query: dict[str, str] = {}  # of open queries for software, by their key
@@ -136,6 +136,7 @@ class Cluster:
         self._refusal = ""  # why the last refused worker is not used
         self._is_open = False  # whether `await_workers` has ended
         self._software: list[Manifest] = []  # of the workers that are fit
+        # An event is (time, shares): `_perform` logs the shares on the worker.
         client.subscribe_topic(self._topic, lambda event: self._shares.update(event[1]))
 
     def await_workers(self) -> None:
@@ -151,6 +152,7 @@ class Cluster:
             self._receive()
             if self._refusal:
                 raise ConfigError(f"{self._refusal}; install the same software there")
+        # Workers that answer after the deadline are used later, if their software fits.
         if not self._software:
             text = (
                 f"{len(self._workers)} workers, and none answers" if self._workers else "no worker"
@@ -176,7 +178,7 @@ class Cluster:
             # Without any worker for `timeout` s, give up.
             self._update_workers()
             now = time.monotonic()
-            for key, attempt in [*attempts.items()]:
+            for key, attempt in [*attempts.items()]:  # a copy, since the loop removes attempts
                 if not self._is_alive(attempt.worker):
                     yield from self._repeat(attempts.pop(key), waiting, attempt_counts)
             free_workers = self._free(attempts)
@@ -198,6 +200,7 @@ class Cluster:
 
             # 3. Progress, and the next answer of a worker: a result, or an error of the worker.
             running = {attempt.job.run for attempt in attempts.values()}
+            # A copy of the items, since a thread of the client adds shares meanwhile.
             yield {run: share for run, share in [*self._shares.items()] if run in running}
             key, answer = self._receive()
             if key in attempts:
@@ -207,7 +210,8 @@ class Cluster:
                     self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
                     yield from self._repeat(attempt, waiting, attempt_counts)
                 else:
-                    yield _write_trace(attempt.job, *answer)
+                    result, trace_bytes = answer  # of `_perform`
+                    yield _write_trace(attempt.job, result, trace_bytes)
 
     def _repeat(
         self, attempt: _Attempt, waiting: deque[Job], attempt_counts: Counter[str]
@@ -248,7 +252,8 @@ class Cluster:
             worker = self._workers.get(name)
             if worker is None:
                 self._workers[name] = _Worker(description["nthreads"], description["last_seen"])
-                key, _ = self._submit(partial(_software, self._folders, self._metrics), name)
+                query = partial(_software, self._folders, self._metric_origins)
+                key, _ = self._submit(query, name)
                 self._worker_by_query[key] = name
             else:
                 is_silent = worker.seen == description["last_seen"]
@@ -328,8 +333,8 @@ class Cluster:
     def _receive(self) -> tuple[str, Any]:
         """The key and the answer of the next finished run; ("", None) without one.
 
-        Waits for _POLL_PERIOD at most. An answer about a worker's software sets `is_fit` of the
-        worker, and then ("", None) is returned, too.
+        Waits for _POLL_PERIOD at most. The next answer may also be that of a query for a worker's
+        software. It decides whether the worker gets runs (`is_fit`), and the result is ("", None).
         """
         try:
             key, answer = self._answers.get(timeout=_POLL_PERIOD)
@@ -337,7 +342,7 @@ class Cluster:
             return "", None
         name = self._worker_by_query.pop(key, None)
         worker = self._workers.get(name or "")
-        if name is None or worker is None:
+        if name is None or worker is None:  # of a run, or of the query for a worker that is gone
             return key, answer
         difference = self._difference(answer)
         worker.is_fit = difference is None
@@ -389,6 +394,8 @@ def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | N
         with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as results:
             for report in results:  # shares of the run, then its result
                 if isinstance(report, JobResult):
+                    # `write_error` would end the experiment, but only this worker's disk is full:
+                    # the run counts as failed.
                     if report.write_error:
                         return replace(report, reason=report.write_error, write_error=""), None
                     if report.metrics is None or trace is None:

@@ -41,7 +41,8 @@ class Difference:
 
     Only runs that have a value are compared. If `is_paired`, the run of the same seed on the
     opposite side must have a value, too. If the metric is a time to an event that never happened in
-    some runs, the means are restricted to `horizon` s, and the log-rank test gives `p`.
+    some runs, the means are restricted to `horizon` s, and the log-rank test, which takes no pairs,
+    gives `p` from all finished runs.
     """
 
     metric: str
@@ -61,7 +62,7 @@ class Difference:
     better: Literal["a", "b"] | None = None
     """The better side; None if the interval holds 0, or if the metric has no better direction."""
     never_a: int = 0
-    """The number of runs of side a in which the event of a time to an event never happened."""
+    """The number of compared runs of side a in which the event of the metric never happened."""
     never_b: int = 0
     horizon: float | None = None
     p: float | None = None
@@ -101,8 +102,8 @@ class Difference:
 def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]]:
     """The pairs of variants to compare. `a` and `b`: FOLDER, or FOLDER:VARIANT of a sweep.
 
-    Two folders with the same variants give a pair for each variant. ConfigError if the folders have
-    different variants, or if one folder has a single variant and the other has several.
+    Two folders with the same variants give a pair for each variant. ConfigError if `a` and `b` name
+    different variants, or if one names a single variant and the other names several.
     `is_trusted`: metrics in Python files run unchecked, as in `load_results`.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
@@ -199,9 +200,9 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     values_b = b.results.metric(metric, b.variant)
 
     # A time to an event that never happened in some runs: log-rank test and restricted means.
-    never_a, never_b = int(np.isnan(values_a).sum()), int(np.isnan(values_b).sum())
+    is_never_a, is_never_b = np.isnan(values_a), np.isnan(values_b)
     horizon, p = None, None
-    if metric.is_time_to_event and (never_a or never_b):
+    if metric.is_time_to_event and (is_never_a.any() or is_never_b.any()):
         duration_a, duration_b = _duration(a), _duration(b)
         horizon = min(duration_a, duration_b)
         p = logrank_p(values_a, values_b, duration_a, duration_b)
@@ -213,6 +214,7 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
         _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
         values_a, values_b = values_a[indices_a], values_b[indices_b]
+        is_never_a, is_never_b = is_never_a[indices_a], is_never_b[indices_b]
         have_values = ~(np.isnan(values_a) | np.isnan(values_b))
         values_a, values_b = values_a[have_values], values_b[have_values]
         bounds = mean_interval(values_b - values_a)
@@ -220,6 +222,7 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
         bounds = difference_interval(values_a, values_b)
 
+    # A side is better if the interval excludes 0: `in` looks from the lower to the upper bound.
     better: Literal["a", "b"] | None = None
     if bounds is not None and metric.better is not None and 0.0 not in bounds:
         is_b_greater = bounds.low > 0.0
@@ -239,8 +242,8 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         interval=bounds,
         is_paired=is_paired,
         better=better,
-        never_a=never_a if horizon is not None else 0,
-        never_b=never_b if horizon is not None else 0,
+        never_a=int(is_never_a.sum()) if horizon is not None else 0,
+        never_b=int(is_never_b.sum()) if horizon is not None else 0,
         horizon=horizon,
         p=p,
     )

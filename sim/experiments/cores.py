@@ -29,8 +29,8 @@ def usable_cores(root: Path = Path("/")) -> int:
 def cores_of_a_run(cores: int, runs: int, robots: int) -> int:
     """The number of cores that share each of `runs` runs of `robots` robots, at least 1.
 
-    Cores are first given to different runs, since a run on one core costs less processor time than
-    a shared run.
+    1 for fewer than LARGE_RUN robots. Each run has its first core before a run gets a second one,
+    since a run on one core costs less processor time than a shared run.
     """
     return max(1, cores // max(runs, 1)) if robots >= LARGE_RUN else 1
 

@@ -75,7 +75,7 @@ def write_mcap(trace: Trace, path: Path) -> None:
 
     Topics of each robot:
 
-    - `ground_truth`: Odometry with the true pose and speed in the frame odom, here the arena's;
+    - `ground_truth`: Odometry with the true pose and speed in the arena's frame, named odom here;
     - `command/safe` and `command/requested`;
     - `report` and `readings`: numbers by name;
     - `status`: JSON of state, reason and reported texts, when one of them changes.
@@ -112,6 +112,8 @@ def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
                 continue
             odometry = Odometry(stamp, _pose(trace.pose[k, i]), _twist(speeds[k, i]))
             yield time_ns, f"/{robot}/ground_truth", messages.odometry_message(odometry)
+            # Safe commands have the same message type. A trace has no numbers of scans: the number
+            # of the instant stands in place of them.
             safe = messages.requested_message(_twist(trace.safe[k, i]), k, stamp)
             yield time_ns, f"/{robot}/command/safe", safe
             if trace.requested is not None:

@@ -99,8 +99,9 @@ def mark_pattern(
 ) -> LessonMark:
     """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
-    `plan`: of `plan_of_lesson`; the pupil's pattern replaces its stand-in. `timeout`: wall time in
-    s of all runs together. The first failed run ends the experiment, and its fault is the mark.
+    `plan`: of `plan_of_lesson`, in which the pupil's pattern replaces the pattern _STAND_IN.
+    `timeout`: wall time in s of all runs together. The first run that fails ends the experiment,
+    and the reason is `why` of the result.
     """
     run_by_id = {run.id: run for run in plan.runs}
     jobs = []
@@ -122,8 +123,9 @@ def mark_pattern(
     rows.sort(key=lambda row: list(run_by_id).index(row.run.id))  # in the order of the plan
     results = Results(folder, plan, rows, {}, tuple(METRICS))
     findings: list[RequirementFinding] = []
-    for where, texts in lesson.targets.items():
-        findings += _findings([Side(where, results, where.partition(":")[2])], texts)
+    for place, texts in lesson.targets.items():  # FOLDER:VARIANT, or FOLDER for the only variant
+        _, _, variant = place.partition(":")
+        findings += _findings([Side(place, results, variant)], texts)
     return LessonMark(findings, next(_missed(findings), ""))
 
 

@@ -94,14 +94,16 @@ def manifest_of(
     not UTF-8.
     """
     units = _report_units(plan)
-    # A metric of a report or reading gets the unit that the plan's patterns declare.
-    custom = [
-        metric_of(m.name, report_units=units) if m.name.startswith(PREFIXES) else m for m in metrics
-    ]
-    entries = [msgspec.convert(metric, OwnMetric, from_attributes=True) for metric in custom]
-    entries = [
-        msgspec.structs.replace(metric, origin=metric.origin or metric.name) for metric in entries
-    ]
+    custom: list[Metric] = []
+    entries: list[OwnMetric] = []
+    for metric in metrics:
+        # A metric of a report or reading gets the unit that the plan's patterns declare.
+        is_reported = metric.name.startswith(PREFIXES)
+        known = metric_of(metric.name, report_units=units) if is_reported else metric
+        custom.append(known)
+        entry = msgspec.convert(known, OwnMetric, from_attributes=True)
+        # `metric_of` finds a metric without a file by its name.
+        entries.append(msgspec.structs.replace(entry, origin=entry.origin or entry.name))
     names = [metric.name for metric in entries]
     if (repeated := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise ConfigError(f"two metrics are named {repeated}; rename a file or a function")

@@ -43,7 +43,7 @@ def merge(
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"--out {out} is one of the parts; name another folder")
     parts = {folder: read_manifest(folder) for folder in folders}
-    whole = _whole(parts, out)
+    whole = _whole(parts, out)  # the manifest of the experiment that was divided
     tables = {folder: read_table(folder, part.plan) for folder, part in parts.items()}
     if (out / "manifest.json").exists():
         tables[out] = read_table(out, read_manifest(out).plan)
@@ -64,7 +64,7 @@ def merge(
         for run in store.missing:
             if run.id in row_of_run:
                 row, folder = row_of_run[run.id]
-                if (trace := store.trace_of(run)) is not None:
+                if (trace := store.trace_of(run)) is not None:  # the experiment keeps traces
                     _copy(trace_path(folder, run), trace)
                 store.add(run, row.metrics, row.wall, errors.get(run.id))
             elif run.id in failures:

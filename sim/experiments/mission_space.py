@@ -5,8 +5,9 @@ control software for robot swarms", Swarm Intelligence 8, 2014; Chocolate: 9, 20
 probabilistic finite state machines of given modules and conditions, with a bounded number of
 states. Here a module is a pattern with default parameters, and a controller is a mission of one of
 three kinds: a sequence with transitions, which is a probabilistic finite state machine; a sequence
-that repeats; or a switch, as in Maple (J. Kuckling et al., "Behavior trees as a control
-architecture in the automatic modular design of robot swarms", ANTS 2018).
+that repeats; or a switch, which runs the first pattern whose condition holds, as in Maple
+(J. Kuckling et al., "Behavior trees as a control architecture in the automatic modular design of
+robot swarms", ANTS 2018).
 
 `MissionSpace` searches structure and numbers. `MissionFileSpace` searches the numbers of a given
 mission alone.
@@ -33,8 +34,8 @@ from swarmd.sim.experiments.search_space import (
     SOURCE,
     Parameter,
     ParameterSpace,
+    check_keys,
     file_parameter,
-    once,
     parse_range,
     patterns_of,
 )
@@ -99,17 +100,17 @@ class MissionSpace(Missions):
         ranges: Mapping[str, tuple[float, float]],
         folder: Path,
     ) -> None:
-        """`modules`: names of patterns. `ranges`: (least, greatest) bound of each condition.
+        """`modules`: names of patterns. `ranges`: by condition, the least and greatest bound.
 
-        Conditions: timeout, nearer, probability, neighbors, reading:NAME. Missions are written into
-        `folder`.
+        Conditions: timeout, nearer, probability, neighbors, reading:NAME. A candidate has a bound
+        within the range, such as 0.5 m of `nearer`. Missions are written into `folder`.
         """
         self.groups = tuple(groups)
         self.modules = tuple(modules)
         self.ranges = dict(ranges)
         self.folder = folder
         self.conditions: list[str] = []
-        for key in self.ranges:
+        for key in self.ranges:  # a timeout or a probability is not negated
             self.conditions += [key] if key in _LOG else [key, f"not {key}"]
         # The conditions of a switch, which is evaluated anew at each step: no random event.
         self.lasting = [name for name in self.conditions if name != PROBABILITY]
@@ -142,7 +143,7 @@ class MissionSpace(Missions):
                 self._draw_transitions(trial, n, states, values)
             elif values["kind"] == "sequence":
                 self._draw_condition(trial, f"{n}", self.conditions, values)
-            elif n < states:
+            elif n < states:  # the last pattern of a switch runs if no condition holds
                 self._draw_condition(trial, f"{n}", self.lasting, values)
         if not is_machine:
             return values
@@ -181,8 +182,9 @@ class MissionSpace(Missions):
     def _draw_transitions(self, trial: Trial, n: int, states: int, values: dict[str, Any]) -> None:
         """Draw up to MAX_TRANSITIONS transitions of state n, to different other states.
 
-        Adds to `values`, for transition k: `target_n_k`, `condition_n_k`, `bound_n_k`, and unless
-        the condition is a timeout or a probability, the probability per second `chance_n_k`.
+        Adds to `values`, for transition k: `target_n_k`, `condition_n_k` and `bound_n_k`. A timeout
+        or a probability is an event. With any other condition, which may hold for long, also
+        `chance_n_k`: the probability per second of the transition while the condition holds.
         """
         for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
             place = f"{n}_{k}"
@@ -261,7 +263,9 @@ def mission_file_space(
 
     `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; if empty, all
     probabilities of the file are searched. `folder`: where the missions of candidates are written.
-    ConfigError if the file or a word is wrong, or if the scenario cannot run missions.
+    ConfigError if the file or a word is wrong, or if the scenario cannot run the candidates: no
+    robot runs a pattern from the start, a replaced pattern has parameters, or another pattern of
+    the scenario is a file of its plugin_dir.
     """
     # 1. The file must be a valid mission. Patterns of the scenario's plugin_dir cannot be found
     # beside it, since `folder` replaces plugin_dir.
@@ -279,8 +283,8 @@ def mission_file_space(
                 " folder of their own; install this pattern as a package"
             )
 
-    # 2. The groups that run the mission: those whose pattern is this file, else all that begin with
-    # a pattern.
+    # 2. The groups that run the candidates: those that run this file from the start, else all that
+    # run any pattern from the start. `is_present`: the scenario itself runs this file.
     origin = pattern_names(scenario.plugin_dir).get(name)
     is_this_file = origin is not None and is_same_file(origin.value, str(path))
     groups = _groups(scenario, name if is_this_file else "")
@@ -304,7 +308,8 @@ def mission_file_space(
             f"--mission {shown(path)}: has no probability; name what is searched with"
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
-    space = MissionFileSpace(groups, path, data, once(parameters), folder, is_present=is_present)
+    check_keys(parameters)
+    space = MissionFileSpace(groups, path, data, parameters, folder, is_present=is_present)
     _check_values(space, path, find)
     return space
 
@@ -322,6 +327,7 @@ def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
                 try:
                     mission_class(tried, find)
                 except ConfigError as error:
+                    # Without the line number and the path, which is that of a temporary file.
                     text = str(error).removeprefix(f"{shown(tried)}:").partition(" ")[2]
                     raise ConfigError(
                         f"{SOURCE} {parameter.key}: {value} is refused: {text}"
@@ -333,10 +339,11 @@ def mission_space(
 ) -> MissionSpace:
     """The search space of missions that are composed of the patterns `modules`.
 
-    In `scenario`, a mission replaces the pattern of each group that begins with a pattern. `words`:
-    bounds of conditions, such as `timeout=5..60` (s), `nearer=0.3..1` (m) or
+    In `scenario`, a mission replaces the pattern of each group that runs a pattern from the start.
+    `words`: bounds of conditions, such as `timeout=5..60` (s), `nearer=0.3..1` (m) or
     `reading:light=0..100`. `folder`: where the missions of candidates are written. ConfigError if a
-    pattern or a condition is unknown, or if the scenario cannot run missions.
+    pattern or a condition is unknown, if no group runs a pattern from the start, if a replaced
+    pattern has parameters, or if the scenario has a plugin_dir.
     """
     # 1. Patterns and groups.
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))
@@ -356,9 +363,10 @@ def mission_space(
 
     # 2. Bounds of conditions.
     ranges = dict(RANGES)
+    robots_of_groups = [robot for name in groups for robot in scenario.groups[name]]
     for word in words:
         key = word.partition("=")[0]
-        is_reading = key.startswith(READING) and key != READING
+        is_reading = key.startswith(READING) and key != READING  # with a name behind the prefix
         if key not in (*RANGES, NEIGHBORS) and not is_reading:
             wanted = ", ".join((*RANGES, NEIGHBORS, f"{READING}NAME"))
             raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
@@ -367,9 +375,10 @@ def mission_space(
             raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1")
         if key == PROBABILITY and high > 1.0:
             raise ConfigError(f"{SOURCE} {word}: expected bounds up to 1, such as {key}=0.01..1")
-        if key == NEIGHBORS and not (low >= 0.0 and low.is_integer() and high.is_integer()):
+        are_whole = low.is_integer() and high.is_integer()
+        if key == NEIGHBORS and (low < 0.0 or not are_whole):
             raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..6")
-        for robot in (robot for name in groups for robot in scenario.groups[name]):
+        for robot in robots_of_groups:
             if is_reading and key not in scenario.robots[robot].provides:
                 raise ConfigError(f"{SOURCE} {key}: {robot} has no such reading; leave it out")
         ranges[key] = (low, high)
@@ -377,7 +386,7 @@ def mission_space(
 
 
 def _groups(scenario: Scenario, pattern: str = "") -> tuple[str, ...]:
-    """The groups that begin with `pattern`; with an empty name, those that begin with any."""
+    """The groups that run `pattern` from the start; with an empty name, those that run any."""
     sections = scenario.effective["groups"].items()
     return tuple(
         name

@@ -175,9 +175,9 @@ def run_jobs(
             elapsed, last_poll = min(now - last_poll, 2.0 * _POLL_PERIOD), now
             for pipe, worker in list(workers.items()):
                 if pipe in readable_pipes:
-                    result = worker.receive()
+                    result = worker.receive()  # None for a report of progress
                 else:
-                    result = worker.add_silence(elapsed, timeout)
+                    result = worker.add_silence(elapsed, timeout)  # a failure after `timeout` s
                 if result is None:
                     continue
                 if worker.is_alive and waiting:
@@ -346,12 +346,15 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         os._exit(0)  # without waiting for threads of a pattern
     os.close(write_end)
     _, status = os.waitpid(child_pid, 0)
-    # Without a byte, the read would block while a process that the pattern forked holds write_end.
+    # A byte, or b"" if there is no byte and nobody can write one. If a process that the pattern has
+    # forked still holds write_end, a read without a byte would block: BlockingIOError.
     os.set_blocking(read_end, False)
+    has_result = False
     with suppress(BlockingIOError):
-        if os.read(read_end, 1):
-            os.close(read_end)
-            return
+        has_result = os.read(read_end, 1) == b"1"
+    if has_result:
+        os.close(read_end)
+        return
     exit_code = os.waitstatus_to_exitcode(status)
     if exit_code < 0:  # a signal
         with suppress(OSError, ValueError):  # SIGKILL has no handler

@@ -90,10 +90,10 @@ def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
 
 
 def git_state(folder: Path) -> GitState | None:
-    """The commit of the git checkout that tracks files of `folder`, and whether files differ.
+    """The commit of the git checkout that tracks files of `folder`, and whether files have changed.
 
-    None if no checkout tracks files of the folder, if git is missing, or if the checkout's
-    configuration has a filter program that cannot be switched off.
+    None if no checkout tracks files of the folder, or if git is missing. None also if git would run
+    a filter program of the checkout's configuration that cannot be switched off.
     """
     tracked = _git(folder, "ls-files", "--", ".")
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
@@ -103,8 +103,8 @@ def git_state(folder: Path) -> GitState | None:
     # `-c KEY=` cannot switch off a key that contains "=".
     if scopes_and_keys is None or "=" in scopes_and_keys:
         return None
-    lines = scopes_and_keys.splitlines()
-    filters = [line.partition("\t")[2] for line in lines if line[:1] in "lw"]
+    scoped_keys = [line.partition("\t") for line in scopes_and_keys.splitlines()]
+    filters = [key for scope, _, key in scoped_keys if scope in ("local", "worktree")]
     changed_files = _git(folder, *_STATUS, no_filters=filters)
     return GitState(commit=commit, is_dirty=bool(changed_files))
 

@@ -27,7 +27,7 @@ ALPHA = 0.05
 FIRST = 5
 """The number of seeds before the first look, as in irace."""
 _GROWTH = math.sqrt(2.0)  # the factor between the numbers of seeds of successive looks
-_ROUNDING = 1e-9  # ranks are multiples of 0.5; differences below it are rounding errors
+_ROUNDING = 1e-9  # ranks are multiples of 0.5: a smaller difference of rank sums is none
 
 
 def looks(seeds: int) -> tuple[int, ...]:
@@ -77,7 +77,8 @@ def losers(losses: Array, level: float) -> list[int]:
         t2 = (n - 1) * t1 / t1_margin
         if f.sf(t2, k - 1, freedom) > level:
             return []
-    # Conover's least significant difference of rank sums, one-sided.
+    # Conover's least significant difference of rank sums, one-sided. The level is divided by the
+    # k - 1 comparisons with the leader (Bonferroni).
     error = 2.0 * max(n * float((ranks**2).sum()) - float((sums**2).sum()), 0.0) / freedom
     bound = max(float(t.isf(level / (k - 1), freedom)) * math.sqrt(error), _ROUNDING)
     return [column for column in range(k) if sums[column] - sums[leader] > bound]
@@ -95,8 +96,9 @@ def mean_loss(losses: Sequence[float]) -> tuple[int, float]:
 def _differences(a: Array, b: Array) -> Array:
     """The differences b - a (n,) of losses (n,), where the loss inf is a failed run.
 
-    Two failed runs have the difference 0. A failed and a finished run have a difference that is
-    finite, and greater in size than each difference of two finished runs.
+    Two failed runs have the difference 0. The difference of a failed and a finished run is finite,
+    and greater in size than each difference of two finished runs, so that Wilcoxon's test gives it
+    a higher rank.
     """
     are_finite = np.isfinite(a) & np.isfinite(b)
     finite = np.where(are_finite, b, 0.0) - np.where(are_finite, a, 0.0)

@@ -87,7 +87,9 @@ def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
     code |= {origin: digest_of_file(origin) for origin in files}
     check_code(folder, old.plugins, code, is_trusted=is_trusted)
     metrics = [metric_of(metric.origin, code.get(metric.origin, "")) for metric in old.metrics]
-    return manifest_of(old.plan, traces=old.traces, command=old.command, metrics=metrics)
+    return manifest_of(
+        old.plan, traces=old.traces, command=old.command, metrics=metrics, shown=old.shown
+    )
 
 
 def _comparisons(before: Results, after: Results) -> dict[str, str]:

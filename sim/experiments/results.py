@@ -63,9 +63,9 @@ class Traces:
 class CustomMetrics:
     """The metrics of an experiment that are not in the catalog.
 
-    `errors`: why a metric has no value, by run and metric. `is_trusted`: the Python files of the
-    metrics may be run also if they are new or have changed since the runs. `report_units`: units
-    by the keys of reports.
+    `errors`: why a metric has no value, by run and metric. `is_trusted`: the user trusts the Python
+    files of the metrics, also if they have changed since the runs, or if this user has never run
+    them. `report_units`: units by the keys of reports.
     """
 
     by_name: Mapping[str, Metric]
@@ -80,7 +80,8 @@ class Results:
     - `failures`: the reason of each failed run, by run.
     - `errors`: why custom metrics have no value, by run and metric.
     - `metrics`: the metrics in the columns of the table.
-    - `variants`: the names of the points of the parameter sweep; without a sweep one empty name.
+    - `variants`: the names of the variants, a variant for each combination of swept values; one
+      empty name without a sweep.
     - `kernels`: `compiled`, or a text about the code that ran instead of compiled kernels.
     """
 
@@ -106,7 +107,7 @@ class Results:
         self.metrics = tuple(metrics)
         self.kernels = kernels
         self.errors = {run: dict(reasons) for run, reasons in custom.errors.items()}
-        self._own = dict(custom.by_name)
+        self._custom = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
         self._report_units = custom.report_units
         # Metrics measured from traces later, by (name, digest of the code) and by run.
@@ -149,20 +150,20 @@ class Results:
 
     def about(self, which: str | Metric) -> Metric:
         """The metric of that name; ConfigError with the nearest name for an unknown metric."""
-        if isinstance(which, str) and which in self._own:
-            return self._own[which]
+        if isinstance(which, str) and which in self._custom:
+            return self._custom[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:
             return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
         return metric_of(which, report_units=self._report_units)
 
     def asked(self, name: str | Metric) -> Metric:
-        """The metric of a name; a metric of a Python file has the present code of the file.
+        """The metric of a name that the user gives: as `about`, but with the present code.
 
-        Without the file, and for other metrics, it is the metric of `about`. ConfigError if the
-        file is new, has changed or has never been run by this user, unless these results are
-        trusted.
+        The code of a metric of a Python file may have changed since the runs, and the user means
+        the present code. ConfigError if the file is new, has changed or has never been run by this
+        user, unless these results are trusted.
         """
-        known = self._own.get(name) if isinstance(name, str) else None
+        known = self._custom.get(name) if isinstance(name, str) else None
         file = known.origin.rpartition(":")[0] if known is not None else ""
         if known is not None and file and Path(file).is_file():
             return _Code(self.folder, known.origin, known.digest, self._is_trusted).metric
@@ -177,7 +178,7 @@ class Results:
         """
         metric = self.about(which)
         rows = self._rows if variant is None else self._of(variant)
-        known = self._own.get(metric.name)
+        known = self._custom.get(metric.name)
         if metric.name in self.metrics and (known is None or known.digest == metric.digest):
             values = [row.metrics[metric.name] for row in rows]
         else:
@@ -187,18 +188,19 @@ class Results:
 
     def unreported(self) -> dict[str, str]:
         """A line for each metric `report:KEY` or `reading:KEY` whose value no robot ever gave."""
-        empty = [m for m in self._own.values() if not any(r.metrics[m.name] for r in self._rows)]
-        return {metric.name: fault[0] for metric in empty if (fault := self._unreported(metric))}
+        custom = self._custom.values()
+        empty = [m for m in custom if not any(row.metrics[m.name] for row in self._rows)]
+        return {metric.name: fault for metric in empty if (fault := self._unreported(metric))}
 
-    def _unreported(self, metric: Metric) -> list[str]:
-        """Why no run has a value other than 0; empty if a trace has the reported value."""
-        fault: list[str] = []
+    def _unreported(self, metric: Metric) -> str:
+        """Why no run has a value other than 0; "" if a trace has the reported value."""
+        fault = ""
         for number in range(len(self._rows)):
             try:
                 check_has_value(metric, self.traces[number])
-                return []
+                return ""
             except SwarmError as error:
-                fault = [str(error)]
+                fault = str(error)
         return fault
 
     def _from_traces(self, metric: Metric) -> Mapping[str, float | None]:
@@ -224,7 +226,7 @@ class Results:
                     raise SwarmError(f"{text}; run again with --metrics {metric.name}") from error
             # Without any value (None or 0): perhaps no robot reports the key of the metric.
             if not any(measured.values()) and (fault := self._unreported(metric)):
-                raise ConfigError(fault[0])
+                raise ConfigError(fault)
             self._measured[key] = measured
         return self._measured[key]
 
@@ -353,10 +355,7 @@ def load_results(folder: str | Path, *, is_trusted: bool = False) -> Results:
 
 
 def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict[str, Metric]:
-    """The metrics beyond the catalog that an experiment measured, by name.
-
-    Their code is imported when a value is measured. Recorded values do not need the code.
-    """
+    """The metrics beyond the catalog that an experiment measured, by name."""
     metrics = {}
     for own in manifest.metrics:
         code = _Code(folder, own.origin, manifest.plugins.get(own.origin, ""), is_trusted)
@@ -375,8 +374,9 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 class _Code:
     """The code of a metric that the results in `folder` name, imported when a value is measured.
 
-    `digest`: SHA-256 of the code that the runs used. Raises ConfigError if the code is new, has
-    changed or has never been run by this user.
+    Not earlier: recorded values can be shown without the code. `digest`: SHA-256 of the code that
+    the runs used. ConfigError, when a value is measured, if the code is new, has changed or has
+    never been run by this user, unless `is_trusted`.
     """
 
     folder: Path

@@ -151,8 +151,9 @@ def parameter_space(
 
     `words`: each is KEY=LO..HI, KEY=A,B,C or KEY. KEY is a dotted key of the scenario, or the name
     of a pattern's parameter. KEY alone stands for the parameter's declared bounds. Without words,
-    the space has all parameters of the scenario's patterns whose declaration has bounds; `on_note`
-    is called with a line about each other parameter. ConfigError names the wrong word.
+    the space has all parameters of the scenario's patterns whose declaration has bounds. `on_note`
+    is called with a line about each other parameter, except those that every pattern has, such as
+    `recovery`. ConfigError names the wrong word.
     """
     declared = _declared(scenario)
     words = list(words)
@@ -161,7 +162,7 @@ def parameter_space(
         for parameter, exclusion in declared:
             if not exclusion:
                 parameters.append(parameter)
-            elif parameter.param not in Params.__struct_fields__:  # else every pattern has it
+            elif parameter.param not in Params.__struct_fields__:  # not one that every pattern has
                 name = parameter.name
                 on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
         if not parameters:
@@ -173,7 +174,8 @@ def parameter_space(
         parameters = [
             _parameter(word, declared, scenario.effective, "the scenario") for word in words
         ]
-    return ParameterSpace(once(parameters))
+    check_keys(parameters)
+    return ParameterSpace(parameters)
 
 
 def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
@@ -185,12 +187,11 @@ def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
     return _parameter(word, (), data, what)
 
 
-def once(parameters: Sequence[Parameter]) -> Sequence[Parameter]:
-    """The given parameters; ConfigError if two of them have the same key."""
+def check_keys(parameters: Sequence[Parameter]) -> None:
+    """ConfigError if two parameters have the same key."""
     keys = Counter(parameter.key for parameter in parameters)
     if (repeated := next((key for key, count in keys.items() if count > 1), None)) is not None:
         raise ConfigError(f"{SOURCE} {repeated} is given twice; keep one")
-    return parameters
 
 
 def parse_range(word: str) -> tuple[float, float]:
@@ -211,11 +212,11 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
-    """Each parameter of the scenario's patterns with its declared bounds, and a text.
+    """Each parameter of the scenario's patterns with its declared bounds, and an exclusion.
 
-    The text says why a tuning leaves the parameter out unless the user gives bounds; "" if the
-    declared bounds suffice. The bounds of a speed are limited to plus and minus the speed limit of
-    the slowest robot.
+    The exclusion is a text: why a tuning leaves the parameter out unless the user gives bounds. It
+    is "" if the declared bounds suffice. A speed's bounds are also limited to plus and minus the
+    speed limit of the slowest robot that runs the pattern.
     """
     origins = pattern_names(scenario.plugin_dir)
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -224,7 +225,7 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
     count = Counter(spec.name for _, params_type in params_types for spec in schema(params_type))
     declared = []
     for pattern, params_type in params_types:
-        robot = _robot_of(scenario, pattern)
+        robot = _robot_of(scenario, pattern)  # the slowest: its values and limits stand for all
         platform = scenario.robots[robot]
         platform_defaults = {**derived_defaults(params_type, platform)}
         layers = (("platform", platform_defaults), *scenario.layers(robot, pattern))
@@ -246,7 +247,7 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
 def _with_bounds(
     parameter: Parameter, spec: ParamSpec, platform: Platform
 ) -> tuple[Parameter, str]:
-    """The parameter with its declared bounds or choices, and the reason text of `_declared`."""
+    """The parameter with its declared bounds or choices, and the exclusion of `_declared`."""
     if spec.name in Params.__struct_fields__:
         return replace(parameter, choices=spec.choices or (True, False)), "it is a parameter of all"
     if spec.choices:
@@ -332,18 +333,19 @@ def _parameter(
     # 2. KEY=A,B,C: choices.
     match = _RANGE.fullmatch(text)
     if match is None:
-        _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")
+        _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")  # read as a YAML list
         if not values or any(isinstance(value, dict | list) for value in values):
             raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
         return replace(parameter, choices=tuple(dict.fromkeys(values)))
 
-    # 3. KEY=LO..HI: a range, of whole numbers if the parameter is an int, or for another key if
-    # both bounds are whole numbers.
+    # 3. KEY=LO..HI: a range. A pattern's parameter is searched in whole numbers if its type is int,
+    # any other key of the scenario if both bounds are whole numbers.
     if is_choice:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
     low, high = parse_range(word)
     are_whole = all(re.fullmatch(r"[+-]?\d+", bound) for bound in match.groups())
-    is_int = parameter.is_int if parameter.param else are_whole
+    is_pattern_parameter = bool(parameter.param)
+    is_int = parameter.is_int if is_pattern_parameter else are_whole
     if is_int and not are_whole:
         raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..8")
     return replace(parameter, low=low, high=high, is_int=is_int)

@@ -200,13 +200,13 @@ def run_experiment(
 def _gather(
     store: Store,
     runs: Sequence[Run],
-    run_jobs: Generator[JobResult | Shares, None, None],
+    reports: Generator[JobResult | Shares, None, None],
     on_progress: OnProgress | None,
 ) -> None:
     """Write each result to the store as it arrives, and report the progress.
 
-    `run_jobs` yields the result of each run of `runs`, and between results the simulated share
-    (0..1) of each run in progress. SwarmError if a result cannot be written.
+    `reports`: of a runner; the result of each run of `runs`, and between results the simulated
+    share (0..1) of each run in progress. SwarmError if a result cannot be written.
     """
     run_by_id = {run.id: run for run in runs}
     work = {run.id: run.robot_seconds for run in runs}
@@ -226,9 +226,9 @@ def _gather(
             done = len(store.rows) + failed
             on_progress(Progress(done, total, failed, ended_work + begun_work, work_left))
 
-    with closing(run_jobs) as results:
+    with closing(reports):
         report_progress()
-        for result in results:
+        for result in reports:
             if not isinstance(result, JobResult):
                 shares = dict(result)
                 report_progress()

@@ -39,8 +39,8 @@ METHOD = (
     "bootstrap of 5000 resamples (Efron & Tibshirani 1993): BCa for means, percentile for medians;"
     " Wilson's score (1927) for shares"
 )
-_SEED = 1993
-_BATCH = 2_000_000  # numbers resampled at a time: 16 MB
+_SEED = 1993  # with a second number, a stream for each use: 0 bootstrap, 1 permutations
+_BATCH = 2_000_000  # numbers resampled at a time, which bounds the memory to 16 MB
 _ROUNDING = 1e-24  # a sum of squares below this share of the squared values is a rounding error
 
 
@@ -59,7 +59,7 @@ class Summary:
     """Statistics of the values of a metric; without a value, only `n` and `never` are set.
 
     Intervals are None for fewer than two values. For a time to an event that never happened in some
-    runs, the mean and all intervals are None: the mean of the runs with the event would be biased.
+    runs, mean, `max` and all intervals are None: without these runs they would be biased.
     """
 
     n: int
@@ -183,10 +183,10 @@ def logrank_p(a: Array, b: Array, end_a: float, end_b: float) -> float | None:
     """The p-value of a two-sided log-rank test of times to an event, a (n,) and b (m,) in s.
 
     `end_a`, `end_b`: the duration of the runs of each side in s. NaN: the event did not happen
-    before the end of the run, so the time is right-censored there. Runs with a common seed count as
-    independent. Source: Mantel, "Evaluation of Survival Data", Cancer Chemotherapy Reports 50,
-    1966. None with fewer than two runs on a side, or without any event. None also if no event
-    happens while runs of both sides last.
+    before the end of the run, so the time is right-censored there. Runs with a common seed are not
+    taken as pairs, since the test is for independent samples. Source: Mantel, "Evaluation of
+    Survival Data", Cancer Chemotherapy Reports 50, 1966. None with fewer than two runs on a side,
+    or without any event. None also if no event happens while runs of both sides last.
     """
     from scipy.stats import CensoredData, logrank
 
@@ -239,12 +239,13 @@ def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
 
     rows, columns, n = cells.shape
     means, all_mean = cells.mean(axis=2), cells.mean()
+    # The cell means if both effects add up, and degrees of freedom of interaction and error.
     additive = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
     residuals = cells - means[:, :, None]
     error_freedom = rows * columns * (n - 1)
     if has_blocks:
         residuals = residuals - (cells.mean(axis=(0, 1)) - all_mean)
-        error_freedom -= n - 1
+        error_freedom -= n - 1  # n effects of seeds, whose sum is 0
     freedom = (rows - 1) * (columns - 1)
     error = float((residuals**2).sum())
     has_no_scatter = error <= _ROUNDING * float((cells**2).sum())
@@ -306,22 +307,22 @@ def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str,
     A metric that is 0 or 1 has the interval of its share. For a time to an event that never
     happened in some runs, the number of these runs stands in place of the mean.
     """
-    return [
-        (
-            metric.name,
-            metric.unit or NOTHING,
-            f"{summary.never} of {summary.n + summary.never} never"
-            if summary.never
-            else number(summary.mean),
-            interval(summary.mean_interval if summary.share is None else summary.share_interval),
-            number(summary.median) if summary.share is None else NOTHING,
-            interval(summary.median_interval if summary.share is None else None),
-            number(summary.min),
-            number(summary.max),
-            str(summary.n + (summary.never or 0)),
-        )
-        for metric, summary in summaries
-    ]
+    rows: list[tuple[str, ...]] = []
+    for metric, summary in summaries:
+        runs = summary.n + (summary.never or 0)
+        mean = f"{summary.never} of {runs} never" if summary.never else number(summary.mean)
+        if summary.share is None:
+            middle = (
+                interval(summary.mean_interval),
+                number(summary.median),
+                interval(summary.median_interval),
+            )
+        else:  # the median of values that are 0 or 1 says nothing
+            middle = (interval(summary.share_interval), NOTHING, interval(None))
+        least, greatest = number(summary.min), number(summary.max)
+        unit = metric.unit or NOTHING
+        rows.append((metric.name, unit, mean, *middle, least, greatest, str(runs)))
+    return rows
 
 
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

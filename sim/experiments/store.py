@@ -89,7 +89,9 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     rows: dict[str, Row] = {}
     try:
         columns = tuple(next(reader, ()))
-        metrics = columns[len(header(plan, ())) - 1 : -1]  # between `seed` and `wall`
+        # The metrics stand between `seed` and `wall`, the last column.
+        first_metric = len(header(plan, ())) - 1
+        metrics = columns[first_metric:-1]
         if columns != header(plan, metrics) or len(set(columns)) < len(columns):
             raise ValueError(f"the columns are not those of its manifest: {','.join(columns)}")
         for cells in reader:
@@ -248,11 +250,12 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
     """The store of a new or continued experiment; removes partly written traces and lines."""
     table, traces = folder / TABLE, folder / TRACES
     if (folder / manifests.NAME).exists():
-        requested, manifest = manifest, read_manifest(folder)
-        difference = next(manifests.differences(manifest, requested), None)
+        recorded = read_manifest(folder)
+        difference = next(manifests.differences(recorded, manifest), None)
         if difference is not None:
             text = f"{folder}: holds another experiment: {difference}"
             raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+        manifest = recorded
     else:
         _refuse_other_files(folder)
         # The manifest comes first: it marks the folder as the folder of an experiment.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -168,11 +169,15 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
     for variant in results.plan.variants:
         values = results.metric(metric, variant.name)
         if metric.is_time_to_event:
-            values = restricted(values, min(_duration(results, v) for v in results.variants))
+            horizon = min(_duration(results, name) for name in results.variants)
+            values = restricted(values, horizon)
         seeds = map(int, results.seeds(variant.name))
         cell = shown(variant.values[row_key]), shown(variant.values[column_key])
-        # `v == v` is false for NaN: a run without a value.
-        by_cell[cell] = {s: v for s, v in zip(seeds, values.tolist(), strict=True) if v == v}
+        by_cell[cell] = {
+            seed: value
+            for seed, value in zip(seeds, values.tolist(), strict=True)
+            if not math.isnan(value)
+        }
     common = sorted(set.intersection(*map(set, by_cell.values())))
     if not common:
         return None

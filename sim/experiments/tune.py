@@ -204,9 +204,9 @@ class Tuning:
     def value(self, candidate: Candidate) -> float:
         """The mean of the metric over the seeds of the races.
 
-        For a candidate that ended early the mean is extrapolated: the mean of the race's best
-        candidate, plus the mean difference between candidate and best on their common seeds. A
-        failed run counts as the worst run of the race.
+        For a candidate that ended early the mean is extrapolated: the mean of the race's leader
+        over all seeds, plus the mean of (candidate - leader) over the seeds that the candidate has
+        run. A failed run counts as the worst run of the race.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -295,7 +295,8 @@ def tune(
     - `mission`, the path of a mission's file (.yaml): the candidates are this mission with values
       of its dotted keys: "sequence.0.until.probability=0.01..1".
     - `held_out`: the held-out seeds, or their number; they then follow the greatest of `seeds`.
-    - `pseudo_reality`: the held-out runs are repeated with `pseudo_reality` on, for `drops`.
+    - `pseudo_reality`: the held-out runs are repeated with the scenario's `pseudo_reality` on, so
+      that `drops` of the result says how much worse the metric is there.
     - `candidates`: the most new candidates of a race.
     - `jobs`, `timeout`: as for `simulate`. The result does not depend on `jobs`.
     - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
@@ -328,6 +329,7 @@ def tune(
     loaded.starts(race_seeds[0])  # ConfigError if there is no room for the robots
 
     # 2. The search space: numbers of one mission, missions of patterns, or parameters.
+    # Without `out`, the folder is made after these checks, so that a wrong argument leaves none.
     folder = Path("tuning") if out is None else Path(out)
     space: Space
     modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
@@ -431,9 +433,10 @@ class _Tuner:
             count = min(self.per_race, affordable) if recorded is None else len(recorded)
             if index == 0:
                 count -= 1  # candidate 0, the scenario's values, is a new candidate of this race
+            # Also for a recorded race, so that the sampler continues as without interruption.
             new = self._draw(study, max(count, 0))
             if not new and index > 0:
-                break
+                break  # the budget is used, or the sampler draws no further values
 
             # 2. The race, run or recorded.
             racing = [best, *new]
@@ -452,7 +455,7 @@ class _Tuner:
             )
             if recorded is None:
                 self._record()
-            if not new:
+            if not new:  # race 0 had candidate 0 alone
                 break
         return Tuning(
             folder=self.folder,
@@ -569,9 +572,9 @@ class _Tuner:
     def _loss(self, value: float | None, candidate: Candidate) -> float:
         """The loss of a run, from the value of its metric; the least loss is the best.
 
-        `value`: None if the run failed, NaN if the metric has no value. The loss is inf for both.
-        An exception is the time to an event that never happened: it counts as the duration of the
-        run.
+        `value`: None if the run failed, NaN if the metric has no value. The loss is inf in both
+        cases, except that the time to an event that never happened (NaN) counts as the duration of
+        the run.
         """
         if value is None:
             return math.inf
@@ -661,7 +664,9 @@ class _Tuner:
             candidate = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
             self.candidates.append(candidate)
             accepted.append(candidate)
-        if count and not accepted and len(self.candidates) == 1:
+        # In race 0 the only earlier candidate is number 0, which has the scenario's values.
+        is_first_race = len(self.candidates) == 1
+        if count and not accepted and is_first_race:
             text = f"no values of {', '.join(self.space.text)} are accepted"
             raise ConfigError(f"{text}; the last: {last_refusal}")
         return accepted
@@ -690,7 +695,7 @@ class _Tuner:
         tuning, or has files that are not of a tuning.
         """
         path = self.folder / STATE
-        present = self._head()
+        head = self._head()  # "asked": the arguments, "manifest": the software
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not path.exists():
@@ -699,7 +704,7 @@ class _Tuner:
                         f"{self.folder}: is not the folder of a tuning: it holds {entries[0]};"
                         " name a new or empty one with --out"
                     )
-                write_json(path, {**present, "races": []})
+                write_json(path, {**head, "races": []})
                 return []
             contents = path.read_bytes()
         except OSError as error:
@@ -712,9 +717,9 @@ class _Tuner:
             recorded_arguments, races = dict(data["asked"]), list(data["races"])
         except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
             raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
-        manifest = msgspec.convert(present["manifest"], Manifest)
+        manifest = msgspec.convert(head["manifest"], Manifest)
         difference = next(manifests.differences(recorded_manifest, manifest), None)
-        for key, value in present["asked"].items():
+        for key, value in head["asked"].items():
             recorded = recorded_arguments.get(key)
             if difference is None and recorded != value:
                 difference = f"{key} was {recorded}, now {value}"
@@ -791,15 +796,15 @@ def _refuse(study: Study, trial: Trial) -> None:
 def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
     """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
 
-    The mean of a candidate that ended early is extrapolated: the mean of the race's leader, plus
-    the mean difference between candidate and leader on their common seeds. A failed run counts as
-    the worst run of the race. `racing`: all candidates of the race.
+    The mean of a candidate that ended early is extrapolated, as for `Tuning.value`. The leader is
+    the candidate with the least mean loss that has run all seeds. `racing`: all candidates of the
+    race.
     """
     finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)
     finishers = (racer for racer in racing if not racer.is_out)
     leader = min(finishers, key=lambda racer: mean_loss(racer.losses))
-    losses = np.minimum(candidate.losses, worst)
+    losses = np.minimum(candidate.losses, worst)  # inf, a failed run, counts as the worst run
     leader_losses = np.minimum(leader.losses, worst)
     difference = (losses - leader_losses[: len(losses)]).mean()
     candidate.estimate = float(leader_losses.mean() + difference)
@@ -813,7 +818,7 @@ def _importance(study: Study) -> dict[str, float]:
     """The importance of each parameter as a share of 1, by PED-ANOVA (Watanabe et al., IJCAI 2023).
 
     PED-ANOVA measures how much narrower the values of a parameter are in the best tenth of the
-    candidates. Parameters that a candidate lacks are left out. Empty if there are fewer than
+    candidates. A parameter is left out unless all candidates have it. Empty if there are fewer than
     _MIN_TRIALS candidates, or if all losses are equal.
     """
     from optuna.importance import PedAnovaImportanceEvaluator, get_param_importances

@@ -30,7 +30,8 @@ def tuned_document(
     comments = [line for text in _evidence(tuning, manifest) for line in _wrapped(text)]
     base = str(Path(scenario).absolute()) if scenario.endswith(".yaml") else scenario
     overrides = {**sets, **tuning.best.overrides}
-    body = {"extends": base, **nested(overrides, tuning.candidates[-1].effective)}
+    # A list with an overridden item is copied in full, from the scenario with the best values.
+    body = {"extends": base, **nested(overrides, tuning.best.effective)}
     platform = platform_values(tuning.space, tuning.best.values) if tuning.best.number else {}
     if platform:
         comments += ["", "In a platform's file, for all its robots and scenarios:"]
@@ -89,7 +90,7 @@ def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
 
 
 def _shown(difference: Difference, a: str, b: str, tuning: Tuning) -> str:
-    """Both means, their difference and its interval, and the conclusion."""
+    """A line about a difference b - a: both means, difference, interval, p, and the conclusion."""
     mean_a, mean_b, mean_difference = map(
         number, (difference.mean_a, difference.mean_b, difference.difference)
     )
@@ -100,11 +101,12 @@ def _shown(difference: Difference, a: str, b: str, tuning: Tuning) -> str:
     if difference.never_a or difference.never_b:
         text += f"; never: {difference.never_b} {b}, {difference.never_a} {a}"
     if lost := len(tuning.held_out) - min(difference.n_a, difference.n_b):
-        text += f"; {lost} seeds more have no value on both sides"
+        text += f"; {lost} further seeds lack a value on a side"
     if not difference.holds:
         return f"{text}. No difference is shown."
-    is_less = difference.difference is not None and difference.difference < 0.0
-    return f"{text}. Better: {b if is_less == (tuning.goal == 'min') else a}."
+    is_b_less = difference.difference is not None and difference.difference < 0.0
+    is_less_better = tuning.goal == "min"
+    return f"{text}. Better: {b if is_b_less == is_less_better else a}."
 
 
 def _seeds(seeds: Sequence[int]) -> str:

@@ -5,7 +5,7 @@ The palette is that of the page: M. Okabe and K. Ito, "Color Universal Design", 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
@@ -60,15 +60,15 @@ def colouring_of(trace: Trace, by: str) -> Colouring:
         return _by_word(words, STATES)
     if by == "pattern":
         names, indices = patterns_of(trace)
-        return _by_word(np.array(names)[indices], {})
+        return _by_word(np.array(names)[indices])
     if by == "platform":
-        return _by_word(np.broadcast_to(np.array(trace.platforms), shape), {})
+        return _by_word(np.broadcast_to(np.array(trace.platforms), shape))
     if by == "robot":
         rgb = np.array([rgb_of(robot_colour(i)) for i in range(shape[1])], dtype=np.uint8)
         key = [(_plain(colour), robot) for colour, robot in zip(rgb, trace.ids, strict=True)]
         return Colouring(np.broadcast_to(rgb, (*shape, 3)), key)
     if name in trace.words:
-        return _by_word(trace.words[name], {})
+        return _by_word(trace.words[name])
     if name in trace.report:
         return _by_number(trace.report[name], name)
     known = (*_OWN, *trace.report, *trace.words)
@@ -81,9 +81,7 @@ def rgb_of(colour: str) -> Rgb:
     return red, green, blue
 
 
-def _by_word(
-    words: NDArray[np.str_], fixed: MappingProxyType[str, str] | dict[str, str]
-) -> Colouring:
+def _by_word(words: NDArray[np.str_], fixed: Mapping[str, str] = MappingProxyType({})) -> Colouring:
     """Colours by a text (T, n): the colours of `fixed`; if empty, those of PALETTE in turn."""
     rgb = np.empty((*words.shape, 3), dtype=np.uint8)
     rgb[:] = rgb_of(UNKNOWN)

@@ -86,6 +86,7 @@ def make_film(
 
     # 2. The model, which fills a frame but for the caption.
     width, height = size
+    # The height of the caption does not depend on its notes, which follow from the model.
     caption_height = Caption(size, title, colouring.key).height
     stage = stage_of(trace, (width, height - caption_height), run.platforms, run.fields)
     notes = [f"{settings.speed:.3g}x real time"]

@@ -131,6 +131,7 @@ class Renderer:
         poses = poses_at(self._t, trace.pose, time)
         instant = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
         has_pose = _are_known(poses)
+        # `qpos`: x, y and yaw of each robot, then of each movable box.
         self._data.qpos[: 3 * n] = np.where(has_pose[:, None], poses, 0.0).ravel()
         colours = self._colouring.rgb[instant] / 255.0
         model.geom_rgba[self.stage.bodies, :3] = colours
@@ -185,6 +186,7 @@ def _aim(
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
     camera.lookat[:] = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0, 0.0
     longest = max(extent.width, extent.height)
+    # MuJoCo draws what is between znear and zfar from the camera, both in units of `stat.extent`.
     model.stat.extent = longest
     model.vis.map.znear, model.vis.map.zfar = 0.01, 50.0
     if kind == "top":

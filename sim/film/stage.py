@@ -75,7 +75,7 @@ def stage_of(
     if not arena_text:
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
     arena = parse_arena(arena_text)
-    assumed: list[str] = []
+    assumed: list[str] = []  # unknown platforms, which `_platform` adds
     platform_of = {
         name: platforms.get(name) or _platform(name, footprint, assumed)
         for name, footprint in trace.footprints.items()

@@ -68,7 +68,7 @@ def learners_of(scenario: Scenario, group: str | None) -> tuple[str, ...]:
 
 
 def with_agents(scenario: Scenario, learners: Collection[str]) -> Scenario:
-    """The scenario in which learners run PATTERN in place of each other pattern.
+    """The scenario in which learners run PATTERN whenever the scenario starts a pattern on them.
 
     Parameters and end conditions of the replaced patterns do not apply to learners. ConfigError for
     a learner that never runs a pattern.

@@ -147,8 +147,9 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     An agent is a robot of the learners while the robot has a daemon. An agent appears when its
     robot joins, is terminated when its robot leaves or is killed, and is truncated at the end of
     the scenario. A robot that is stopped or held stays an agent, whose actions have no effect.
-    `infos` have three keys for each agent: `state` is the robot's word, `limited` whether
-    protection changed the request, `contacts` the number of contacts that began in this step.
+    `infos` have three keys for each agent. `state` is the state of the robot, such as `running`, or
+    `absent`. `limited` is true if protection changed the request. `contacts` is the number of
+    contacts that began in this step.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - read only
@@ -219,7 +220,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         seats = {robot: new_seat(self.spec) for robot in self._learners}
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
-        self.close()
+        self.close()  # not before the new run exists: after a ConfigError the old run goes on
         is_present = {robot: robot not in self.scenario.absent for robot in self._learners}
         self._episode = episode = _Episode(
             swarm=swarm,
@@ -290,7 +291,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         return self._running().swarm.trace()
 
     def render(self) -> NDArray[np.uint8]:
-        """The present state from above, as films show it: (480, 640, 3) uint8, for `rgb_array`.
+        """The present state from above, as films show it: (480, 640, 3) uint8.
 
         ConfigError before the first `reset`, without a `render_mode`, or if another thread called
         `render` first; PluginError if OpenGL cannot render on this machine.

@@ -69,8 +69,8 @@ class Rewards:
     """Computes each robot's reward: call `begin` with the first state, then `of` with each state.
 
     The term of a metric is equal for all robots: weight times change of the metric since the
-    previous step. The term is 0 if either value is unknown, or if robots have joined or left.
-    CONTACTS and LIMITED differ by robot.
+    previous step. It is 0 if the metric had no value before or after the step, or if robots have
+    joined or left. The terms of CONTACTS and LIMITED are weight times the value of each robot.
     """
 
     def __init__(self, reward: Reward, scenario: Scenario, seed: int, world: World) -> None:

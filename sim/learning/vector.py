@@ -36,7 +36,8 @@ class JointEnv(gymnasium.Env[Swarm, Swarm]):
     """A SwarmEnv as a gymnasium environment of one agent: row i is `possible_agents[i]`.
 
     The row of an absent agent is zero, and its action has no effect. The reward is the mean over
-    the present agents. `infos` have `rewards` (agents,) and `present` (agents,) bool.
+    the agents that were present before or after the step. `infos` have `rewards` (agents,) and
+    `present` (agents,) bool.
     """
 
     def __init__(self, swarm: SwarmEnv) -> None:
@@ -88,11 +89,11 @@ class JointEnv(gymnasium.Env[Swarm, Swarm]):
 def vector_env(
     n: int, scenario: str | Path | Scenario, seed: int | None = None, **options: Any
 ) -> AsyncVectorEnv:
-    """`n` environments, each in a process of its own: arrays (n, agents, numbers).
+    """`n` environments, each in a process of its own.
 
-    `options`: keyword arguments of `env`. Environment i begins with `seed` + i. An environment
-    whose run is over begins its next run at the following step. Call `close` at the end.
-    ConfigError as `env`.
+    Observations and actions are arrays (n, agents, numbers). `options`: keyword arguments of `env`.
+    Environment i begins with `seed` + i. An environment whose run is over begins its next run at
+    the following step. Call `close` at the end. ConfigError for an invalid argument, as in `env`.
     """
     if n < 1:
         raise ConfigError(f"vector_env of {n}; expected 1 or more")

@@ -72,7 +72,7 @@ class LiveTimeline:
         present = set(self._fleet.robots)
         robots = tuple(robot for robot in event.robots if robot in present)
         match event.action:
-            case "place" if event.pose is not None:
+            case "place" if event.pose is not None:  # always given, for type checkers
                 self._world.place(event.box, event.pose)
             case "remove" if event.box:
                 self._world.remove(event.box)
@@ -202,7 +202,7 @@ class DemoRun:
         """
         # 1. Robots are up; the recording starts; the first patterns run.
         view = starting.await_robots(self._operator, self._fleet, tell)
-        wall_start = time.monotonic()
+        began_at = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)
         first_runs, later_events = _split(self._settings.events)
@@ -214,20 +214,20 @@ class DemoRun:
         self._timeline = LiveTimeline(later_events, self._fleet, self._operator, self._world)
         before = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         self._follow(before, start.time)
-        wall = time.monotonic() - wall_start
+        real_s = time.monotonic() - began_at
 
         # 3. The end: statuses, the trace, a stop of all robots.
         after = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         end = self._world.ask("finish").state
         stop_outcome = self._timeline.send_stop("stop", self._fleet.robots)
-        factor = end.recorded / wall
-        return self._summary(trace, began, factor, started, before, after, stop_outcome)
+        real_time_factor = end.recorded / real_s
+        return self._summary(trace, began, real_time_factor, started, before, after, stop_outcome)
 
     def _follow(self, statuses: dict[str, Status], since: float) -> None:
         """Carry out events and show the robots until the recording is complete.
 
-        `statuses`: of the robots at the start. `since`: the simulated time in s of the start, since
-        earlier states may belong to an earlier recording.
+        `statuses`: of the robots at the start. `since`: the simulated time in s of the start;
+        states with an earlier time are ignored, since they may belong to an earlier recording.
         """
         state = self._watcher.wait(since=since)
         next_query = 0.0
@@ -304,6 +304,7 @@ class DemoRun:
             layout=spec.layout,
             seed=spec.seed,
             seconds_to_moving=None if all_moved_at is None else round(all_moved_at - began, 2),
+            # Whether protection runs compiled or interpreted, as each daemon states.
             kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
             numbers=numbers,
             problems=tuple(problems),

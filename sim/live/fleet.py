@@ -192,7 +192,7 @@ class Fleet:
 
     def _start(self) -> None:
         spec = self.spec
-        as_text(spec.folder.absolute())
+        as_text(spec.folder.absolute())  # ConfigError for a path that is not UTF-8
         spec.folder.mkdir(parents=True, exist_ok=True)
         start_server(DAEMON_MODULES)
         if spec.scenario is not None:

@@ -33,9 +33,10 @@ def plain_fleet(
     """The fleet of a world without a scenario: `count` robots of one platform.
 
     The default arena is a square, 1.8 times as wide as the range of the lidar, so that a robot
-    detects some robots but not all. For many robots it is wider: each robot has a square of 3
-    protection thresholds. `folder`: for logs and state. `emulator`: the driver whose protocol is
-    simulated, or None. `others`: further fields of FleetSpec. `tell` is called with notes.
+    detects some robots but not all. For many robots the arena is wider, so that each robot has a
+    square with a side of 3 protection thresholds. By default the robots start at random places, at
+    least 0.6 thresholds apart. `folder`: for logs and state. `emulator`: the driver whose protocol
+    is simulated, or None. `others`: further fields of FleetSpec. `tell` is called with notes.
     ConfigError if a value is wrong or the arena has no room. PluginError if the emulator is unknown
     or lacks a library.
     """
@@ -83,10 +84,11 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
 
 
 def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> None:
-    """Call `tell` with what robots of this platform would report about robots of their own kind.
+    """Call `tell` with the findings that robots of the platform `kind` report about each other.
 
-    `robot`: the id of a robot. If lidars of this world see whole bodies (`visibility`), the finding
-    that a lidar cannot see the robots is left out.
+    A finding says why a robot cannot rely on a peer, such as a peer that the lidar cannot see. This
+    finding is left out if lidars of this world see whole bodies (`visibility`). `robot`: the id of
+    a robot, for the texts.
     """
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 

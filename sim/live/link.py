@@ -88,7 +88,7 @@ class WorldLink:
         self._messages: list[hw_codec.MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
-        self._dropped = 0
+        self._dropped = 0  # invalid frames, and messages and requests beyond the limits
 
         self._robots = RobotServer(endpoint, swarm, ids, "the world", clock=clock)
         self.endpoint = self._robots.endpoint

@@ -49,7 +49,11 @@ class LiveScenario:
             "touch": section["touch"],
             "accepts_unseen": dict(accepts.unseen),
             "accepts_faster": dict(accepts.faster),
-            **({} if scenario.fence is None else {"fence": scenario.effective["fence"]}),
+            **{
+                key: scenario.effective[key]
+                for key in ("fence", "on_low_battery")
+                if scenario.effective[key] is not None
+            },
         }
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:

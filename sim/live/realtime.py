@@ -1,7 +1,7 @@
 """A simulated world in real time: steps on deadlines, publishes sensor data, applies commands.
 
 A command that was decided with a scan older than `stale_after` counts as zero. Such commands come
-from a frozen daemon: they wait in its socket and arrive when the daemon resumes. Commands to an
+from a frozen daemon: they wait in the daemon's socket and arrive when it resumes. Commands to an
 emulated robot do not name their scan. The emulated robot obeys them, as a real base would.
 """
 
@@ -79,9 +79,10 @@ class RealTimeWorld:
         self._sent_seq = np.full(n, -1)  # of the newest scan
         # The number of scans after which a scan is stale.
         self._stale_scans = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
-        self._unreadable = 0
+        self._unreadable = 0  # requests of viewers
 
-        # Schedules of sensors and states, in simulated time.
+        # Schedules of sensors and states, in simulated time. `order`: a random order of the rows,
+        # in which the robots take turns within a period, so that their work is spread over steps.
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._sensor_times = SensorTimes(
@@ -167,9 +168,9 @@ class RealTimeWorld:
     def _publish_radio(self, radio: Radio) -> None:
         """Send robots their neighbors, and carry messages of patterns by the simulated radio.
 
-        Neighbors are only robots whose daemons command them. Each robot gets its neighbors at its
-        own instants. When a daemon begins or ends to command, all robots get their neighbors at
-        once, so that robots that start together hear one another from then on.
+        A robot counts as a neighbor only while its daemon sends commands. Each robot gets its
+        neighbors at its own instants. When a daemon begins or ends to command, all robots get their
+        neighbors at once, so that robots that start together hear one another from then on.
         """
         world, ids = self._world, self._world.ids
         messages, due_rows = self._link.take_messages(), self._neighbors_due.due(world.time)
@@ -177,6 +178,7 @@ class RealTimeWorld:
         if not np.array_equal(is_commanded, self._last_commanded):
             self._last_commanded, due_rows = is_commanded, np.arange(len(ids))
         if messages or len(due_rows):
+            # The corners of the movable boxes, which block a radio that needs a line of sight.
             poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
             for wire in messages:
                 row = self._rows[wire.robot]

@@ -140,9 +140,10 @@ class StatusLog:
     def merged_into(self, trace: Trace) -> Trace:
         """The trace with the state, protection, `report`, `readings` and `words` of the statuses.
 
-        Each status holds until the next. Values are empty, False or NaN before a robot's first
-        status, and while the robot has no daemon. The requested command is left out, since it is
-        some tenths of a second older than the safe command of a sample.
+        `report` has the numbers that patterns report, `words` their texts. Each status holds until
+        the next. Values are empty, False or NaN before a robot's first status, and while the robot
+        has no daemon. The requested command is left out: in a status it is some tenths of a second
+        older than the safe command that the world records.
         """
         if not self._received:
             return trace

@@ -98,8 +98,8 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     swarm = check_id(options.swarm, "swarm")
     scenario = _scenario(options)
     robots = scenario.robots
-    # A simulated scan has one time for each sector. A ROS scan has one time step from ray to ray,
-    # so its sectors must be small.
+    # All rays of a sector of a simulated scan are measured at one time. A ROS message has one
+    # `time_increment` from ray to ray, so for ROS the sectors must be small.
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
     meta = {**meta_of(scenario, options.seed), "swarm": swarm}
     if options.scenario is None:
@@ -115,7 +115,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         driver = DRIVER
         driver_options: dict[str, Value] = {"endpoint": link.endpoint}
         command_timeouts = None
-        if needs_radio(scenario.radio):
+        if needs_radio(scenario.radio):  # messages of patterns pass the world, not Zenoh
             driver_options["radio"] = True
         emulated = None
         if options.emulator is not None:
@@ -133,6 +133,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         gc.collect()
         gc.freeze()
         # Without a radio no neighbors are published; daemons then assume that all hear each other.
+        # Range and bearing alone also need a radio here, since they come with the neighbors.
         radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
         if options.shared_frame or scenario.fence is not None:
             world.posed = frozenset(range(len(world.ids)))

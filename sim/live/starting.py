@@ -69,11 +69,11 @@ def await_robots(
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """Whether each pair of robots agrees: both list each other as neighbors, or neither does.
+    """Whether of each pair of robots both list each other as neighbors, or neither does.
 
-    `view`: has a status of each of `robots`. `all_hear_all`: all robots must list each other, since
-    robots that have just started list no neighbors. True for more than MAX_NEIGHBORS robots, since
-    a status lists no more neighbors.
+    With `all_hear_all` both must list each other: robots that have just started list no neighbors,
+    and would agree too early. `view`: has a status of each of `robots`. True for more than
+    MAX_NEIGHBORS robots, since a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -97,9 +97,10 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
     """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
 
-    `view`: the members, for the first request. A later request goes to the robots that do not run
-    the pattern yet. ConfigError if all robots refuse the first request. SwarmError if no robot runs
-    the pattern after the last request.
+    `view`: the members, for the first request, with the epoch of each robot: the number of its
+    changes, by which a robot refuses a request that was made before its last change. A later
+    request goes to the robots that do not run the pattern yet. ConfigError if all robots refuse the
+    first request. SwarmError if no robot runs the pattern after the last request.
     """
     waiting = run.robots
     started_at_once: set[str] = set()

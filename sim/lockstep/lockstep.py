@@ -5,8 +5,9 @@ radio model. No code sleeps or reads a clock, and every random number comes from
 
 Several processes may share the robots of one run (`processes.py`). Each process simulates the
 world, the radio and the timeline of the whole swarm, but the robots and patterns of its own rows
-alone. Commands, messages and latches of robots take effect at `exchange`, which hands them to all
-processes. The result does not depend on the order in which robots or processes produce them.
+alone. Commands, messages and latches (emergency stops that hold until a reset) take effect at
+`exchange`, which hands them to all processes. The result does not depend on the order in which
+robots or processes produce them.
 
 A row is the index of a robot in all arrays. Rows follow the names of the robots, so the order of a
 file changes no bit. An event that concerns several robots at one instant reaches all of them before
@@ -117,8 +118,7 @@ class Lockstep:
         """Start the robots of a scenario at time 0.
 
         `process`: this process of the run; None: the only process. `patterns`: classes by name,
-        which are preferred to installed patterns. `shells`: the robots by row; None for a robot
-        without a daemon or of another process.
+        which are preferred to installed patterns.
         """
         # 1. The world, the radio and the patterns.
         scenario = drawn(scenario, seed)
@@ -136,7 +136,8 @@ class Lockstep:
             for row, platform in enumerate(self._platforms)
             if scenario.fence is not None or "pose" in platform.provides
         )
-        # 2. The schedules. Each robot has a random phase 0..1, a share of each period.
+        # 2. The schedules. Each robot has a random phase of 0 to 1 s, at which its scans, readings,
+        # ticks and neighbors are due. All odometry is due together.
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
@@ -155,7 +156,8 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         # By the time of the first scan, so that the scans of one step are shared by the processes.
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
-        # 3. What robots know of each other's bodies; needed only if any pair has a finding.
+        # 3. What robots know of each other's bodies. Needed only if a robot has a finding about
+        # another: the robot's lidar cannot see the peer, or the peer is too fast.
         bodies = [body_of(p) for p in self._platforms]
         self._bodies = dict(zip(ids, bodies, strict=True))
         self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
@@ -166,6 +168,7 @@ class Lockstep:
         self.has_new_commands = True  # `commands` differ from those of the world
         self._silent_at: dict[int, float] = {}  # s at which a base without a daemon stops
         self._boots = [0] * n  # daemons that were started
+        # The robots by row; None for a robot without a daemon or of another process.
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
@@ -219,6 +222,7 @@ class Lockstep:
             touch=self.scenario.touch.get(robot_id, {}),
             accepts=self.scenario.accepts,
             fence=self.scenario.fence,
+            on_low_battery=self.scenario.on_low_battery,
         )
         robot = Robot(
             robot_id,
@@ -273,11 +277,11 @@ class Lockstep:
                 self.commands[process.rows_of[index]] = commands
                 grips[process.rows_of[index]] = is_closed
                 self.has_new_commands = True
-            self._radio.carry(flights, process.own)
+            self._radio.carry(flights, process.own)  # to the receivers of this process
             all_published += published
         # In order of rows, so that the number of processes has no effect.
         for row, latches in sorted(all_published, key=itemgetter(0)):
-            self._peer_latches.pop(row, None)
+            self._peer_latches.pop(row, None)  # then set anew, behind those of other robots
             if latches:
                 self._peer_latches[row] = latches
                 self._new_latches.append((row, latches))

@@ -127,6 +127,8 @@ class _Member(RunProcess):
         """Exchange `data` in rounds of _CHUNK bytes until the longest data are sent.
 
         Returns the data by process, empty for this process, and empty for all unless `keeps`.
+        Successive rounds use the two halves of the memory in turn: a peer that is still reading
+        the last round does not lose its data.
         """
         self._pid = self._pid or os.getpid()
         if self._pid != os.getpid():  # a process that a pattern has forked is no part of the run
@@ -148,10 +150,10 @@ class _Member(RunProcess):
                 longest = max(longest, size)
                 if keeps:
                     begin = slot + _HEAD.size
-                    end = begin + min(_CHUNK, size - sent)
-                    received[process] += self._memory[begin : max(begin, end)]
+                    left = max(size - sent, 0)  # 0: only the data of another peer are longer
+                    received[process] += self._memory[begin : begin + min(_CHUNK, left)]
             sent += _CHUNK
-            self._half = 1 - self._half  # peers may still read the half that was just written
+            self._half = 1 - self._half
         return received
 
     def _write(self, size: int, chunk: bytes) -> None:
@@ -191,7 +193,7 @@ class _Children:
         """Fork a child that does `work`; an exception of `work` is sent to this process."""
         ours, theirs = os.pipe()
         parent = os.getpid()
-        sys.stdout.flush()
+        sys.stdout.flush()  # else both processes would print what waits
         sys.stderr.flush()
         pid = os.fork()
         if pid == 0:

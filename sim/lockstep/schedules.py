@@ -30,7 +30,7 @@ class Schedules:
     """A periodic job for each of n robots, with a rate and a phase of its own."""
 
     def __init__(self, rates: Array, begins: Array | None = None) -> None:
-        """`rates` (n,) in Hz. `begins` (n,) in s: a time of each job; None: all at 0.
+        """`rates` (n,) in Hz. `begins` (n,) in s: a time at which each job is due; None: 0.
 
         Two schedules with equal begins have common times. So a tick and a scan of a robot fall on
         one step where the rates allow this, and the robot's data are still in the processor's
@@ -60,6 +60,7 @@ class Schedules:
 
     def _list(self, end: float) -> None:
         """List the due times before `end` s, many at once, since each call of numpy takes long."""
+        # Row r is due at the ticks `_listed[r]` to `upto[r]` - 1, counted from its phase.
         upto = np.ceil((end - self._phase) / self._period).astype(np.intp)
         counts = np.maximum(upto - self._listed, 0)
         rows = np.repeat(np.arange(len(counts)), counts)
@@ -169,6 +170,7 @@ class EventTimeline:
         if event.action == "reset":
             return verbs.ResetRequest(**common, ids=tuple(robot.status(now).latches))
         if event.action == "estop":
+            # Of the whole swarm, if no other robot has a daemon.
             swarm = self._swarm
             others = {*compress(swarm.world.ids, swarm.has_daemon)} - {*event.robots}
             return verbs.EstopRequest(**common, scope="robots" if others else "swarm")

@@ -60,8 +60,9 @@ class RobotShell:
     def sense(self, input: SensorInput, now: float) -> None:
         """Hand a measurement to the robot, except repeated inputs without a value.
 
-        If inputs of one kind of OPTION_INPUTS have no value several times in a row, the robot gets
-        only the first of these inputs.
+        OPTION_INPUTS are the kinds of input, such as detections, that depend on a driver's options.
+        If inputs of such a kind have no value several times in a row, the robot gets only the
+        first of these inputs.
         """
         if not isinstance(input, ScanInput):
             if self._is_new(input):

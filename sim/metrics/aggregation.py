@@ -42,7 +42,7 @@ def cluster_link(trace: Trace) -> float | None:
     """The distance in m within which two robots are linked in a cluster.
 
     Twice the largest protection threshold of the robots; None if the trace has no threshold. The
-    definition is ours: the paper gives no number for its clusters.
+    definition is ours: Kaiser et al. 2022 give no number for their clusters.
     """
     thresholds = by_platform(trace, "thresholds")
     largest = 0.0 if thresholds is None else float(thresholds.max(initial=0.0))

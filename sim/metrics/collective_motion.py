@@ -1,4 +1,4 @@
-"""Alignment, milling and displacement of a swarm.
+"""Alignment of a swarm, rotation about its centroid (milling), and the path of the centroid.
 
 A robot's direction is its direction of motion, not its yaw: robots may reverse or slide, and a row
 of parallel robots at rest is no flock. A robot slower than STANDING counts as a zero vector, so
@@ -50,9 +50,9 @@ def millings(trace: Trace) -> Array:
 def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
     """(T,) the path length in m of the centroid up to each instant, in steps of `every` s.
 
-    Ours: in a swarm that mills or disperses, robots are fast but the centroid hardly moves. Steps
-    of a second suppress jitter of the positions. A step in which the set of present robots changes,
-    or is empty, adds nothing.
+    Ours: in a swarm that mills or disperses, robots are fast but the centroid hardly moves. Long
+    steps suppress jitter of the positions. A step in which the set of present robots changes, or is
+    empty, adds nothing.
     """
     is_present, centre = presence(trace), centroids(trace)
     lengths = np.zeros(len(trace.t))

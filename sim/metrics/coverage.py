@@ -46,14 +46,15 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     first_in_square = _firsts(square)
     first_in_tenth = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
     # 2. For each offset of squares (`right`, `up`) within the margin: the square at this offset
-    # from a position is covered if its centre is within `radius` of the position.
+    # from a position is covered if its centre is within `radius` of the position. If the centre is
+    # within `radius` of each place in the square of the position, the first position in that square
+    # decides. Else the first positions in the tenths of that square do.
     never = len(trace.t)
     covered_at = np.full(shape, never, dtype=np.int64)
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
-            # If a whole square is near, one position in it is enough.
-            is_whole = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell <= radius
-            rows = first_in_square if is_whole else first_in_tenth
+            farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
+            rows = first_in_square if farthest_corner <= radius else first_in_tenth
             x, y = right * cell - from_centre[rows, 0], up * cell - from_centre[rows, 1]
             near = rows[np.hypot(x, y) <= radius]
             covered = square[near, 0] - low[0] + right, square[near, 1] - low[1] + up

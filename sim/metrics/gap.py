@@ -24,11 +24,12 @@ _ROUNDING = 1e-12
 def minimum_gap(trace: Trace) -> float:
     """The smallest distance in m between two robots' footprints; inf for a single robot.
 
-    Exact at the trace's instants; 0 if footprints touch or overlap. Distance of convex polygons and
-    separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9.
+    Only the trace's instants are examined. 0 if footprints touch or overlap. Distance of convex
+    polygons and separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9.
     """
     best = np.inf
     for span in pairs.spans(*trace.pose.shape[:2]):
+        # Pairs farther apart than an upper bound, or than the best pair so far, do not matter.
         bound = _bounds(trace, span).min(initial=np.inf) if np.isinf(best) else best
         near, lower = _candidates(trace, span, float(bound))
         order = np.argsort(lower, kind="stable")
@@ -93,6 +94,7 @@ def _along(trace: Trace, span: slice, near: Pairs) -> Array:
     bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
     ahead, back = bearing - a[:, 2], bearing - b[:, 2] + np.pi
     kind = np.array(trace.platforms)
+    # How far each footprint reaches from its origin towards the other robot's origin.
     shadow = np.empty(len(near.instant))
     total = near.distance.copy()
     for robot, angle in ((near.a, ahead), (near.b, back)):
@@ -113,7 +115,7 @@ def _exact(trace: Trace, span: slice, near: Pairs, chosen: pairs.Ints) -> Array:
     instant = near.instant[chosen]
     a, b = near.a[chosen], near.b[chosen]
     result = np.empty(len(chosen))
-    both = kind[a] * len(names) + kind[b]
+    both = kind[a] * len(names) + kind[b]  # a number for each pair of platforms
     for code in np.unique(both):
         of = np.flatnonzero(both == code)
         for start in range(0, len(of), _BLOCK):

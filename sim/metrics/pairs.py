@@ -71,8 +71,8 @@ def chosen(pairs: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
 def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
     """(T, n) distance in m from each point of `place` (T, n, 2) to its nearest neighbor.
 
-    Neighbors are the points of the same instant for which `is_in` (T, n) is true. NaN for a point
-    for which `is_in` is false, inf for a point without a neighbor.
+    `is_in` (T, n): whether a point counts at an instant. Neighbors are the other points that count
+    at the same instant. NaN for a point that does not count, inf for a point without a neighbor.
     """
     best = np.where(is_in, np.inf, np.nan)
     for span in spans(*place.shape[:2]):
@@ -86,6 +86,8 @@ def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
         if len(where) < 2:
             continue
         tree = _tree(where, instant, _diagonal(where))
+        # The two nearest points of each point are the point itself and its neighbor. If points
+        # coincide, the point itself may come second.
         first, second = tree.query(tree.data, k=2)[1].T
         neighbor = np.where(second == np.arange(len(where)), first, second)
         away = np.hypot(*(where - where[neighbor]).T)

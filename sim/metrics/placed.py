@@ -109,10 +109,11 @@ def box_progress(trace: Trace, x: float, y: float) -> Array | None:
 
 
 def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
-    """(T,) the mean distance in m from the floor outside the areas to the nearest robot outside.
+    """(T,) how far the floor is from robots, in m, on average over the floor outside the areas.
 
-    Robots in the areas do not count. Without a robot outside the areas the distance is the arena's
-    diagonal. The floor is a grid of squares of CELL m. None if the trace names no arena.
+    The floor is a grid of squares of CELL m. Each square outside the areas has a distance: from its
+    middle to the nearest robot outside the areas. Without such a robot the distance is the arena's
+    diagonal. None if the trace names no arena.
     """
     arena = arena_of(trace)
     if arena is None:

@@ -36,9 +36,9 @@ HOLDS = (
 def protection_duty(trace: Trace) -> float | None:
     """The share of scans on which protection replaced or reduced the requested command.
 
-    The share is over the scans of all robots, since the paper's protection decides on every scan
-    (Kaiser et al. 2022). If the trace has only `active`, the value is the share of the instants at
-    which robots run. None without data or without a decision.
+    The share is over the scans of all robots, since the protection of Kaiser et al. 2022 decides on
+    every scan. If the trace does not count scans, the share is over the instants at which robots
+    run: those at which protection changed the command (`active`). None without data or decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)

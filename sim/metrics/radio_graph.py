@@ -32,11 +32,11 @@ def radio_range(trace: Trace) -> float:
 
 
 def radio_links(trace: Trace) -> Iterator[Pairs]:
-    """Yield all links in parts, each of consecutive instants; `instant` indexes the whole trace.
+    """Yield all links in parts, each of consecutive instants.
 
-    The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
-    Mobile Robot Networks, Proc. IEEE 99), without links that obstacles block if
-    `radio.line_of_sight`.
+    `instant` of a link counts from the first instant of the trace. The disk graph of Zavlanos,
+    Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of Mobile Robot Networks, Proc.
+    IEEE 99), without links that obstacles block if `radio.line_of_sight`.
     """
     sight = _sight(trace)
     is_present = presence(trace)
@@ -60,7 +60,8 @@ def radio_components(trace: Trace) -> Array:
             low, high = int(links.instant.min()), int(links.instant.max()) + 1
             node = (links.instant - low) * n
             root = pairs.components((high - low) * n, node + links.a, node + links.b)
-            # A node that is not the lowest of its component makes one component less.
+            # `counts` begins with a component for each robot. Each node that is not the lowest of
+            # its component makes one component less.
             is_joined = root != np.arange(len(root))
             counts[low:high] -= is_joined.reshape(-1, n).sum(axis=1)
     return np.where(counts > 0.0, counts, np.nan)

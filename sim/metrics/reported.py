@@ -2,9 +2,9 @@
 
 A suffix names statistics: `report:KEY.ROBOTS_TIME`, `report:KEY.ROBOTS` or `report:KEY.TIME`. The
 values of the robots are first combined over the robots (ROBOTS: mean, median, min, max, std, sum;
-default mean), then over time (TIME: start, end, late, mean, min, max, std; default late). A word
-that is in both lists is ROBOTS. Examples: `report:value`, `report:value.max`,
-`reading:battery.min_end`.
+default mean), then over time (TIME: start, end, late, mean, min, max, std; default late, the mean
+of the last 60 s). A word that is in both lists is ROBOTS. Examples: `report:value`,
+`report:value.max`, `reading:battery.min_end`.
 
 With TEXT the value of a robot is 1 while it reports this text, else 0: `report:state=wait` is the
 share of the robots that wait. A reading has no TEXT. Only present robots with a value of KEY count.
@@ -57,7 +57,7 @@ def reported_metric(name: str, report_units: Mapping[str, str]) -> Metric:
 
     `report_units`: units by the keys of reports.
     """
-    parts = _parts(name)
+    parts = _parts(name)  # key, text, and the statistics over robots and over time
     is_report = parts.prefix == _REPORT
 
     def series(trace: Trace) -> Array | None:
@@ -95,8 +95,11 @@ def check_reported(name: str, trace: Trace) -> None:
     prefix, key, text, _, _ = _parts(name)
     numbers, words = _named(trace, prefix)
     texts = [str(word) for word in np.unique(words[key]) if word] if key in words else []
-    if text[:_MAX_TEXT] in texts or (not text and key in numbers):
+    has_text = text[:_MAX_TEXT] in texts  # a trace keeps the beginning of a long text
+    has_number = not text and key in numbers
+    if has_text or has_number:
         return
+    # What was meant instead: a text of this key, or another key, maybe with a suffix.
     if texts and not text:
         listed = ", ".join(f"{key}={word}" for word in texts)
         raise ConfigError(f"metric {name!r}: {key} is a text; name one: {listed}")

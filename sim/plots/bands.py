@@ -35,7 +35,7 @@ MANY_RUNS = 20
 _ROUNDING = 1e-9
 _TWO_COLUMNS = 5.0  # inches of a figure of a paper in which panels stand side by side
 _MAX_OUTER = 3  # variants up to which wide bands are drawn
-_MAX_INNER = 7
+_MAX_INNER = 7  # variants up to which bands of half of the runs are drawn
 _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
 
@@ -174,6 +174,7 @@ def finish_series(
             axes.set_xlabel("time [s]")
         if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
             axes.set_ylabel(label)
+    # `fit` removes the texts with gid NOTE from a figure for a paper.
     if len(panels) == 1:
         first.set_title(title, fontsize=11, loc="left", gid=NOTE)
         first.set_title(explanation, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
@@ -239,8 +240,8 @@ def _explanation(
 ) -> str:
     """The text below a figure that explains lines and bands.
 
-    `runs_of_variants`: the runs of each line. `variants`: the number of variants, by which the
-    figure draws all, some or no bands.
+    `runs_of_variants`: the runs of each line. `variants`: the number of variants; up to _MAX_OUTER
+    have both bands, up to _MAX_INNER the band of half of the runs alone, more have none.
     """
     counts = [len(runs) for runs in runs_of_variants]
     runs_text = f", n = {counts[0]}" if len(counts) == 1 and counts[0] > 1 else ""
@@ -275,8 +276,8 @@ def bands_of(runs: Sequence[Series]) -> Bands:
     """The median of runs over time, a band that holds half of the runs, and a wide band.
 
     The wide band holds 95 % of the runs, or all runs if there are fewer than MANY_RUNS. Runs are
-    interpolated at common instants; a metric that is a count keeps its last value instead. A run
-    has no value after its end, and infinite values are left out.
+    interpolated at common instants. If all values are whole numbers, the last value before each
+    instant is taken instead. A run has no value after its end, and infinite values are left out.
     """
     t = _common_instants([instants for instants, _ in runs])
     value_at = _held if is_count(runs) else _interpolated

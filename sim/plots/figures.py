@@ -97,7 +97,7 @@ def draw_experiment(
     kinds = default_kinds if look.only is None else look.only
     gallery = _Gallery(folder, out, metrics, seeds, look)
     paths: list[Path] = []
-    for kind in (*KINDS, CURVE):
+    for kind in (*KINDS, CURVE):  # CURVE is in `kinds` only if `look.only` names it
         if kind in kinds:
             paths += gallery.draw(kind)
     return paths
@@ -108,8 +108,8 @@ def compared_over_time(
 ) -> Figure:
     """A picture of one metric over time, of variants of several experiments.
 
-    `sides`: a variant of an experiment, by its label in the legend. ConfigError for an unknown
-    metric, or a metric without values over time. SwarmError if a trace is missing.
+    `sides`: the variants, by their labels in the legend. ConfigError for an unknown metric, or a
+    metric without values over time. SwarmError if a trace is missing.
     """
     look = look or Look()
     runs_by_label: dict[str, list[Series]] = {}
@@ -143,6 +143,7 @@ class _Gallery:
     ) -> None:
         """See `draw_experiment`, also for the errors."""
         self._results = load_results(folder)
+        # By name, or with the present code of a custom metric; None: the default metrics.
         self._metrics = None if metrics is None else [*map(self._results.asked, metrics)]
         self._out = folder / "plots" if out is None else out
         self._look = look
@@ -151,10 +152,9 @@ class _Gallery:
         self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._check_labels()
-        # The panel of each variant, and its label there.
-        self._facets = _lettered(
-            select.facets_of(self._results.plan, look.facet, self._scenario, look.labels), look
-        )
+        # By variant: the title of its panel, in a paper a letter, and its label in the panel.
+        facets = select.facets_of(self._results.plan, look.facet, self._scenario, look.labels)
+        self._facets = _lettered(facets, look)
         self._warned: set[str] = set()  # runs whose trace cannot be drawn
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
@@ -269,13 +269,14 @@ class _Gallery:
             has_event = False
             for panel, variants in self._by_panel().items():
                 for variant in variants:
-                    duration = float(self._of(variant)[0].variant.effective["duration"])
+                    first_run = self._of(variant)[0]  # all runs of a variant have one duration
+                    duration = float(first_run.variant.effective["duration"])
                     values = self._values(metric, variant)
                     times = Times(values, np.full(len(values), duration))
                     facets.setdefault(panel, {})[self._facets[variant].label] = times
                     has_event = has_event or bool(np.isfinite(values).any())
             if has_event:
-                name = self._quantity(metric).name
+                name = self._quantity(metric).name  # the text of --label, else the metric's name
                 is_renamed = metric.name in self._look.labels
                 figure = survival_figure(
                     facets,
@@ -324,7 +325,8 @@ class _Gallery:
         metrics = select.metrics_over_time(asked)
         runs_of: dict[str, dict[str, dict[str, list[Series]]]] = {m.name: {} for m in metrics}
         events: set[tuple[tuple[float, str], ...]] = set()  # times and texts of each run
-        for run in self._runs if metrics and self._has_traces else ():
+        runs = self._runs if metrics and self._has_traces else []
+        for run in runs:
             trace = self._trace(run)
             if trace is not None:
                 events.add(select.events_of(trace))
@@ -342,8 +344,11 @@ class _Gallery:
             if _varies(runs_of[metric.name]):
                 quantity = self._quantity(metric, select.stem_of(metric.name))
                 labels = {label for groups in runs_of[metric.name].values() for label in groups}
-                other_labels = {facet.label for facet in self._facets.values()} - labels
-                only_label = f", {min(labels)}" if len(labels) == 1 and other_labels else ""
+                missing_labels = {facet.label for facet in self._facets.values()} - labels
+                # The figure has no legend if only one of several variants has values. The title
+                # then names it.
+                is_alone = len(labels) == 1 and bool(missing_labels)
+                only_label = f", {min(labels)}" if is_alone else ""
                 figure = series_figure(
                     runs_of[metric.name],
                     label=quantity.name,
@@ -371,11 +376,11 @@ class _Gallery:
                 title = f"{self._title(variant)}, seed {run.seed}"
                 title += f"\n{word} run{self._primary_value(run, has_name=True)}"
                 name = word.replace(" ", "_")
-                paths = trajectories_figure(trace, title, fields=fields, width=width)
-                ends = start_and_end_figure(trace, title, fields=fields, width=width)
+                trajectories = trajectories_figure(trace, title, fields=fields, width=width)
+                start_and_end = start_and_end_figure(trace, title, fields=fields, width=width)
                 return [
-                    self._save(paths, f"{name}_trajectories", variant),
-                    self._save(ends, f"{name}_start_and_end", variant),
+                    self._save(trajectories, f"{name}_trajectories", variant),
+                    self._save(start_and_end, f"{name}_start_and_end", variant),
                 ], run
         return [], None
 

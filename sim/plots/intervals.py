@@ -108,15 +108,16 @@ def rows_of(names: Sequence[str]) -> PanelRows:
     """The places of rows for variants `names`: on a scale if the names are rising numbers.
 
     On a scale, the distances of rows are those of the numbers, and the two closest rows are one row
-    apart. If this makes the figure too long, the logarithms of the numbers are tried. Rows have
-    equal distances if this fails, too, if the names are not rising numbers, or if there are fewer
-    than _FEWEST_ON_SCALE rows.
+    apart. If this makes the figure too long, they are the distances of the logarithms. If the
+    figure still is too long, the names are not rising numbers, or there are fewer than
+    _FEWEST_ON_SCALE rows, all distances are equal.
     """
     equal = PanelRows(range(len(names)))
     values = np.array([finite_number(name) for name in names])
     if len(names) < _FEWEST_ON_SCALE or not (np.diff(values) > 0.0).all():  # NaN: not a number
         return equal
-    for is_log in (False, True) if values[0] > 0.0 else (False,):
+    scales = (False, True) if values[0] > 0.0 else (False,)  # only numbers above 0 have logarithms
+    for is_log in scales:
         scaled = np.log(values) if is_log else values
         places = (scaled - scaled[0]) / np.diff(scaled).min()
         if places[-1] <= _LONGEST * (len(names) - 1):
@@ -377,7 +378,8 @@ def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: st
     `row`: the vertical place. A hollow diamond is the median, in place of the mean if an event
     never happened in some runs. A text gives the number of runs without a value.
     """
-    # x as a share of the width of the axes, y in rows.
+    # Rows count downwards (`prepare_rows`), so `row` minus a number is above the row. For texts: x
+    # as a share of the width of the axes, y in rows.
     share_by_row = axes.get_yaxis_transform()
     summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
     never = f"{summary.never} of {values.size} never" if summary.never else ""
@@ -427,6 +429,7 @@ class DifferencePanel:
     label: str
     unit: str
     of: Mapping[str, Difference]
+    """By "VARIANT - FIRST", the labels of both variants."""
 
 
 def differences_figure(
@@ -444,10 +447,9 @@ def differences_figure(
     """
     if not panels:
         raise SwarmError("no metric has differences: nothing to draw")
-    # A name is "VARIANT - FIRST". All variants are placed on one scale, but the first has no row.
+    # All variants are placed on one scale, but the first has no row.
     names = list(dict.fromkeys(name for panel in panels for name in panel.of))
-    variants = [names[0].split(" - ", 1)[-1], *(name.split(" - ", 1)[0] for name in names)]
-    all_rows = rows_of(variants)
+    all_rows = rows_of(_variants_of(names))
     _, *places = all_rows.places
     rows = PanelRows([place - places[0] for place in places], all_rows.is_log)
     figure, grid = grid_of_panels(len(panels), names, width, rows)
@@ -462,15 +464,19 @@ def differences_figure(
     return fit(figure, width)
 
 
+def _variants_of(names: Sequence[str]) -> list[str]:
+    """The labels of the first variant and of each further variant, from "VARIANT - FIRST"."""
+    pairs = [name.split(" - ", 1) for name in names]
+    return [pairs[0][-1], *(pair[0] for pair in pairs)]
+
+
 def _paint_differences(
     axes: Axes, panel: DifferencePanel, names: Sequence[str], rows: PanelRows
 ) -> None:
     prepare_rows(axes, names, rows)
     axes.axvline(0.0, color=GUIDE_COLOUR, linewidth=1.0, zorder=1.8)
     # Of the variant that is compared, as in the other figures; the first variant has no row.
-    pairs = [name.split(" - ", 1) for name in names]
-    variants = [pairs[0][-1], *(pair[0] for pair in pairs)]
-    colours = [colour for colour, _ in variant_styles(variants)][1:]
+    colours = [colour for colour, _ in variant_styles(_variants_of(names))][1:]
     for name, row, colour in zip(names, rows.places, colours, strict=True):
         one = panel.of.get(name)
         if one is None or one.difference is None:

@@ -270,8 +270,8 @@ def paint_links(axes: Axes, a: Array, b: Array) -> None:
 
 _CELLS = 160  # along the longer side
 _LEVELS = 5
-_MAPS = ("YlOrBr", "PuBu", "Greens")
-"""One of matplotlib's colour maps for each field; the pale end is the lowest value."""
+_MAP = "YlOrBr"
+"""matplotlib's colour map of the shaded field; the pale end is the lowest value."""
 
 
 def paint_fields(
@@ -299,15 +299,14 @@ def paint_fields(
     is_clear = None if arena is None else LineOfSight(arena).is_clear
     scalar_fields = [field for field in fields if not isinstance(field, FloorField)]
     points = np.stack(np.meshgrid(x, y), axis=-1)
-    sampled = sample(scalar_fields, points.reshape(-1, 2), None, is_clear)
+    sampled = sample(scalar_fields, points.reshape(-1, 2), is_clear=is_clear)
     for index, (name, values) in enumerate(sampled.items()):
         grid = values.reshape(len(y), len(x))
         if np.ptp(grid) <= 0.0:
             continue
         if index == 0:
-            colours = _MAPS[index % len(_MAPS)]
             sides = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
-            axes.imshow(grid, extent=sides, origin="lower", cmap=colours, alpha=0.45, zorder=0.5,
+            axes.imshow(grid, extent=sides, origin="lower", cmap=_MAP, alpha=0.45, zorder=0.5,
                         interpolation="bilinear", aspect="equal")  # fmt: skip
         lines = axes.contour(
             x, y, grid, levels=_LEVELS, colors="0.45", linewidths=0.5, zorder=0.6,

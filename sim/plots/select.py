@@ -181,10 +181,10 @@ def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantit
 
 def _unit_of(plan: Plan, key: str) -> str:
     """The unit of a swept key, if it is a pattern's parameter or one of _UNITS; else empty."""
-    *_, kind, name = ("", *key.split("."))
-    if kind != "parameters":
+    words = key.split(".")  # of a pattern's parameter: groups, GROUP, parameters, NAME
+    if len(words) < 2 or words[-2] != "parameters":
         return _UNITS.get(key, "")
-    group = key.split(".")[1]
+    group, name = words[1], words[-1]
     patterns = {
         one.effective.get("groups", {}).get(group, {}).get("pattern") for one in plan.variants
     }
@@ -216,8 +216,9 @@ def facets_of(
     """The facet of each variant, by the variant's name: its panel, and its label in the panel.
 
     `key`: a swept key, or the last word of a swept key; each value of this key has a panel. None:
-    all variants are in one panel. `alone`: the label of a single variant in a panel. `labels`:
-    texts for swept keys. ConfigError with the nearest key if `key` was not swept.
+    all variants are in one panel. `alone`: the label if a panel has one variant. `labels`: by swept
+    key or its last word, the text in place of the key. ConfigError with the nearest key if `key`
+    was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:

@@ -63,7 +63,7 @@ def start_and_end_figure(
     figure = new_figure(*size, is_map=True)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
 
-    # 2. Start and end.
+    # 2. Start and end, each as a trace of one instant.
     instants = ((first(trace), "start"), (last(trace), f"end, {trace.duration:.0f} s"))
     for axes, (part, name) in zip(grid.flat, instants, strict=True):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, link_m)
@@ -126,6 +126,8 @@ def by_cluster(part: Trace, link: float | None) -> Grouping:
     labels = [int(label) for label in clusters(part, link)[0]]
     sizes = Counter(label for label in labels if label >= 0)
     by_size = sorted((label for label in sizes if sizes[label] > 1), key=lambda k: (-sizes[k], k))
+    # A single robot has NO_COLOUR. A cluster is grey, but the largest have a colour each: the
+    # colours without the last, which is grey too.
     colour_of = dict.fromkeys(sizes, NO_COLOUR) | dict.fromkeys(by_size, SMALL_COLOUR)
     colour_of |= dict(zip(by_size, ROBOT_COLOURS[:-1], strict=False))
     colours = [colour_of.get(label, NO_COLOUR) for label in labels]

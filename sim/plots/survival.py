@@ -94,12 +94,12 @@ def survival_figure(
     facets = {panel: variants for panel, variants in facets.items() if variants}
     if not facets:
         raise SwarmError(f"{event}: no run: nothing to draw")
-    legend = Legend.of(
-        {
-            panel: {name: [*times.times] for name, times in variants.items()}
-            for panel, variants in facets.items()
-        }
-    )
+    # The legend shows the number of runs, which is the length of each list.
+    runs_of = {
+        panel: {name: [*times.times] for name, times in variants.items()}
+        for panel, variants in facets.items()
+    }
+    legend = Legend.of(runs_of)
 
     # 2. The curves.
     has_band = len(legend.counts) <= _MAX_BANDS

@@ -96,7 +96,8 @@ def variant_styles(names: Sequence[str]) -> list[tuple[str, str]]:
 
 
 NOTE = "note"
-"""The gid of texts that a paper gives in its caption: titles, and what lines and bands are."""
+"""The gid (matplotlib's mark of an artist) of texts that `fit` removes, since a paper has them in
+its caption: titles, and what lines and bands are."""
 _PAPER_SCALE = 0.8
 """Texts of 9 and 10 points have 7.2 and 8 points in a paper."""
 
@@ -160,8 +161,10 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
     date_key = {"svg": "Date", "pdf": "CreationDate"}.get(kind)  # left out, for equal bytes
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fonts: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
-        with whole_file(path) as partial, rc_context(fonts):
+        # A fixed salt of the ids in an SVG, for equal bytes; text as text in an SVG, and as
+        # TrueType (42) in a PDF, since journals refuse matplotlib's default, Type 3.
+        options: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
+        with whole_file(path) as partial, rc_context(options):
             figure.savefig(
                 partial,
                 format=kind,

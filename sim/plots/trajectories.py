@@ -68,7 +68,7 @@ def trajectories_figure(
     axes = figure.add_subplot()
     scene.prepare(axes, extent)
     scene.paint_fields(axes, trace, extent, fields)
-    paths = paint_run(axes, trace, is_small=width is not None)
+    paths = paint_run(axes, trace, is_small=width is not None)  # None if robots have colours
     title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
     axes.set_title(title, fontsize=11, gid=NOTE)
     axes.set_xlabel(", ".join(word for word in ("x [m]", scene.cut_note(trace)) if word))
@@ -80,7 +80,7 @@ def trajectories_figure(
         figure.legend(handles, labels, loc="outside lower center", ncols=3, **style)
     elif paths is None:
         axes.legend(handles, labels, loc="center left", bbox_to_anchor=(1.01, 0.5), **style)
-    else:
+    else:  # paths of many robots, coloured by time
         figure.legend(handles, labels, loc="outside lower center", ncols=_COLUMNS, **style)
         bar = figure.colorbar(paths, ax=axes, label="time [s]", shrink=0.7, aspect=35)
         bar.ax.tick_params(labelsize=9)
@@ -233,6 +233,7 @@ def overview_figure(
     columns = min(5, math.ceil(math.sqrt(len(drawn))))
     rows = -(-len(drawn) // columns)  # rounded up
     extent = _common_extent(drawn)
+    # Few runs have larger pictures.
     side = next((inches for most, inches in _SIDES if len(drawn) <= most), _SIDE)
     map_width, map_height = extent.panel(side) if extent else (side, side)
     size = columns * (map_width + 0.1), rows * (map_height + 0.3) + 0.6

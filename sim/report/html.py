@@ -70,7 +70,7 @@ def report_of(
     if not results.runs:
         raise SwarmError(f"{folder}: no run has finished: nothing to report")
     first_metrics, other_metrics = shown_metrics(results, metrics)
-    source = _source(folder, results, metrics, seed, variant)
+    source = _source(folder, results, metrics, seed, variant)  # of the run to play
     # Id, title and HTML; `page` leaves out a section without HTML.
     sections = [
         ("results", "Results", _results(results, first_metrics, other_metrics)),
@@ -80,8 +80,9 @@ def report_of(
     ]
     player = None
     if source is not None:
+        assert source.playback is not None  # only sources of a live swarm have none
         player = player_of(source)
-        run_text = f"The run of {source.playback.run if source.playback else ''}"
+        run_text = f"The run of {source.playback.run}"
         sections.append(("run", "One run", player_section(run_text, player.period)))
     sections += [
         ("scenario", "Scenario", _scenario(results, manifest)),

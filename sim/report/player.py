@@ -1,7 +1,7 @@
-"""The player of one run in a report: the modules of the page of a swarm, and the run as data.
+"""The player of one run in a report: modules of the page of a swarm, and the run as data.
 
-The run is sampled. Poses are 16-bit numbers. A sample of a robot's values has the values that
-changed since the previous sample.
+The modules are JavaScript of `swarmd/view/page`. The run is sampled. Poses are 16-bit numbers. A
+sample of a robot's values has the values that changed since the previous sample.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def player_of(source: Source) -> Player:
     small.
     """
     playback = source.playback
-    assert playback is not None
+    assert playback is not None  # only sources of a live swarm have none
     playback.play(is_playing=False, speed=1.0)
     duration, robots = playback.duration, len(source.robots)
     playback.seek(0.0)
@@ -82,6 +82,8 @@ def player_of(source: Source) -> Player:
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
     data = {
+        # The first message that the page gets from a server: robots, arena and runs, for a viewer
+        # with role operator.
         "hello": {**hello_of(source, "operator"), "runs": [playback.run]},
         "period": period,
         "count": count,
@@ -99,8 +101,9 @@ def player_of(source: Source) -> Player:
 def script() -> str:
     """The JavaScript of the player as one script, so that a report needs no other file.
 
-    Each module of the page becomes a function that returns what the module exports. The text of the
-    player follows, with its imports taken from these functions.
+    Each module of the page becomes a function, whose result, an object with the exports of the
+    module, is kept in `modules`. The text of player.js follows. An import there, or in a later
+    module, becomes an assignment from `modules`.
     """
     page = files("swarmd.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]

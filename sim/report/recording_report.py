@@ -55,7 +55,7 @@ def recording_report(path: Path) -> str:
             "Positions are by odometry, which drifts. The start poses are not known:"
             f" robots are drawn {APART:g} m apart, and distances between them mean nothing."
         )
-    stops = _stops(trace)
+    stops = stops_of(trace)
     sections = [
         ("robots", "Robots", f"{_notes(timeline)}<p>{frame_text}</p>{_robots(trace, timeline)}"),
         ("figures", "Figures", _figures(trace)),
@@ -83,9 +83,9 @@ def recording_report(path: Path) -> str:
 def trace_of(timeline: Timeline, path: Path) -> Trace:
     """A trace of the robots of a recording that have odometry, for figures and tables.
 
-    The trace has an instant each PERIOD s, at most MAX_INSTANTS. It has no contacts. A value that
-    was not recorded is NaN, False or empty. `path`: the file, for ConfigError if no robot has
-    recorded odometry.
+    The trace has an instant each PERIOD s, at most MAX_INSTANTS. It has no contacts. A safe command
+    that was not recorded is zero; any other value is NaN, False or empty. `path`: the file, for
+    ConfigError if no robot has recorded odometry.
     """
     # 1. Instants and empty arrays.
     tracks = {
@@ -99,6 +99,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays: dict[str, Any] = blank_decisions(shape)
     arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
     arrays["safe"] = np.zeros((*shape, 3))
+    # Reports, readings and reported texts (NAMED): an array for each key that a status has.
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
 
     # 2. The pose, the decision and the statuses of each robot.
@@ -153,7 +154,8 @@ def _enter_statuses(
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:
-            enter_named(named, (slice(int(np.searchsorted(t, at)), None), row), shape, status)
+            since = slice(int(np.searchsorted(t, at)), None)  # until a later status overwrites it
+            enter_named(named, (since, row), shape, status)
     is_silent = np.array([not track.is_heard(now) for now in t.tolist()])
     for kind, blank in NAMED.items():
         for values in named[kind].values():
@@ -191,7 +193,7 @@ def _robots(trace: Trace, timeline: Timeline) -> str:
     return table(head, rows, "robots") + note
 
 
-def _stops(trace: Trace) -> list[tuple[str, ...]]:
+def stops_of(trace: Trace) -> list[tuple[str, ...]]:
     """The stops of at least LEAST_STOP s in order of time: time, robot, duration and reason.
 
     A robot stops if its state is estopped or faulted, or if it is running and the safe command is
@@ -214,7 +216,8 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
             seconds = float(trace.t[last] - trace.t[first])
             if seconds >= LEAST_STOP:
                 reasons = [str(word) for word in reason[first : last + 1] if word] or [""]
-                most_frequent = max(set(reasons), key=reasons.count).replace("_", " ")
+                # `fromkeys` keeps the order: of equally frequent reasons the earliest.
+                most_frequent = max(dict.fromkeys(reasons), key=reasons.count).replace("_", " ")
                 start = float(trace.t[first])
                 cells = (
                     f"{start:.1f} s",

@@ -54,6 +54,7 @@ def arena_of(
         if wall.start == wall.end:
             text = f"{dotted(keys)} begins and ends at {list(wall.start)}; expected two points"
             raise layers.error(keys, text)
+    # `blamed` adds the file that gives these keys to an error in them.
     with blamed(layers, "arena", "boxes", prefix="arena.boxes: "):
         return Arena(
             *section.size,
@@ -64,7 +65,7 @@ def arena_of(
                     math.radians(box.yaw_deg),
                     box.name,
                     box.mass,
-                    box.at is not None,
+                    is_placed=box.at is not None,
                 )
                 for box in section.boxes
             ),
@@ -110,7 +111,7 @@ def fields_of(
     fields: list[Field] = []
     for index, section in enumerate(sections):
         at = (*keys, index)
-        where, data = str(layers.error(at, dotted(at))), dict(section)
+        where, data = str(layers.error(at, dotted(at))), dict(section)  # `<file>: fields[0]`
         kind = str(data.pop("kind", ""))
         if kind not in kinds:
             raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")

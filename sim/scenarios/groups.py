@@ -84,7 +84,8 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
         robot: equipped[platform_name(file.groups[group].platform)]
         for robot, group in sorted(group_of.items())
     }
-    return Groups(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
+    platform_files = {name: data for name, (_, data) in platforms.items()}
+    return Groups(robots, groups, group_of, platform_files)
 
 
 def platform_name(text: str) -> str:
@@ -134,7 +135,7 @@ def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platfor
     base: object = wanted
     if name in file.platforms:
         own = file.platforms[name]
-        sources = [(str(layers.error(keys, dotted(keys))), own)]
+        sources = [(str(layers.error(keys, dotted(keys))), own)]  # `<file>: platforms.<name>`
         base = own.get("extends", wanted)
     try:
         sources += platform_sources(base) if isinstance(base, str) else ()

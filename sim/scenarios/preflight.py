@@ -73,7 +73,7 @@ def check_patterns(
         PatternLoader({name: (origin.value, origin.is_file) for name, origin in origins.items()})
     )
     tried: set[str] = set()
-    for preflight in schedule.preflights:
+    for preflight in (*schedule.preflights, *_low_battery(file, groups)):
         _check_name(layers, preflight.keys, preflight.pattern, origins)
         robot, pattern = preflight.robot, preflight.pattern
         parameters = (*configured(robot, pattern), (REQUEST_LAYER, {**preflight.parameters}))
@@ -97,11 +97,20 @@ def check_patterns(
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 
 
+def _low_battery(file: ScenarioFile, groups: Groups) -> Iterator[Preflight]:
+    """The pattern of `on_low_battery`, for each robot."""
+    given = file.on_low_battery
+    if given is not None and given.pattern is not None:
+        keys = ("on_low_battery", "pattern")
+        yield from (Preflight(keys, robot, given.pattern, given.params) for robot in groups.robots)
+
+
 def _faulty_keys(layers: Layered, preflight: Preflight, groups: Groups, name: str) -> Keys:
     """The keys that give the parameter `name`; without one, the keys that name the pattern."""
     places: tuple[Keys, ...] = (
         (*preflight.keys, name),
         (*preflight.keys[:-1], "parameters", name),
+        (*preflight.keys[:-1], "params", name),
         ("groups", groups.group_of[preflight.robot], "parameters", name),
         ("parameters", preflight.pattern, name),
     )
@@ -148,10 +157,11 @@ def check_compatibility(
     if has_whole_bodies:
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
     notes, held = [], []
+    # `platform`: that of the robot that has the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), accepts):
         is_unseen = finding.kind == "unseen"
         if is_unseen and finding.holds and file.radio.range_and_bearing:
-            text = finding.text.partition(";")[0]
+            text = finding.text.partition(";")[0]  # without the advice to accept the peer
             notes.append(f"{platform}: {text}; told by range and bearing")
         elif finding.holds:
             held.append((platform, finding))

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from swarmd.core.host_messages import Layers
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.values import Array, Platform, Scalar, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.fence_settings import FenceSettings
@@ -86,6 +87,7 @@ class Scenario:
     touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)  # by robot, pattern
     accepts: Accepts = ACCEPTS_NONE  # the peers that robots accept
     fence: FenceSettings | None = None  # the area that robots do not leave
+    on_low_battery: LowBatterySettings | None = None
     notes: tuple[str, ...] = ()  # a line for each pair of platforms that fits only by exceptions
     trace_rate: float = 10.0
     plugin_dir: Path | None = None

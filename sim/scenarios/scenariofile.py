@@ -17,9 +17,11 @@ from msgspec import json
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch import granted_zones
 from swarmd.plugins import pattern_folders
 from swarmd.protection.fence import fence_fault
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.settings.layered import Layered, dotted
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
@@ -109,7 +111,8 @@ def _chain(path: Path) -> Iterator[tuple[str, Data]]:
 
 
 def _anchored(data: Data, folder: Path) -> Data:
-    """The data with absolute paths."""
+    """The data with absolute paths, which were relative to `folder`."""
+    # The mapping that has each path, and the key of the path.
     holders: list[tuple[Any, str]] = [(data, "plugin_dir")]
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)
@@ -137,8 +140,9 @@ def _overridden(
 ) -> Scenario:
     """The checked scenario of data and overrides.
 
-    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key, which
-    errors call `override_source`. `default_name`: the name of a scenario that gives none.
+    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key; an
+    error in a value begins with `override_source`. `default_name`: the name of a scenario that
+    gives none.
     """
     # 1. The data of the file, after the overrides. `without_stale` drops start keys that do not fit
     # the layout of a stronger source.
@@ -160,12 +164,14 @@ def _overridden(
     groups = groups_of(layers, file, fields)
     accepts, notes = check_compatibility(layers, file, groups)
     _check_fence(layers, file, groups)
+    _check_section(layers, "on_low_battery", file.on_low_battery)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else user_path(file.plugin_dir).absolute()
     check_patterns(layers, file, schedule, groups, configured, plugin_dir)
-    realism = realism_of(file.realism, str(layers.error(("realism",), "realism")))
+    realism_source = str(layers.error(("realism",), "realism"))  # `<file>: realism`, for errors
+    realism = realism_of(file.realism, realism_source)
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
         pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
     # 3. The complete configuration in plain values, which needs no further file.
@@ -199,6 +205,7 @@ def _overridden(
         touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
         accepts=accepts,
         fence=file.fence,
+        on_low_battery=file.on_low_battery,
         notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
@@ -209,13 +216,20 @@ def _overridden(
 
 def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:
     """ConfigError for a fence that is faulty, or too small for a platform."""
+    _check_section(layers, "fence", file.fence)
     if file.fence is None:
         return
-    for keys, text in file.fence.faults():
-        raise layers.error(("fence", *keys), f"{dotted(('fence', *keys))} {text}")
     for platform in {platform.name: platform for platform in groups.robots.values()}.values():
         if text := fence_fault(file.fence, platform):
             raise layers.error(("fence",), f"fence {text}")
+
+
+def _check_section(
+    layers: Layered, key: str, section: FenceSettings | LowBatterySettings | None
+) -> None:
+    """ConfigError for the first fault of a section of the file."""
+    for keys, text in () if section is None else section.faults():
+        raise layers.error((key, *keys), f"{dotted((key, *keys))} {text}")
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

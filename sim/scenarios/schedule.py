@@ -32,9 +32,10 @@ _BESIDES = {
 def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
     """The event of that index; ConfigError if it is invalid by itself.
 
-    The action of an event is its key beside `at`: of robots (`run`, `stop` ...), of a movable box
-    (`place`, `remove`), or `fields`. `remove` may name a box, a robot or a group. A movable box of
-    this name comes first. A name that is unknown counts as a box, for the error.
+    The action of an event is its key beside `at`. Robots have actions (`run`, `stop` ...), movable
+    boxes have `place` and `remove`, and `fields` is an action by itself. `remove` may name a box, a
+    robot or a group; a movable box of this name comes first. An unknown name is read as the name of
+    a box, whose check raises the error.
     """
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
@@ -173,6 +174,7 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
     """
     read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
+    # The first action that lets a robot join or leave; a robot that joins is absent until then.
     first: dict[str, str] = {}
     for event in (read[index] for index in order):
         if event.action in _MEMBERSHIP:

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 
 from swarmd.core.bounds import BoundedScalar
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.settings.swarmfile import PlatformGrants
@@ -126,10 +127,11 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     `platforms` overrides values of a platform's own file, or describes a new platform. `start`
     applies to all groups together that have no `start` of their own. `parameters`, by pattern,
-    apply to all robots; the parameters of a group prevail. `accepts_unseen`, `accepts_faster` and
-    `fence` are as in swarm.yaml; the frame of the world is `world`. `plugin_dir` is relative to the
-    file. `pseudo_reality` has bounds of keys of `realism` and `radio`, within which each seed draws
-    values: `{realism.lidar.dropout: [0, 0.1]}`, or true for the bounds of `pseudo_reality.BOUNDS`.
+    apply to all robots; the parameters of a group prevail. `accepts_unseen`, `accepts_faster`,
+    `fence` and `on_low_battery` are as in swarm.yaml; the frame of the world is `world`.
+    `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys of `realism` and
+    `radio`, within which each seed draws values: `{realism.lidar.dropout: [0, 0.1]}`, or true for
+    the bounds of `pseudo_reality.BOUNDS`.
     """
 
     name: str | None = None
@@ -151,5 +153,6 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
     fence: FenceSettings | None = None
+    on_low_battery: LowBatterySettings | None = None
     plugin_dir: str | None = None
     pseudo_reality: bool | dict[str, Any] = False

@@ -150,6 +150,7 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
     ConfigError with the file and key of the group if a robot does not fit.
     """
     start, layout = part.start, layout_of(part.start)
+    # A random layout must not depend on the order of the ids in the file.
     rows = sorted(part.rows) if layout in _SEEDED else part.rows
     center = start.center or (0.0, 0.0)
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
@@ -169,7 +170,8 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
             poses[:, 2] = np.radians(poses[:, 2])
             placement.place_all(rows, poses)
         else:  # row, paper or grid by the spacing, ring by the radius
-            size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
+            radius, spacing = start.radius or _RADIUS, start.spacing or _SPACING
+            size = radius if layout == "ring" else spacing
             poses = moved(REGULAR[layout](len(rows), size), center, heading or 0.0)
             placement.place_all(rows, poses)
     except ConfigError as error:

@@ -141,9 +141,9 @@ class _ShownRun:
         self._contacts = contact_list(trace, CONTACT_TIME)
         self._present = presence(trace)
         self._names, self._patterns = patterns_of(trace)
-        self._limits = _largest(trace)
+        self._limits = _largest(trace)  # (3,) the largest speeds, for the scale of a dial
         self._index = {name: i for i, name in enumerate(trace.ids)}
-        self.link = cluster_link(trace)
+        self.link = cluster_link(trace)  # m, within which two robots are in one cluster
         self.marks = self._marks()
 
         # Ideal lidars; None if a platform is not known here.
@@ -235,7 +235,7 @@ class _ShownRun:
             for at, partner in touches
             if partner and at <= now
         ]
-        return {"values": values, "events": events[: -MAX_EVENTS - 1 : -1]}
+        return {"values": values, "events": events[::-1][:MAX_EVENTS]}
 
     def _marks(self) -> list[tuple[float, str, Sequence[str]]]:
         ids, state = self._trace.ids, self._trace.state
@@ -271,6 +271,7 @@ class _ShownRun:
             "presence": "alive" if is_present else "absent",
             "state": state if is_present else "",
             "why": reason.replace("_", " ") if is_present else "no daemon at this time",
+            # Why a running robot stands: `at rest` by its pattern, or `held`; empty if it moves.
             "stands": standing_of(state, reason) if is_present else "",
             "pattern": self._names[self._patterns[at, i]] if state == "running" else "",
             "limits": self._limits,
@@ -349,8 +350,8 @@ def source_of(place: Path, seed: int | None = None, variant: str | None = None) 
 def runs_of(place: Path, seed: int | None = None, variant: str | None = None) -> Runs:
     """The recorded runs of an experiment's folder, of a demo's folder, or of a trace file.
 
-    `first` of the result is the first run with this `seed` and `variant`; None: any. ConfigError if
-    there is no trace, or no such run. `load` of the result raises ConfigError for a damaged trace.
+    `Runs.first` names the first run with this `seed` and `variant`; None: any. ConfigError if
+    there is no trace, or no such run. `Runs.load` raises ConfigError for a damaged trace.
     """
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)

@@ -252,7 +252,7 @@ def _parsed(text: str) -> Arena:
             poles.append(Pole(x, y, _size(radius)))
         elif head == "segment" and len(words) == 4:
             segment = Segment(*map(_number, words))
-            _size(segment.box.length)
+            _size(segment.box.length)  # _TextError for a segment without length
             segments.append(segment)
         elif kind == "item" and 3 <= len(words) <= 4:
             x, y, side, *mass = map(_number, words)

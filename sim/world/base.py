@@ -39,12 +39,13 @@ def _clipped(value: cython.double, limit: cython.double) -> cython.double:
 @cython.auto_pickle(False)
 @cython.cclass
 class Bases:
-    """The bases of n robots: delay, acceleration caps and servos, on MuJoCo's own memory.
+    """The bases of n robots: delay, acceleration caps and servos.
 
-    `before`: positions and velocities of all bodies when `drive` was called. `driven` (n, 3): the
-    linear, angular and lateral velocities to which `drive` drives. `drift` (n, 2): m/s along the
-    world's x and y, added to the velocity; a caller may write it. `inert` (n, 3): mass in kg
-    twice, and inertia in kg m2. `delay_steps`: the delay of commands in steps.
+    Reads and writes positions, velocities and forces in MuJoCo's own memory. `before`: positions
+    and velocities of all bodies when `drive` was called. `driven` (n, 3): the linear, angular and
+    lateral velocities that the servos aim at. `drift` (n, 2): m/s along the world's x and y, added
+    to the velocity; a caller may write it. `inert` (n, 3): mass in kg twice, and inertia in kg m2.
+    `delay_steps`: the delay of commands in steps.
 
     A servo gives the force that reaches the commanded velocity within one step, up to the friction
     of the tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff actuator
@@ -112,8 +113,10 @@ class Bases:
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
         self._grip = memoryview(grip)
         self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
+        # The velocities that the servos aim at, and the wind's drift in m/s.
         self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
         self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
+        # Of the velocity's error, the share that a base takes off in a step: below 1 with a lag.
         self._shares = memoryview(np.array([_share(p, dt) for p in platforms], np.float64))
 
     def put(self, twists):
@@ -164,8 +167,9 @@ class Bases:
                     (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
                 )
             linear, lateral = self._driven[row, 0], self._driven[row, 2]
-            # 2. The error of the velocity (x, y) in the world frame, at the heading half a step
-            # ahead: there this step's displacement is a chord.
+            # 2. The error of the velocity (x, y) in the world frame. A base that turns drives an
+            # arc, and the chord of this step's arc has the heading half a step ahead. The drift of
+            # a hovering body is added.
             yaw = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
             c, s = cos(yaw), sin(yaw)
             x = c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
@@ -221,7 +225,7 @@ class Wheels:
         """Fill `reported` and `measured` (m, 3): odometry's poses and twists of `rows` (m,).
 
         `poses` and `twists` (n, 3): the true poses in the world frame and the true twists of all
-        robots. `slips` (m, 2): factors on linear and angular motion.
+        robots. `slips` (m, 2): factors near 1 on linear and angular motion.
         """
         if not cython.compiled:
             rows, poses, twists = memoryview(rows), memoryview(poses), memoryview(twists)
@@ -244,7 +248,8 @@ class Wheels:
             turn = poses[row, 2] - self._truth[row, 2]
             mid_yaw = self._truth[row, 2] + turn / 2.0
             c, s = cos(mid_yaw), sin(mid_yaw)
-            # 2. The motion that the wheels measure, added to the reported pose.
+            # 2. The motion that the wheels measure, added to the reported pose. `measured` holds
+            # the motion until step 3 replaces it by the twist.
             self._measure(row, index, c * x + s * y, turn, c * y - s * x, slips, measured)
             linear, turn, lateral = measured[index, 0], measured[index, 1], measured[index, 2]
             mid_yaw = self._reported[row, 2] + turn / 2.0
@@ -272,7 +277,7 @@ class Wheels:
         slips: cython.double[:, ::1],
         measured: cython.double[:, ::1],
     ) -> cython.int:
-        """Set row `index` of `measured`: a true motion or twist as the wheels of robot `row` do."""
+        """Set row `index` of `measured` as the wheels of robot `row` measure a motion or twist."""
         m: cython.double[:, :, ::1] = self._measured
         measured[index, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * slips[index, 0]
         measured[index, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * slips[index, 1]

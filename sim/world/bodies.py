@@ -145,6 +145,7 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     low, high = _rectangle(platform)
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
+    # A ghost (not solid) collides with the arena alone. Contacts have no friction (condim 1).
     contype, conaffinity = (SOLID_BIT, SOLID_BIT) if is_solid(platform) else (0, GHOST_BIT)
     body.add_geom(
         name=robot,

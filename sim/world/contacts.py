@@ -88,12 +88,12 @@ class ContactReader:
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
-        """The contact points of robots in the last step, with the speed of each surface.
+        """The contact points of robots in the last step, with the speeds towards each other.
 
         `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
         detects contacts there, before the solver stops the colliding bodies.
         """
-        # 1. The contacts that count.
+        # 1. The contacts that count, of a robot with anything. Rows of bodies: robots come first.
         contact = data.contact
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
@@ -128,6 +128,7 @@ class ContactReader:
         geoms = np.concatenate([step.geoms for step in steps])
         speeds = np.concatenate([step.speeds for step in steps])
         pair = geoms[:, 0] * len(self._names) + geoms[:, 1]
+        # By pair, and within a pair the highest closing speed first.
         order = np.lexsort((-speeds.sum(axis=1), pair))
         pair = pair.take(order)
         is_first = np.ones(len(pair), dtype=np.bool_)

@@ -40,7 +40,7 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
     for place, (_, _, bearing, view, reach) in zip(sensor_places, sensors, strict=True):
         offset = around.places - place
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        axis = pose[2] + np.nan_to_num(bearing)
+        axis = pose[2] + np.nan_to_num(bearing)  # NaN: the sensor looks all around
         angle = np.arctan2(offset[:, 1], offset[:, 0]) - axis
         angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
         is_in_view = (distance <= reach) & (angle <= 0.5 * view)  # false for NaN

@@ -71,6 +71,7 @@ class Patch(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_
         if self.tiles is not None:
             columns, rows = self._grid
             tile = (columns * u).astype(int) + columns * (rows * v).astype(int)
+            # Of the places inside, only those on tiles that were drawn have the colour.
             inside[inside] = drawn_tiles(columns * rows, self.share, self.seed)[tile]
         colours[inside] = self.colour
 

@@ -2,7 +2,8 @@
 
 Drift and height error are processes with a memory of _MEMORY s (Ornstein-Uhlenbeck), cut at two
 standard deviations. A body that hovers has `body: {drift: ..., height_error: ...}`, the standard
-deviations in m/s and m. The world stays planar: the height is a reading and moves no beam.
+deviations in m/s and m. The world stays planar: the height is only a reading, and beams stay in
+their plane.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ class Hovering:
         self._spread = np.array([_spreads(platforms[row]) for row in self._rows]).reshape(count, 3)
         self._nominal = [heights(platforms[row]).scan_plane for row in self._rows]
         self._generators = [generator(seed, "hovering", ids[row]) for row in self._rows]
+        # A step keeps this share of an error, and adds so much noise that the variance stays 1.
         self._keep = math.exp(-dt / _MEMORY)
         self._new = math.sqrt(1.0 - self._keep**2)
         self._errors = np.zeros((count, 3))  # of x, y and height, in standard deviations

@@ -55,6 +55,7 @@ class Items:
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
         # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
         mass = np.array([kind.mass or 0.0 for kind in kinds])
+        # A puck is a round disc of the diameter `size`: m r^2 / 2 about its middle.
         inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
         self._is_flat = (mass == 0.0)[self._kind_of]
         self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)
@@ -134,7 +135,7 @@ class Items:
         places = self.poses()[:, :2]
         away = places - pose[:2]
         distance = np.hypot(away[:, 0], away[:, 1])
-        distance[self._held[self._held >= 0]] = np.inf
+        distance[self._held[self._held >= 0]] = np.inf  # items that robots hold are left out
         for number, kind in enumerate(self._kinds):
             near = np.flatnonzero((self._kind_of == number) & (distance <= kind.range))
             readings[kind.name] = float(len(near))
@@ -179,6 +180,7 @@ class Items:
         x, y, radius = kind.source
         walls = np.array([self._arena.length, self._arena.width]) / 2.0 - kind.size / 2.0
         for _ in range(_TRIES):
+            # Uniform over the disc, whose area grows with the square of the radius.
             away, angle = radius * math.sqrt(rng.random()), 2.0 * math.pi * rng.random()
             place = np.array([x + away * math.cos(angle), y + away * math.sin(angle)])
             if (np.abs(place) > walls).any():

@@ -127,6 +127,7 @@ class Placement:
             return f"{robot} is not inside the walls"
         if any(float(gaps(body, obstacle)) <= clearance for obstacle in self._obstacles):
             return f"{robot} stands in a box, pole or segment"
+        # Only robots whose circles are near are compared by their footprints.
         apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
         for near in np.nonzero(apart <= clearance)[0].tolist():
             shape = transform(self._footprints[near], self.poses[near])
@@ -188,7 +189,7 @@ def chain(
             # `_place_each` sets the pose of a robot once a candidate fits.
             poses = placement.poses[robots]
             placed = poses[np.isfinite(poses[:, 0])]
-            if not len(placed):
+            if not len(placed):  # the first robot does not fit at `center`: no further candidates
                 return
             base = placed[int(rng.integers(len(placed)))][:2]
             distance, angle, yaw = rng.uniform([near, -math.pi, -math.pi], [far, math.pi, math.pi])

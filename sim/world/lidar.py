@@ -24,9 +24,9 @@ Visibility = Literal["body", "real"]
 class LidarModel:
     """What the lidars of a world detect of robots, and into how many sectors they divide a turn.
 
-    `body` is the default because the published behaviours need it: with true heights a Waffle Pi
-    sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and protection that needs more than 5
-    rays detects it only at 1 m.
+    Visibility `body` (lidars see whole footprints) is the default because the published behaviours
+    need it: with true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2
+    m, and protection that needs more than 5 rays detects it only at 1 m.
     """
 
     visibility: Visibility = "body"
@@ -82,6 +82,7 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
     boxes = [box.shape for _, box in arena.movable_boxes]
     box_rows = range(len(platforms), len(platforms) + len(boxes))
     outlines = [*(platforms[row].footprint for row in body_rows), *boxes]
+    # `target_radius`: the radius of the housing, the target of other lidars.
     discs = [
         (*platforms[row].scan.offset, value(platforms[row], "target_radius"))
         for row in housing_rows

@@ -23,7 +23,7 @@ class LineOfSight:
     def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
         """(k,) True where the line from a to b (k, 2), in m in the world frame, is clear.
 
-        `movable_boxes` (t, c, 2): corners of movable boxes; NaN for a box outside the arena.
+        `movable_boxes` (boxes, corners, 2) in m; NaN for a box outside the arena.
         """
         walls, poles = self._walls, self._poles
         if movable_boxes is not None and len(movable_boxes):

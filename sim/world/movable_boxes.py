@@ -39,8 +39,8 @@ class MovableBoxes:
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
         self.is_there = np.zeros(m, dtype=np.bool_)  # False: out of the arena
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
-        # Friction: (m,) the force in N; (m, 3) the factors of its limits along x, y and yaw; and
-        # (m, 3) the inertia along these axes in kg and kg m2.
+        # Friction: (m,) the force in N; (m, 3) its levers: 1 for the forces along x and y, metres
+        # for the torque about yaw; and (m, 3) the inertia along these axes in kg and kg m2.
         lever = np.array([_lever(box) for box in boxes])
         self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
@@ -49,7 +49,7 @@ class MovableBoxes:
         for row, box in enumerate(boxes):
             self._put(row, starts[row], is_there=box.is_placed)
         for row in np.flatnonzero(self.is_there).tolist():
-            fault = self._fault(row, starts[row], ())
+            fault = self._fault(row, starts[row], ())  # the layout keeps robots off the boxes
             if fault:
                 where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
                 raise ConfigError(f"{where}: {fault}")
@@ -81,11 +81,11 @@ class MovableBoxes:
     def apply_friction(self) -> None:
         """Set the floor's isotropic friction for the next step.
 
-        MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Here the three
-        limits are a point on the limit surface of dry friction, an ellipsoid (Howe and Cutkosky
-        1996). The point lies in the direction of the force and torque that would stop the box. The
-        half axes of the ellipsoid are the friction force and, for the torque, this force times the
-        box's lever.
+        MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Dry friction
+        limits them together, by an ellipsoid in force and torque (Howe and Cutkosky 1996). The
+        three limits are the coordinates of a point on this ellipsoid, in the direction of the force
+        and torque that would stop the box. The half axes of the ellipsoid are the friction force
+        and, for the torque, this force times the box's lever.
         """
         if not self.is_there.any():
             return
@@ -93,6 +93,7 @@ class MovableBoxes:
         momentum = self._data.qvel[self._dofs].reshape(-1, 3) * self._inert
         against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
         size = np.sqrt((against * against).sum(axis=1))[:, None]
+        # Of the limit along each axis; equal shares for a box that needs no force.
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
         # Above 0, so that the number of friction constraints does not change between steps.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)

@@ -50,15 +50,15 @@ class NoisyLidar:
         """The measurements (rays,) of robot `row` for exact `ranges`, as a new array.
 
         A ray without a return stays without a return. A measurement beyond range_max becomes +inf,
-        and a measurement nearer than range_min -inf. A ray that drops out becomes 0, or NaN if
-        zeros of the sensor mean "too close". Then the ranges are encoded as by the sensor's driver:
-        an LDS reports no return as 0, and a sensor with `near: lost` reports a return nearer than
-        range_min as no return.
+        and a measurement nearer than range_min -inf. A ray that drops out becomes 0, or NaN for
+        a sensor whose zeros mean "too close" (REP 117). Then the ranges are encoded as by the
+        sensor's driver: an LDS reports no return as 0, and a sensor with `near: lost` reports a
+        return nearer than range_min as no return.
         """
         measured, rays = ranges.copy(), len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)
-        errors, normal, even = self._errors[rays]
+        errors, normal, even = self._errors[rays]  # `errors` reads the buffers of random numbers
         if self._is_exact:
             errors.encode(row, measured)
             return measured

@@ -51,6 +51,7 @@ class Odometers:
             return
         self._rngs = [generator(seed, "odometry", robot) for robot in ids]
         errors = np.array([rng.standard_normal(2) for rng in self._rngs]).reshape(-1, 2)
+        # (n, 3, 3) from true to measured motion.
         self._measured = measurement(
             diameter=1.0 + noise.diameter * errors[:, 0],
             wheelbase=1.0 + noise.wheelbase * errors[:, 1],
@@ -107,6 +108,7 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     wheelbase. Odometry assumes wheels of the mean diameter, `separation` (n,) m apart. A base that
     cannot move sideways (not `is_lateral`) measures no lateral motion.
     """
+    # Measured way / true way of each wheel: the mean diameter over the wheel's diameter.
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase
     matrix = np.zeros((len(diameter), 3, 3))

@@ -89,7 +89,7 @@ class Radio:
     """The radio of a swarm; equal seeds and equal calls give equal results.
 
     Arguments of the methods: `poses` (n, 3) of all robots, x, y in m and yaw in rad.
-    `movable_boxes` (t, c, 2): corners in m, NaN for a box outside the arena; used only with
+    `movable_boxes` (boxes, corners, 2): in m, NaN for a box outside the arena; used only with
     line_of_sight. No robot is its own neighbor.
     """
 
@@ -185,7 +185,7 @@ class Radio:
     ) -> None:
         """Put flights in transit; the flights of a sender must be in the order of sending.
 
-        `own`: the rows of the receivers that this process simulates; None: all.
+        `own`: selects the receivers that this process simulates; by default all.
         """
         for at, rank, hearers, row, name, value in flights:
             self._in_flight.put(at, (own(hearers), row, name, value), rank)

@@ -125,9 +125,10 @@ class Caster:
         """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
 
         `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
-        (w, 5): start, vector to the end, and -`range_max` times the length. `poles` (p, 3): x, y,
-        radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs` (d, 3):
-        x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
+        (w, 5): start, vector to the end, and -`range_max` times the length, the least `side` of a
+        wall in reach (`_meet_surface`). `poles` (p, 3): x, y, radius. `edges` (b, k, 4) of
+        polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
+        robots or boxes that have the polygons and discs.
         """
         n = len(spec.bearings)
         # 1. The rays and the sensor.
@@ -154,6 +155,7 @@ class Caster:
         disc_reach = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
         reaches = np.concatenate((polygon_reach, disc_reach)) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)
+        # At least 0.1 m, since the size of the grid's cells divides.
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
         # 4. Buffers for the bodies in the world frame, the grid and a scan.
         self._placed_edges = memoryview(np.empty(edges.shape))
@@ -177,9 +179,9 @@ class Caster:
     ):
         """Cast m sectors, of robots `observers` (m,), into `rows` (m,) of `ranges`.
 
-        A sector is a part of a scan. Sector `numbers` (m,) has `counts` (k,) rays from index
-        `first` (k,) on, in order of bearing. `poses` (n, 3) of all bodies; a row of NaN is absent.
-        +inf: no return within range_max, -inf: nearer than range_min.
+        A sector is a part of a scan: sector j has `counts[j]` rays from index `first[j]` on, in
+        order of bearing. `numbers` (m,): the sector of each observer. `poses` (n, 3) of all bodies;
+        a row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
         request: cython.Py_ssize_t
         robot: cython.Py_ssize_t
@@ -201,7 +203,8 @@ class Caster:
             if not has_set_bodies:
                 self._set_bodies(poses)
                 has_set_bodies = True
-            # 1. One over the distance of each ray's nearest return; 0: no return.
+            # 1. One over the distance of each ray's nearest return; 0: no return. The inverse needs
+            # no division along a flat surface.
             for i in range(self._count):
                 self._inverse[i] = 0.0
             # The pose of an absent robot is NaN in all three numbers, so x is enough to check.
@@ -291,7 +294,7 @@ class Caster:
         self._grid_columns = self._grid_rows = 0
         if not west <= east:
             return 0
-        # 1. The grid.
+        # 1. The grid, with about one cell for each body at most, as `_cell_begin` has room.
         self._cell_size = max(
             self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
         )
@@ -376,9 +379,11 @@ class Caster:
         side: cython.double
         for i in range(self._walls.shape[0]):
             x, y = self._walls[i, 0] - self._x, self._walls[i, 1] - self._y
+            # See `_meet_surface` for `side`: the sensor is before the wall, and the wall in reach.
             side = x * self._walls[i, 3] - y * self._walls[i, 2]
             if side < -_MIN_SIDE and side >= self._walls[i, 4]:
                 end_x, end_y = x + self._walls[i, 2], y + self._walls[i, 3]
+                # Both ends lie outside one edge of the cone.
                 if not self._is_wide and (
                     min(self._outside(x, y, 1.0), self._outside(end_x, end_y, 1.0)) > _ROUNDING
                     or min(self._outside(x, y, -1.0), self._outside(end_x, end_y, -1.0)) > _ROUNDING
@@ -393,7 +398,8 @@ class Caster:
         """Meet the bodies in the sensor's grid cell and the eight cells around.
 
         To meet a shape is to note its distance at each ray that hits it. `carrier`: the row of the
-        robot that carries the sensor; its own polygons are left out, its discs are met from inside.
+        robot that carries the sensor; its own polygons are left out, and `_meet_circle` leaves out
+        its disc, which is around the sensor.
         """
         grid_row: cython.Py_ssize_t
         sensor_row: cython.Py_ssize_t
@@ -428,6 +434,8 @@ class Caster:
                 x, y = self._body_places[body, 0] - self._x, self._body_places[body, 1] - self._y
                 if x * x + y * y > self._reach[body] * self._reach[body]:
                     continue
+                # Outside the cone of the sector's rays; the reach less range_max is the body's
+                # radius.
                 if self._is_outside(x, y, self._reach[body] - self._range_max):
                     continue
                 if body >= self._polygon_count:
@@ -444,6 +452,7 @@ class Caster:
     @cython.cfunc
     @cython.boundscheck(False)
     def _meet_polygon(self, body: cython.Py_ssize_t) -> cython.int:
+        """Note the edges of a polygon that face the sensor; see `_meet_surface`."""
         i: cython.Py_ssize_t
         x: cython.double
         y: cython.double
@@ -474,12 +483,13 @@ class Caster:
 
         In m in the world frame, `x` and `y` lead from the sensor to the start of the surface, and
         `along_x` and `along_y` from there to its end. `side`: the sensor's distance from the line
-        of the surface times its length, below 0 since the sensor faces the front. One over the
-        distance is a weighted sum of the ray's cosine and sine.
+        of the surface times the surface's length, below 0 since the sensor faces the front.
         """
         # The surface covers the bearings from `high - turn` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
         turn: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
+        # With cross products 1 / distance = (ray x surface) / (start x surface), and `side` is the
+        # latter: a sum of the ray's cosine and sine, weighted by `by_cos` and `by_sin`.
         by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
         inverse: cython.double
@@ -536,6 +546,7 @@ class Caster:
         end = begin + self._ray_index((middle + half) + _BEARING_MARGIN) - first
         # 2. `aside` is the distance of the centre from the ray. The product of the distances to
         # both intersections is `tangent_squared`, so 1 / nearer = farther / tangent_squared.
+        # `ahead`, `left`: the centre in the robot's axes.
         ahead = self._cos_yaw * x + self._sin_yaw * y
         left = self._cos_yaw * y - self._sin_yaw * x
         for _ in range(2):
@@ -634,6 +645,7 @@ class Errors:
                 r = -HUGE_VAL
             if r > range_max:
                 r = HUGE_VAL
+            # `_even`: uniform numbers of 0 to 1, of each ray, and behind them of each block.
             if self._even[i] < self._dropout or self._even[rays + i // _BLOCK] < block_dropout:
                 r = self._lost[row]
             ranges[i] = r

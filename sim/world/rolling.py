@@ -43,7 +43,7 @@ class RollingScans:
         # 1. The step of a scan at which each ray is measured, in the order of the sweep.
         order, times = sweep_order(spec.bearings, sweep)
         duration = min(sweep.duration, 1.0 / spec.rate)
-        self._steps = max(int(duration / dt + _ROUNDING), 1)
+        self._steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
         sector_steps = max(self._steps // sectors, 1)
         # A sector of rays is measured each `sector_steps`: the time of a ray is rounded to these.
         steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
@@ -56,7 +56,8 @@ class RollingScans:
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._lidar, self._n = lidar, n
-        # 4. Two rows for each robot: a scan begins at the step at which the previous scan ends.
+        # 4. Two rows for each robot: a scan begins at the step at which the previous scan ends. At
+        # first each robot is as if its last scan had just ended.
         self._ranges = np.full((2 * n, len(order)), np.inf)
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()

@@ -121,6 +121,7 @@ def readings_at(
         read = [field for field in fields if field.name == name]
         places = transform(own[:, :2], pose)
         for channel, values in sample(read, places, pose[2] + own[:, 2], is_clear).items():
+            # `sensor_names` begins with the name of the mean.
             each = float(values.mean()), *values.tolist()
             readings |= zip(sensor_names(channel, len(values)), each, strict=True)
     return readings
@@ -130,7 +131,7 @@ def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform, which also provides `reading:<name>` of each field, and of its sensors.
 
     The reading of sensor i of a field is `reading:<name>_<i>`. The platform also provides each of
-    OPTION_INPUTS for which it has sensors.
+    OPTION_INPUTS (such as detections) for which it has sensors.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

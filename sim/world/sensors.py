@@ -104,7 +104,7 @@ def sensors_due(
 ) -> Iterator[tuple[int, SensorInput]]:
     """Yield the row and the input of each measurement that is due at the world's time.
 
-    `needs`: the needs of the pattern of a robot, by row; None: the robot's inputs have no receiver.
+    `needs(row)`: the needs of the pattern that the robot runs; None: no daemon takes its inputs.
     `own`: selects the rows whose scans this process simulates. `stamp`: the stamp of poses in s.
     """
     now = world.time

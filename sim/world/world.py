@@ -19,6 +19,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.batteries import charge, has_battery
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.detector import ObjectsAround
@@ -84,6 +85,7 @@ class World:
         self._begin_bases(realism, starts, seed)
         self._begin_lidars(lidars, realism, seed)
         self._begin_rings(realism, seed)
+        # Delays scans on their way to the robots.
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
@@ -100,8 +102,10 @@ class World:
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         self._contacts = ContactReader(self.model, n, n + len(self.movable_boxes))
         self._touching: list[ContactPoints] = []
+        # Robots that were taken out of the arena.
         self._is_out, self._are_all_in = np.zeros(n, dtype=np.bool_), True
         shapes = [platform.footprint for platform in self.platforms]
+        # m: the largest distance of the centres of a robot and a box that touch.
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
@@ -132,6 +136,7 @@ class World:
     def _begin_lidars(self, model: LidarModel, realism: Realism, seed: int) -> None:
         n = len(self.ids)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
+        # The ages of the rays of lidars that measure all rays at once, by row.
         self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
         for ages in self._at_once:
             ages.flags.writeable = False
@@ -140,6 +145,7 @@ class World:
         self._rolling: list[RollingScans] = []
         self._rolling_of: list[RollingScans | None] = [None] * n  # by row
         self._is_rolled = False  # the rolling rays of this step have been measured
+        # A lidar of a platform with a sweep is rolling: its rays are measured one after the other.
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
             if platform.scan.sweep is not None:
@@ -314,12 +320,14 @@ class World:
         pose = self.poses()[robot]
         of_fields = readings_at(self.fields, self.platforms[robot].sensors, pose, is_clear)
         of_fields |= self._hovering.readings(robot)
+        of_fields |= charge(self.platforms[robot], self.time)
         return of_fields | self._items.readings(robot, pose) if self._items.names else of_fields
 
     @property
     def has_readings(self) -> bool:
         """Whether robots read anything besides their scans and odometry."""
-        return bool(self.fields or self._items.names or self._hovering)
+        has_more = self._hovering or any(map(has_battery, self.platforms))
+        return bool(self.fields or self._items.names or has_more)
 
     def shared_pose(self, robot: int, stamp: float) -> SharedPose:
         """The robot's pose in the frame `world`, without an error."""
@@ -334,7 +342,7 @@ class World:
         shapes = [*(platform.footprint for platform in self.platforms), *self.box_shapes]
         lamps = [field for field in self.fields if isinstance(field, LightField)]
         places = np.array([*poses[:, :2], *(lamp.center for lamp in lamps)])
-        places[robot] = np.nan
+        places[robot] = np.nan  # no robot recognises itself
         extents = np.array([*map(radius, shapes), *(0.0 for _ in lamps)])
         names += [("lamp", lamp.name) for lamp in lamps]
         return ObjectsAround(poses[robot], names, places, extents, self._clear_around(robot))

@@ -4,22 +4,29 @@ Each run has robots of one platform and mode within random polygons, convex or n
 without areas to keep out of. Robots drive random commands. The pose in the shared frame has random
 errors up to the told bound, comes up to 0.1 s late, is lost for up to 1.2 s, and sometimes jumps by
 metres. A crossing: a place of the true outline is outside. In one run of four the robots start
-outside; then the study measures how much the distance to the fence grows.
+outside, wholly or across the fence; a crossing is then a distance to the fence that grows by more
+than GROWTH, or a robot that leaves after it was inside. Runs that build/safety has from the same
+sources are not repeated.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import count
-from typing import Any, NamedTuple
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from msgspec import Struct, json
 
+from studies.safety.runs import fingerprint
 from studies.safety.scenes import PLUGINS
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.protection.fence import Fence
@@ -33,23 +40,40 @@ MODES = ("barrier", "stop_zone", "off")
 ROBOTS = {"barrier": 4, "stop_zone": 1, "off": 1}
 """Robots of a run by mode: without the barrier other robots push a robot across its fence."""
 ERROR, YAW_ERROR = 0.03, 0.03  # m and rad: the told bounds of the errors
+GROWTH = 0.005
+"""m that the distance of a robot outside may grow: errors of a pose that it did not know."""
 LATE, LOST, JUMPED = 0.2, 0.02, 0.01  # shares of poses that are late, begin a loss, or jump
 _PARTS = np.linspace(0.0, 1.0, 5)[:, None, None]  # of an edge of the outline
 
 
-class Result(NamedTuple):
-    """Of one run: robot-seconds, those in motion, crossings, and distances in m."""
+class Run(Struct, frozen=True):
+    """A run to do; `duration` in s. `is_outside`: the robots start outside."""
 
     platform: str
     mode: str
+    seed: int
+    duration: float
     is_outside: bool
+
+
+class Result(Struct, frozen=True):
+    """A finished run: robot-seconds, those in motion, crossings, and distances in m.
+
+    `worst`: m that a place was outside at most; for a start outside: by how much the distance grew.
+    `nearest`: the least distance of the outline from the fence, of robots inside; None without.
+    `entered`: robots that started outside and came inside. `cpu`: processor time in s. `code`: the
+    digest of the sources.
+    """
+
+    run: Run
     seconds: float
     moving: float
     crossings: int
     worst: float
-    """m that a place was outside at most; for a start outside: by how much the distance grew."""
-    nearest: float
-    """m, the least distance of the outline from the fence, of robots inside."""
+    nearest: float | None
+    entered: int
+    cpu: float
+    code: str
 
 
 class Judge:
@@ -141,7 +165,7 @@ def _starts(
     places: list[list[float]] = []
     for place in rng.uniform(-6.0, 6.0, (2000, 2)):
         clearance = float(fence.clearances(place[None])[0])
-        is_good = clearance < -2.0 * fence.radius if is_outside else clearance > 0.15
+        is_good = clearance < 0.0 if is_outside else clearance > 0.15
         if is_good and all(math.dist(place, other[:2]) > 1.0 for other in places):
             places.append([*place.tolist(), float(rng.uniform(-180.0, 180.0))])
         if len(places) == group["count"]:
@@ -149,41 +173,53 @@ def _starts(
     return None
 
 
-def measure(task: tuple[str, str, int, float, bool]) -> Result:
-    """Simulate one run and judge it at each step of the world."""
-    platform, mode, seed, duration, is_outside = task
-    made = scene(platform, mode, seed, duration, is_outside=is_outside)
-    run = Lockstep(made, seed)
-    world = run.world
-    world.shared_pose = Localisation(world, seed).shared_pose  # type: ignore[method-assign]
+def measure(run: Run, code: str = "") -> Result:
+    """Simulate one run and judge it at each step of the world; `code`: for the record."""
+    begin = time.process_time()
+    made = scene(run.platform, run.mode, run.seed, run.duration, is_outside=run.is_outside)
+    lockstep = Lockstep(made, run.seed)
+    world = lockstep.world
+    world.shared_pose = Localisation(world, run.seed).shared_pose  # type: ignore[method-assign]
     assert made.fence is not None
     fence = Fence(made.fence, world.platforms[0])
     judge = Judge(fence, [one.footprint for one in world.platforms])
-    was_out = np.zeros(len(world.ids), dtype=bool)
-    least = np.full(len(world.ids), np.inf)  # m outside so far
+    n = len(world.ids)
+    is_inside = np.full(n, not run.is_outside)  # the outline is, or was, wholly inside
+    was_bad = np.zeros(n, dtype=bool)
+    least = np.full(n, np.inf)  # m by which the circle was outside so far
     crossings, worst, nearest, moving = 0, 0.0, math.inf, 0.0
 
     def look(_: float) -> None:
-        nonlocal crossings, worst, nearest, moving, was_out, least
+        nonlocal crossings, worst, nearest, moving, was_bad, least, is_inside
         poses = world.poses()
         moving += world.dt * float((np.abs(world.twists()[:, :2]) > 0.01).any(axis=1).sum())
-        if is_outside:
-            away = -fence.clearances(poses[:, :2])
-            least = np.minimum(least, np.maximum(away, 0.0))
-            worst = max(worst, float((away - least).max()))
-            return
+        circles = fence.clearances(poses[:, :2])
+        least = np.minimum(least, np.maximum(-circles, 0.0))
+        grown = -circles - least
         clearance = judge.clearances(poses)
-        nearest = min(nearest, float(clearance.min()))
-        is_out = clearance < 0.0
-        crossings += int((is_out & ~was_out).sum())
-        was_out, worst = is_out, max(worst, -float(clearance.min()))
+        is_inside |= circles >= 0.0
+        # Outside the circle around the axle counts, as in the fence; inside the outline.
+        off = np.where(is_inside, -clearance, grown)
+        is_bad = off > np.where(is_inside, 0.0, GROWTH)
+        crossings += int((is_bad & ~was_bad).sum())
+        was_bad, worst = is_bad, max(worst, float(off.max()))
+        nearest = min(nearest, float(clearance[is_inside].min(initial=math.inf)))
 
-    run.advance(duration, look)
-    seconds = len(world.ids) * duration
-    return Result(platform, mode, is_outside, seconds, moving, crossings, worst, nearest)
+    lockstep.advance(run.duration, look)
+    return Result(
+        run=run,
+        seconds=n * run.duration,
+        moving=moving,
+        crossings=crossings,
+        worst=worst,
+        nearest=None if nearest == math.inf else nearest,
+        entered=int(is_inside.sum()) if run.is_outside else 0,
+        cpu=time.process_time() - begin,
+        code=code,
+    )
 
 
-def tasks(robot_hours: float, duration: float, first_seed: int) -> Iterator[tuple[Any, ...]]:
+def plan(robot_hours: float, duration: float, first_seed: int) -> Iterator[Run]:
     """Runs of all platforms and modes in turn, one of four with a start outside."""
     left = 3600.0 * robot_hours
     for number in count():
@@ -193,26 +229,56 @@ def tasks(robot_hours: float, duration: float, first_seed: int) -> Iterator[tupl
         mode = MODES[number // len(PLATFORMS) % len(MODES)]
         left -= ROBOTS[mode] * duration
         is_outside = number // (len(PLATFORMS) * len(MODES)) % 4 == 3
-        yield platform, mode, first_seed + number, duration, is_outside
+        yield Run(platform, mode, first_seed + number, duration, is_outside)
+
+
+def carry_out(runs: Sequence[Run], file: Path, jobs: int) -> list[Result]:
+    """The results of all runs; those with a line in `file` of the same sources are not repeated."""
+    code = fingerprint()
+    lines = file.read_bytes().splitlines() if file.exists() else []
+    known = {one.run: one for one in map(_decode, lines) if one.code == code}
+    missing = [run for run in runs if run not in known]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    with (
+        file.open("ab") as out,
+        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
+    ):
+        try:
+            for future in as_completed([pool.submit(measure, run, code) for run in missing]):
+                result = future.result()
+                known[result.run] = result
+                out.write(json.encode(result) + b"\n")
+                out.flush()
+                text = f"{sum(run in known for run in runs)}/{len(runs)} {result}"
+                print(text, file=sys.stderr, flush=True)
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return [known[run] for run in runs]
 
 
 def table(results: Sequence[Result]) -> str:
-    """The sum of each platform and mode, as lines of a table."""
-    lines = ["| platform | mode | start | robot-hours | in motion | crossings | worst | nearest |"]
-    lines.append("|---|---|---|---|---|---|---|---|")
-    cells = sorted({(one.platform, one.mode, one.is_outside) for one in results})
-    for platform, mode, is_outside in cells:
-        cell = [one for one in results if one[:3] == (platform, mode, is_outside)]
-        hours = sum(one.seconds for one in cell) / 3600.0
-        moving = sum(one.moving for one in cell) / sum(one.seconds for one in cell)
-        worst, nearest = max(one.worst for one in cell), min(one.nearest for one in cell)
-        inside = "-" if is_outside else f"{100.0 * nearest:.1f} cm"
-        crossed = "-" if is_outside else str(sum(one.crossings for one in cell))
-        start = "outside" if is_outside else "inside"
-        lines.append(
-            f"| {platform} | {mode} | {start} | {hours:.2f} | {moving:.0%} | {crossed} |"
-            f" {1000.0 * worst:.1f} mm | {inside} |"
+    """The sum of each platform, mode and start, as lines of a table."""
+    cells: dict[tuple[str, str, bool], list[Result]] = {}
+    for one in results:
+        run = one.run
+        cells.setdefault((run.platform, run.mode, run.is_outside), []).append(one)
+    heads = "platform", "mode", "start", "robot-hours", "in motion", "crossings", "worst", "nearest"
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for (platform, mode, is_outside), cell in sorted(cells.items()):
+        seconds = sum(one.seconds for one in cell)
+        nearest = min((one.nearest for one in cell if one.nearest is not None), default=None)
+        words = (
+            platform,
+            mode,
+            f"outside, {sum(one.entered for one in cell)} came in" if is_outside else "inside",
+            f"{seconds / 3600.0:.2f}",
+            f"{sum(one.moving for one in cell) / seconds:.0%}",
+            str(sum(one.crossings for one in cell)),
+            f"{1000.0 * max(one.worst for one in cell):.1f} mm",
+            "-" if nearest is None else f"{100.0 * nearest:.1f} cm",
         )
+        lines.append(f"| {' | '.join(words)} |")
     return "\n".join(lines)
 
 
@@ -221,23 +287,23 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robot-hours", type=float, default=50.0)
     parser.add_argument("--duration", type=float, default=120.0, help="s of each run")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--until", type=float, default=math.inf, help="s after which no run begins")
+    parser.add_argument("--seed", type=int, default=1, help="of the first run")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--out", type=Path, default=Path("build/safety"))
     options = parser.parse_args(arguments)
-    results: list[Result] = []
-    end = time.monotonic() + options.until
-    planned = list(tasks(options.robot_hours, options.duration, options.seed))
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for first in range(0, len(planned), options.jobs):
-            if time.monotonic() > end:
-                break
-            results += pool.map(measure, planned[first : first + options.jobs])
-            print(results[-1], flush=True)
+    runs = list(plan(options.robot_hours, options.duration, options.seed))
+    results = carry_out(runs, options.out / "fence.jsonl", options.jobs)
     hours = sum(one.seconds for one in results) / 3600.0
+    cpu = sum(one.cpu for one in results)
     crossings = sum(one.crossings for one in results)
     print(f"{table(results)}\n\n{hours:.2f} robot-hours, {crossings} crossings")
+    if hours:
+        print(f"{cpu / hours:.0f} CPU-s a robot-hour")
     return 1 if crossings else 0
+
+
+def _decode(line: bytes) -> Result:
+    return json.decode(line, type=Result)
 
 
 if __name__ == "__main__":

@@ -70,7 +70,7 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
 
     A stop from the speed v takes the distance v (delay + v / 2b) with the deceleration b. So a line
     is fitted to `Braking.seconds` (distance over speed) as a function of speed. A figure without a
-    value says why: too few stops, or a slope within the noise.
+    value says why: fewer than four stops, or a slope within three standard deviations of 0.
     """
     if len(stops) < 4:
         no_figure = Figure(why="fewer than four stops")
@@ -88,8 +88,9 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     if slope <= 3.0 * slope_deviation:
         return Figure(why="it brakes within the scatter of its odometry"), delay_figure
 
-    # 2. The deceleration. Its relative scatter is that of the slope, to first order: an error of
-    # a fast stop relative to its part `slope * speed`, but at least the deviation of the fit.
+    # 2. The deceleration. To first order its relative deviation is that of the slope: the scatter
+    # of the fast stops, each error divided by `slope * speed` (the s that braking takes), or the
+    # relative deviation of the fitted slope, whichever is greater.
     is_fast = speeds > speeds.mean()
     relative_errors = errors[is_fast] / (slope * speeds[is_fast])
     deceleration = 0.5 / slope
@@ -125,9 +126,10 @@ def turn_delay(
 ) -> tuple[Figure, Figure]:
     """The scan delay in s, and the scale of odometry: turn by odometry over turn by scans.
 
-    The robot has turned to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals`
-    (m,) s. `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not
-    wrapped. A figure without a value says why.
+    The scan delay is the time from the measurement of a scan to its arrival. The robot has turned
+    to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals` (m,) s.
+    `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not wrapped. A
+    figure without a value says why.
 
     For each candidate delay, scale and offset are fitted by least squares, and the delay with the
     least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
@@ -163,14 +165,17 @@ def turn_delay(
         no_figure = Figure(why="the robot did not turn")
         return no_figure, no_figure
 
-    # 3. The deviations, from the error of the headings in rad; the fit has 3 parameters.
+    # 3. The deviations, from the error of the headings in rad; the fit has 3 parameters. For the
+    # delay that of a single scan, since a delay must hold for each scan; for the scale the standard
+    # error of a fitted slope. The fit scales odometry to scans, so the figure of odometry is the
+    # reciprocal of its scale.
     count = len(arrivals)
     error = math.sqrt(float(errors[best]) / (count - 3))
-    scale = fits[best][0]
+    scans_per_odometry = fits[best][0]
     heading_deviation = float(np.std(scan_headings))
     return (
         Figure(delay, error / rate, count),
-        Figure(1.0 / scale, error / (heading_deviation * math.sqrt(count)), count),
+        Figure(1.0 / scans_per_odometry, error / (heading_deviation * math.sqrt(count)), count),
     )
 
 

@@ -76,8 +76,8 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 def travel(speed: float) -> float:
     """The distance in m that a drive of a calibration at `speed` m/s takes, with its stop.
 
-    A base that needs more than 0.3 s to stop from `speed` (such as 1.0 m/s2 from 0.4 m/s on) stops
-    beyond this distance, in the gap that `needed_floor` adds for the base's deceleration.
+    Of this distance 0.3 s times `speed` is for the stop. A base with a longer stop (such as from
+    0.4 m/s on with 1.0 m/s2 and a delay of 0.1 s) also uses the gap that `needed_floor` adds.
     """
     return _TRAVEL_TIME * speed
 

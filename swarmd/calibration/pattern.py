@@ -306,7 +306,7 @@ class Calibration(Pattern[CalibrationParams]):
                     " commanded: protection limits it, or the base takes too long to get there"
                     f"{words.unsteady}"
                 )
-            stops.clear()
+            stops.clear()  # `scales` stay: the scale of odometry does not depend on the speed
             self._speeds[axis] *= _SLOWER
 
     def _stop(
@@ -322,7 +322,7 @@ class Calibration(Pattern[CalibrationParams]):
         # 1. Drive until the speed was steady for _CLEAR s, or the drive gets too long.
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
-        pose_before = self._rest()
+        pose_before = self._rest()  # by odometry and by the last scan
         begin, steady_since, is_too_long = self._now, math.inf, False
         while not is_too_long and self._now - steady_since < _CLEAR:
             yield twist
@@ -350,7 +350,7 @@ class Calibration(Pattern[CalibrationParams]):
         if stop is None or is_too_long:
             yield from self._back(twist, stop_time - begin)
             return None
-        if axis != "angular":
+        if axis != "angular":  # turns are compared with scans in `_swing`
             self._compare(pose_before, self._rest(), scales)
         return stop
 
@@ -475,9 +475,10 @@ class Calibration(Pattern[CalibrationParams]):
         ages = np.array(self._ages) - self._offset
         measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         if scan_delay.is_measured and self._scan is not None and self._scan.ages is not None:
-            # A matched pose is the pose at the newest ray; the delay is defined by the mean age of
-            # the rays. While the order of rays is unknown, all ages are equal, and a matched pose
-            # is the pose at the mean ray.
+            # `turn_delay` gives the age of the newest ray, since a matched pose is the pose at that
+            # ray. The scan delay is the mean age of all rays, so the mean time by which rays are
+            # older than the newest is added: 0 while the order of rays is unknown, where all ages
+            # are equal and a matched pose is the pose at the mean ray.
             ray_ages = self._scan.ages - self._scan.ages.min()
             scan_delay = scan_delay._replace(value=scan_delay.value + float(ray_ages.mean()))
         measured["scan_delay"] = scan_delay._replace(assumed=self._spec.latency)
@@ -491,7 +492,8 @@ class Calibration(Pattern[CalibrationParams]):
         """The protection margin in m that a base needs if it responds later than assumed.
 
         `delays`: the reaction delays of the axes in s; each counts with two standard deviations.
-        While the response exceeds REACTION_TIME, the robot's surface and other objects move on.
+        For the time by which the longest delay exceeds REACTION_TIME, the robot's surface and an
+        object still approach each other, so the margin grows by that time at both speeds.
         """
         barrier = self.context.platform.protection.get("barrier")
         if barrier is None:

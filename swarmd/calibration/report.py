@@ -53,9 +53,10 @@ def settings(
     chosen = []
 
     # 1. Decelerations and speed limits. `braking_linear` must hold on the lateral axis, too.
+    moves_sideways = len(drove) > 2
     for axis, speed in zip(AXES, drove, strict=False):
         if axis != "lateral":
-            axes = [axis, "lateral"] if axis == "linear" and len(drove) > 2 else [axis]
+            axes = ("linear", "lateral") if axis == "linear" and moves_sideways else (axis,)
             chosen += _braking(axis, {name: figures[f"braking_{name}"] for name in axes})
         speed_ratio = figures[f"speed_{axis}"]  # measured over commanded
         if speed_ratio.is_measured and speed_ratio.value < 1.0 - _SLOWER:
@@ -78,10 +79,12 @@ def settings(
                 f" duration: {sweep.duration:.3g}}}"
             )
         text = f"measured in {sweep.samples} pairs of scans"
+        # "measured" for the present value: without the key the daemon measures the sweep itself.
         chosen.append(Setting("scan.sweep", yaml, "measured", text, True))
 
     # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:
+        # 0.05 s is REACTION_TIME of binding_range.py, which imports numpy, unlike this module.
         text = "for a response after more than 0.05 s: see the reaction delays"
         chosen.append(
             Setting("protection.barrier.margin", _up(margin.value), margin.assumed, text, True)
@@ -90,10 +93,10 @@ def settings(
 
 
 def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
-    """The setting `braking_<word>`: the weakest deceleration of the axes in `brakes`.
+    """The setting `braking_linear` or `braking_angular` (by `word`): a list of at most one setting.
 
-    Empty if no axis was measured. A stronger deceleration than assumed is set only if each axis was
-    measured.
+    Its value is the weakest deceleration of the axes in `brakes`. Empty if no axis was measured. A
+    stronger deceleration than assumed is set only if each axis was measured.
     """
     candidates = []
     for axis, brake in brakes.items():

@@ -25,7 +25,8 @@ _GATES = (0.5, 0.35, 0.25, 0.18, 0.12, 0.1, 0.08, 0.08, 0.08, 0.08)
 _LEAST_POINTS = 40
 _LEAST_SHARE = 0.5  # share of the points of a scan that must match
 _DAMPING = 1e-6  # for each matched point
-_LEAST_RELIEF = 0.15  # share of normals that must constrain a coordinate; noise gives less
+# Least root mean square of the normals' components along a coordinate; noise gives less.
+_LEAST_RELIEF = 0.15
 
 
 class Located(NamedTuple):

@@ -99,8 +99,9 @@ def _carry_out(
     outcomes: list[Outcome] = []
     if plan.is_empty:
         return outcomes
-    # The goal quotes the epochs of the first query: a robot that was stopped, or changed otherwise,
-    # since then refuses the goal. Epochs that the labels of this plan raise are taken over.
+    # The goal request quotes the epochs of the first query, so that a robot that somebody stopped
+    # or changed since then refuses the goal. Only the changes of labels by this plan do not count:
+    # the reply to a label request has the raised epoch, which replaces the epoch of that robot.
     run_epochs = view.epochs(plan.targets)
 
     def queried_again() -> MembersView:
@@ -118,6 +119,7 @@ def _carry_out(
         outcomes.append(send_goal(operator, run_epochs, next_goal(operator, view, **plan.goal)))
         view = queried_again()
     if plan.resume:
+        # `timeout` None: the usual time for replies, as for the requests before.
         outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
         view = queried_again()
     # Parameters are compared anew, since a run that has just begun may have them already. Robots

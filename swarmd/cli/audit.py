@@ -49,8 +49,8 @@ class _Line(NamedTuple):
 def audit(options: CommonOptions, targets: Targets, since: float | None, count: int) -> None:
     """Print the requests to TARGETS, or to all robots: operators, requests and answers.
 
-    Each robot keeps its audit log on its own disk, about 10000 entries. Times are by this machine's
-    clock, since robots send the ages of entries.
+    Each robot keeps its audit log on its own disk, about 10000 entries. A robot sends the ages of
+    entries, so a robot whose clock is wrong does not shift the printed times.
     """
     with options.operator() as operator:
         view = known_members(options, operator)
@@ -89,9 +89,12 @@ def _read(
     replies = ask_robots(options, operator, names, AUDIT, newest_page)
     for robot, reply in replies.items():
         robot_lines = _lines(reply)
-        # A reply has at most AUDIT_PAGE entries: query older pages until the count is reached.
-        while reply.has_more and reply.entries and len(robot_lines) < count:
-            first_number = reply.entries[0].seq
+        # A reply has at most AUDIT_PAGE entries: query older pages until the count is reached, or
+        # the robot has no older entries.
+        while len(robot_lines) < count:
+            if not reply.has_more or not reply.entries:
+                break
+            first_number = reply.entries[0].seq  # entries have serial numbers, oldest first
             page_size = min(count - len(robot_lines), AUDIT_PAGE)
             query = AuditQuery(before=first_number, since=since, count=page_size)
             older_replies = ask_robots(options, operator, (robot,), AUDIT, query)
@@ -103,6 +106,7 @@ def _read(
         if reply.fault:
             faults[robot] = reply.fault
         lines += robot_lines
+    # Entries of unknown time come first: of an earlier boot, in which the clock was not set.
     lines.sort(key=lambda line: (line.at or 0.0, line.robot, line.entry.seq))
     return lines, faults, set(replies)
 

@@ -172,8 +172,9 @@ def _measure(
     for signal_number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(signal_number, signal.default_int_handler)
     epochs = operator.members(timeout=_QUERY_TIME, needs_status=False).epochs((robot,))
-    may_run = True
+    may_run = True  # the robot may run the pattern
     try:
+        # 1. Start the pattern.
         outcome = operator.request(
             RunRequest, epochs, pattern=PATTERN, params=params, seconds=LONGEST
         )
@@ -182,12 +183,13 @@ def _measure(
             may_run = reply is None  # the request may have arrived without its reply
             answer = "did not answer" if reply is None else f"{reply.code}: {reply.text}"
             raise Failure(f"{robot} {answer}", outcome.exit_code)
+        # 2. Wait for its end. `status`: the first status without the running pattern.
         try:
             status = _follow(operator, robot)
         finally:
             if sys.stderr.isatty():
                 click.echo(err=True)  # ends the line of `_print_step`
-        may_run = status.state is State.RUNNING and status.pattern == PATTERN
+        may_run = False
         return _report(robot, status), status
     finally:
         if may_run:
@@ -257,13 +259,14 @@ def _end_findings(
     """End those findings of the assumption monitor that the calibration disproves.
 
     A finding is the text of a doubt of the robot, such as: the brakes of an axis seem weaker than
-    the platform file declares. `report`: the measured figures. A figure disproves a finding if the
-    measured braking, less 2 standard deviations, is more than the part SOUND of the declared
-    braking.
+    the platform file declares. `report`: the measured figures. The measured braking (m/s^2 or
+    rad/s^2), less 2 standard deviations, disproves a finding if it exceeds 85 % (SOUND) of the
+    declared braking.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 
-    # 1. Choose the findings to end, with their figures as text; warn of each that stays.
+    # 1. Choose the findings to end, with their figures as text; warn of each that stays. Brakes
+    #    that are measured as weak need the new platform file, which declares the measured braking.
     figure_texts: dict[str, str] = {}
     for finding in status.findings:
         axis = axis_of(finding)
@@ -274,8 +277,8 @@ def _end_findings(
             )
             continue
         braking = Figure.parse(str(report[f"braking_{axis}"]))
-        lowest = braking.value - 2.0 * braking.spread
-        if braking.is_measured and lowest > SOUND * braking.assumed:
+        sure_braking = braking.value - 2.0 * braking.spread
+        if braking.is_measured and sure_braking > SOUND * braking.assumed:
             figure_texts[finding] = f"{braking.value:.3g} +- {braking.spread:.2g}"
         else:
             warn(f"{robot} keeps the finding: {finding}; give it the platform file that follows")
@@ -319,6 +322,7 @@ def _show(
     from swarmd.settings.platforms import platform_names
 
     # 1. Parse the figures, and make the text of a platform file that extends the present file.
+    #    `sweep`: order and duration of the rays of a scan, which the robot measured as it turned.
     platform, delay = status.platform, status.scan_delay
     try:
         figures = figures_of(report)

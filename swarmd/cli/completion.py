@@ -1,7 +1,7 @@
 """`swarmctl completion`: scripts for the shells, and the values that Tab offers.
 
-A function that offers values gets the context of the line that the user types. Text on standard
-error is discarded (see `run_cli`).
+A function that offers values gets the context of the line that the user types. Standard error is
+discarded meanwhile, since the shell would show its text in that line (see `run_cli`).
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def swarmd(
     }
     if die_with_parent is not None:  # a process id
         tie_to(die_with_parent)
-    check_descriptors()
+    check_descriptors()  # each link of an operator needs an open file
     # The fork and the settings load numpy, which would start a BLAS thread per core for arrays of
     # 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -145,7 +145,8 @@ def swarmd(
     if not (check or print_effective_config):
         from swarmd.pattern_host.forked import forked_host
 
-        # Without the folder of the program: a random.py there must not shadow a module.
+        # Python puts the folder of the program (the present folder with -m) before all others in
+        # `sys.path`, unless -P is given. A file random.py there must not shadow a module.
         path = sys.path if sys.flags.safe_path else sys.path[1:]
         ctx.with_resource(forked_host(path))
     # 3. Read the settings.
@@ -165,8 +166,8 @@ def swarmd(
     else:
         from swarmd.daemon.daemon import serve
 
-        # Pattern hosts have the same user, and must not trace the daemon. In profile dev, on
-        # loopback, that user may: benchmarks and tests read the daemon's memory and open files.
+        # A pattern host is a process of the same user, and must not read the daemon's keys by
+        # ptrace. Profile dev is exempt: benchmarks and tests read the daemon's memory and files.
         if settings.network.profile != "dev":
             keep_from_tracing()
         ctx.exit(asyncio.run(serve(settings)))

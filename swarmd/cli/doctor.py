@@ -45,8 +45,9 @@ class _Line(NamedTuple):
 def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
     """Check this machine, and TARGETS or all robots: network, clocks, keys, disks, load.
 
-    The worst findings come first; robots with an equal finding share a line. Works without robots.
-    Exit code 1 if there is a fault; a warning or an unknown figure is no fault.
+    The worst findings come first; robots with an equal finding share a line. If no robot is heard,
+    this machine is checked alone. Exit code 1 if there is a fault; a warning is no fault, nor is a
+    figure that could not be measured.
     """
     lines: list[_Line] = [_Line(HERE, one) for one in findings_of.of_machine(measure_machine(()))]
     try:
@@ -77,7 +78,8 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
 
     A robot without a readable answer gets a single finding. Without any robot: a warning.
     """
-    # 1. The robots, and time to hear their beacons.
+    # 1. The robots. Then listen until each robot has sent a beacon (one a second), since the
+    #    findings tell by which ways (such as multicast) the beacons of a robot arrive here.
     view = operator.members(timeout=options.timeout)
     remember(operator.settings, view)
     if not view.members and not view.roster and targets.is_whole_swarm:
@@ -111,13 +113,14 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
             remedy = "install the same version everywhere"
             yield _Line(robot, Finding("answer", False, f"unreadable: {error}", remedy))
             continue
+        other_robots = set(view.alive) - {robot}  # that `robot` should hear
         for finding in findings_of.of_robot(
             reply,
             skew=reply.machine.wall - 0.5 * (sent_at + returned_at),
             error=0.5 * (returned_at - sent_at),
             version=version("swarmd"),
             ways=operator.ways(robot),
-            others=len(set(view.alive) - {robot}),
+            others=len(other_robots),
             now=returned_at,
             roster=roster_generation,
         ):

@@ -38,6 +38,7 @@ def effective_config(settings: DaemonSettings) -> str:
         "accepts_unseen": dict(settings.accepts.unseen),
         "accepts_faster": dict(settings.accepts.faster),
         "fence": to_builtins(settings.fence),
+        "on_low_battery": to_builtins(settings.on_low_battery),
         "state_dir": str(settings.state_dir.absolute()),
         "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
         "recording": to_builtins(settings.recording),

@@ -61,10 +61,10 @@ def resume(options: CommonOptions, targets: Targets) -> None:
 @click.command()
 @common_options
 def undo(options: CommonOptions) -> None:
-    """Set the goal before the present goal again, from any machine: robots keep both goals.
+    """Set the previous goal again, from any machine: robots keep the present and previous goal.
 
-    The robots of that goal run it at once. Robots that only the present goal targets are stopped. A
-    second undo reverses the first. The goal of a run with `--lease` is not set again.
+    The robots of the previous goal run it at once. Robots that only the present goal targets are
+    stopped. A second undo reverses the first. The goal of a run with `--lease` is not set again.
     """
     with options.operator() as operator:
         report(options, set_before(session_of(options, operator)))

@@ -47,11 +47,13 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
             f"{file} is the bundle of {info.role} {info.name};"
             f" take it with `swarmctl keys install {file}`"
         )
-    # 2. Check all before the first write. Folders of the service belong to root.
+    # 2. Check all before the first write. In /etc/swarmd the account of the service owns each
+    #    identity, but root owns the folders above: else links of that account could mislead root.
     base = _base(root)
-    is_of_service = base == (root or Path("/")) / "etc/swarmd"
+    machine_root = root or Path("/")
+    is_of_service = base == machine_root / "etc/swarmd"
     if is_of_service:
-        keep_for_root(root or Path("/"))
+        keep_for_root(machine_root)
     settings = checked_settings(str(file), info.swarm, opened.bundle.settings)
     config = base / DAEMON_FILE
     drafted = draft_daemon_file(config, info.name, settings, {"interface": interface})
@@ -60,12 +62,12 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     if not force:
         _check_file(config, info.swarm, info.name)
     # 3. Write the identity and swarmd.yaml; if the file cannot be written, the identity returns to
-    #    its former content. Then give both to the account of the service.
+    #    its former content. Then let the account of the service read the file and own the identity.
     base.mkdir(parents=True, exist_ok=True)
     with replaced_identity(folder, opened) as identity:
         drafted.write()
     if is_of_service:
-        give_to_service(root or Path("/"))
+        give_to_service(machine_root)
     # 4. Say what was written, what is missing, and which command comes next.
     report_identity(identity, opened.roster)
     click.echo(f"wrote {config}")

@@ -92,7 +92,8 @@ def init(
 ) -> None:
     """Make the authority of SWARM with its roster, and install the first operator here.
 
-    NAMES are separated by commas; ranges in brackets are expanded: tb3-[01-40] is tb3-01 to tb3-40.
+    Commas separate the NAMES of an option; a range in brackets is expanded: tb3-[01-40] is tb3-01
+    to tb3-40.
     """
     from swarmd.security.authority import Authority
     from swarmd.security.bundle import OpenedBundle
@@ -115,8 +116,8 @@ def init(
         if path.exists():
             raise ConfigError(f"{path} is there already; remove it to begin anew")
     passphrase_text = ask_passphrase(is_new=True) if passphrase else None
-    # 2. Write the authority into a draft folder, which gets its name when all is written. An error
-    #    or Ctrl-C leaves nothing.
+    # 2. Write the authority (its key, the roster, and the settings for bundles) into a draft
+    #    folder, which gets its name when all is written. An error or Ctrl-C leaves nothing.
     draft = folder.with_name(f".{swarm}.partial")
     shutil.rmtree(draft, ignore_errors=True)
     try:
@@ -194,7 +195,8 @@ def bundle(
 def list_(options: CommonOptions) -> None:
     """List the names of the roster, and how long their newest certificates last.
 
-    GENERATION: the newest roster that a name surely has, from its bundle or taken since.
+    GENERATION: of the newest roster that a name is known to have: that of its first bundle, or one
+    that it has taken since. A later bundle does not count, since it may not be installed yet.
     """
     authority = open_authority(options.swarm)
     roster, now = authority.roster, time.time()

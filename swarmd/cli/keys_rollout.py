@@ -66,9 +66,9 @@ def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
 def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
     """Take each NAME from the roster, and send the roster to all robots: they refuse that name.
 
-    A robot that takes a new roster stands. A robot that misses the roster still trusts the name
-    until it hears from another robot, or `keys push` reaches it. The name cannot be added again
-    before its last certificate ends.
+    A robot that takes a new roster stands. A robot that is out of reach still trusts the name,
+    until the robot gets the new roster from another robot or by `keys push`. The name cannot be
+    added again before its last certificate ends.
     """
     authority = open_authority(options.swarm)
     roster = authority.roster
@@ -103,12 +103,13 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
     authority = open_authority(options.swarm)
     settings, own_identity = _network(options, authority)
     roster = authority.roster
-    # 1. Choose the names; `select_names` without names chooses all. A name without a record has no
-    #    keys yet.
-    selectable = (*roster.robots, own_identity.name) if is_all else roster.names
-    chosen = [
-        name for name in select_names(names, selectable) if authority.record_of(name) is not None
-    ]
+    # 1. Choose the names. --all means those that the network can renew: robots and this operator.
+    if is_all:
+        chosen_names = (*roster.robots, own_identity.name)
+    else:
+        chosen_names = select_names(names, roster.names)
+    # A name without a record has no keys yet, so there is nothing to renew.
+    chosen = [name for name in chosen_names if authority.record_of(name) is not None]
     robots = tuple(name for name in chosen if name in roster.robots)
     need_bundle = [
         name for name in chosen if name not in roster.robots and name != own_identity.name
@@ -120,6 +121,7 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
         _renew_own(authority, own_identity, days)
     if not robots:
         return
+    # `is_recorded` False: the authority records a certificate once the robot takes it (step 3).
     issued = {name: authority.issue(name, days=days, is_recorded=False) for name in robots}
     outcome = _send_roster(options, settings, own_identity, authority, robots, issued=issued)
     # 3. Record what the robots have taken.
@@ -147,7 +149,8 @@ def roll_out(
     """Send the roster to all robots that may lack it, report, and end with the exit code.
 
     Robots without a bundle are left out, since they have no keys yet. A revoked robot in reach gets
-    the roster without the swarm's secret, and stands.
+    the roster and stands. It does not get the new secret, from which the swarm's members derive the
+    keys of their datagrams.
     """
     settings, own = _network(options, authority)
     wanted = _outstanding(authority)
@@ -213,8 +216,8 @@ def _send_roster(
     """Send the present roster, and new certificates if any, to `robots`; returns all replies.
 
     `own`: the identity of this operator. `issued`: the new certificate by robot, or empty.
-    `revoked`: robots that were taken from the roster; those in reach get the roster without the
-    secret of the swarm.
+    `revoked`: robots that were taken from the roster; those in reach get the roster without the new
+    secret of the swarm, from which its members derive keys.
 
     A robot only accepts datagrams that are signed with the keys of its own generation (version) of
     the roster. Robots may have different generations, so the operator speaks to them in turn, with
@@ -234,8 +237,9 @@ def _send_roster(
         ]
         if not remaining:
             continue
+        # `takes_rosters` False: this operator keeps the keys of `generation` in this turn.
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
-            # 2. Query the epochs of the robots, in half of the time that the user gives.
+            # 2. Query the epochs of the robots, in half of the user's time; step 3 has the rest.
             query_timeout = None if options.timeout is None else options.timeout / 2.0
             view = operator.members(timeout=query_timeout, needs_status=False)
             seconds += view.seconds
@@ -253,7 +257,8 @@ def _send_roster(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            # Once only: with the keys of the generation that this operator has.
+            # 4. Send to revoked robots, in one turn only: that of the generation that this operator
+            #    had before. A revoked robot of another generation is not reached.
             if generation == own.roster.generation and revoked:
                 _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))
@@ -264,8 +269,8 @@ def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> I
     """Yields this user's identity with the keys of each generation that a robot may have.
 
     A generation is a version of the roster. A datagram is signed with keys of one generation, and a
-    robot accepts only its own generation. A robot may already have the present generation, if its
-    answer was lost or its bundle is new.
+    robot accepts only its own generation. The present generation always counts: a robot may have it
+    although the authority recorded an older one, since its answer was lost or its bundle is new.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)

@@ -68,9 +68,10 @@ def label(
     if changes:
         read_changes(changes)  # only checks: UsageError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
+        # `asked.targeted`: the targets with the epochs that the robots have just reported.
         if reset:  # to the labels of the swarm file; `report` ends the command
             asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))
-        # A robot's labels are replaced as a whole, so the present labels must be known.
+        # A request replaces all labels of a robot, so the labels that stay must be known.
         known_labels = labels_of(asked.view)
         unknown_robots = [name for name in asked.names if name not in known_labels]
         if unknown_robots:

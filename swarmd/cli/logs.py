@@ -112,7 +112,7 @@ def _follow(
 
     def on_batch(robot: str, payload: bytes) -> None:  # in a thread of Zenoh
         batch = decode(payload)
-        # A batch that a full queue drops leaves a gap, whose lines are queried (phase 2).
+        # A full queue drops the batch: step 2 notices the missing lines, and queries them.
         if batch.robot == robot and not batches.full():
             batches.put(batch)
 
@@ -120,7 +120,7 @@ def _follow(
         replies = ask_robots(options, operator, robots, LOGS, printer.query) if robots else {}
         printer.print_new(replies.values())
 
-    instances: dict[str, str] = {}  # by robot, the daemon process that was heard last
+    instances: dict[str, str] = {}  # by robot, the id of the daemon process that was heard last
     silent: set[str] = set()
     next_query_at = 0.0
     while True:
@@ -142,7 +142,7 @@ def _follow(
                 warn(f"{robot} is heard again")
             silent = silent_now
             view = operator.members(timeout=1.0, needs_status=False)
-            if not targets.labels:
+            if not targets.labels:  # labels are in statuses, which this query leaves out
                 robots |= set(targets.matching(view.members))
         # 2. Print the next batch, after the lines of lost batches.
         try:

@@ -41,15 +41,14 @@ def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) 
 def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
-    """Print the parameters of running patterns, and end with the exit code of the query `view`.
+    """Print the parameters of running patterns. The exit code is 0 if all targets have answered.
 
-    `keys`: the names of the parameters to print; empty for all. UsageError for a name that the
-    pattern of no robot has.
+    `view`: the answers of the robots to a query. `keys`: the names of the parameters to print;
+    empty for all. UsageError for a name that the pattern of no robot has.
     """
-    # 1. The parameters by robot, and those to print.
-    params_by_robot = {
-        robot: params_of(view.members[robot]) for robot in robots_of(view, targets, view.members)
-    }
+    # 1. The parameters by robot, and those to print. Targets without names: all members.
+    targeted = robots_of(view, targets, view.members)
+    params_by_robot = {robot: params_of(view.members[robot]) for robot in targeted}
     known_keys = {key for params in params_by_robot.values() for key in params}
     for key in keys:
         if key not in known_keys:
@@ -76,7 +75,7 @@ def _show(
         idle = sorted(robot for robot in answered if not params_by_robot[robot])
         if idle:
             click.echo(f"# no pattern is running on {', '.join(idle)}")
-    expected = params_by_robot.keys() & view.expected
+    expected = params_by_robot.keys() & view.expected  # without robots that left the swarm
     click.get_current_context().exit(exit_code_of(view, expected))
 
 

@@ -181,7 +181,8 @@ def write_plugin(
     network = "" if policy is None else _network_text(policy)
     template = kind if policy is None else "policy"
     _check_name(name)
-    # 1. The files by the name of their template, pattern and test first.
+    # 1. The files by the name of their template, pattern and test first. The template of the
+    #    pattern, such as `movement`, has a second template with its test, `test_movement`.
     plugin_folder = folder / name if has_folder else folder
     pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
     paths = {template: pattern_file, f"test_{template}": plugin_folder / f"test_{name}.py"}
@@ -193,12 +194,17 @@ def write_plugin(
     _check_free(name)  # UsageError if a module or an installed pattern has this name
     templates = files("swarmd.cli") / "templates"
     texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
-    # 2. A class name that the templates use for something else, such as Twist, gets a suffix.
-    title = class_name(name)
-    if title in "".join(texts.values()):
-        title += "Pattern"
-    # 3. Fill in the templates, in which `$kind` stands for the name of the class.
-    fields = {"name": name, "module": pattern_file.stem, "kind": title, "network": network}
+    # 2. The class of the pattern. A name that the templates use otherwise (Twist) gets a suffix.
+    class_title = class_name(name)
+    if class_title in "".join(texts.values()):
+        class_title += "Pattern"
+    # 3. Fill in the fields of the templates, such as `$class_name`.
+    fields = {
+        "name": name,
+        "module": pattern_file.stem,
+        "class_name": class_title,
+        "network": network,
+    }
     plugin_folder.mkdir(parents=True, exist_ok=True)
     for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:

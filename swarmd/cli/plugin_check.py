@@ -149,22 +149,24 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         while needs_child:
             needs_child = False
             words = ["check", str(path), "--done", *checked_names]
+            # The rows of the child. The key `result`, or `lost`, has the name of a point.
             for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
                 elif "result" in row and row["result"] not in checked_names:
                     checked_names.append(row["result"])
                     yield _point(row["result"], row, known_faults)
-                    if row.get("is_hang"):  # the child noticed it, and ends
+                    if row.get("is_hang"):  # the child itself noticed a hang, and ends
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
-                elif "lost" in row:  # the child has ended, or hangs (`hangs`), in this point
+                elif "lost" in row:  # the child ended, or hangs, while it checked this point
                     is_first = not checked_names
                     checked_names.append(row["lost"])
                     fault = {"fault": f"the process that checks it {row['how']}"}
                     yield _point(row["lost"], fault, known_faults)
                     if row["hangs"]:
                         yield Point(SKIPPED, "skipped", "correct the failed point first")
-                    needs_child = not (is_first or row["hangs"])
+                    # A file whose import fails, or code that hangs, leaves no other point to check.
+                    needs_child = not is_first and not row["hangs"]
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
     # Two points about the whole check.
@@ -202,10 +204,10 @@ def _inspect(
 
     The child works on items: the points of a check, or the patterns to describe. `words`: the
     arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
-    plugin's code. `log`: takes standard error. If the child ends or hangs in an item, the last
-    yielded row is the `begin` row of that item with further keys: `lost` (the name of the item),
-    `how` (the end in words, with the line of code) and `hangs`. PluginError for an `error` of the
-    child, and if the child ends or hangs before the first item.
+    plugin's code. `log`: takes standard error. If the child ends or hangs in an item, the last row
+    is made here: that of the item's begin, with the keys `lost` (the name of the item), `how` (the
+    end in words, with the line of code) and `hangs`. PluginError if the child reports an error
+    outside an item, ends or hangs before its first item.
     """
     # 1. Start the child. -P: a random.py in the current folder must not shadow a module. --secret:
     #    folders that the sandbox hides from plugin code.
@@ -225,8 +227,10 @@ def _inspect(
         )
         stack.callback(child.kill)
         assert child.stdout is not None
-        # 2. Read its rows. A row `begin` opens an item, a row `result` closes it. All other lines
-        #    are stack traces, whose first line in `folder` tells the place in the code.
+        # 2. Read its lines, and yield the rows of items. A row `begin` opens an item, a row
+        #    `result` closes it: there the key `error` is a fault of the item, elsewhere a fault of
+        #    the child. A line that is no JSON is a line of a stack trace; the first such line that
+        #    names a file in `folder` tells the place in the code.
         open_item: Record | None = None
         code_place = ""
         hangs = False
@@ -248,8 +252,8 @@ def _inspect(
             hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
-        # 3. The child hung or ended early. A child that hangs prints its stack after SIGUSR1, which
-        #    it handles from the first item on.
+        # 3. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack. It
+        #    has no handler of SIGUSR1 before its first item, and the signal would end it.
         if hangs and open_item is not None:
             child.send_signal(signal.SIGUSR1)
             with contextlib.suppress(TimeoutError):

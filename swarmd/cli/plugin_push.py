@@ -107,6 +107,7 @@ def push(
             "without keys robots take code in profile dev only; see `swarmctl keys --help`"
         )
     with asking(options, targets, needs_status=False) as asked:
+        # `push_targets`: globs and labels as typed, which robots that join later may match.
         robots, push_targets = asked.names, goal_targets(targets, asked.names)
         canaries = () if canary is None else canaries_of(canary, robots)
         pusher = _Pusher(asked, source, version, replace, rerun)
@@ -122,7 +123,8 @@ def push(
         if len(outcome.applied) < len(canaries):
             _end_early(outcome, remaining)
         result = _await_canary(asked, source, canaries, remaining, canary_time)
-        # 4. Push to all robots. The manifest names other robots, so its generation is greater.
+        # 4. Push to all robots. This manifest has other targets than the manifest of the canaries,
+        #    and replaces that manifest by its greater generation.
         warn(f"canary: {result}; now {', '.join(remaining)}")
         asked.report(pusher.push(push_targets, robots, generation + 1))
 
@@ -341,10 +343,11 @@ class _Pusher:
         """
         source, operator = self._source, self._operator
         identity = operator.identity
+        # Without an identity: `user@host`, cut to the length of a name in a manifest.
         issuer = operator.name[:MAX_NAME] if identity is None else identity.name
         manifest = PatternManifest(
             swarm=operator.settings.swarm,
-            name=self._name,
+            name=self._name,  # of a removal; a push has the name in its source
             generation=generation,
             issuer=issuer,
             targets=targets,
@@ -358,7 +361,7 @@ class _Pusher:
                 version=(self._version or source.version)[:MAX_VERSION],
                 digest=hashlib.sha256(source.code).digest(),
                 size=len(source.code),
-                value=source.value,
+                value=source.value,  # the class of the pattern in a wheel, as `module:Class`
                 replaces=self._replace,
             )
         try:
@@ -394,9 +397,9 @@ def _await_canary(
     """Wait until the canaries (the first robots with the new code) have tried the code in a run.
 
     New code is provisional on a robot until it has run for a minute without a fault; then the robot
-    holds it. Returns the result in words: all canaries hold the code, no canary that still must try
-    the code runs it, or `limit` s are over. Failure if a canary does not answer, or has returned to
-    another version; the robots of `rest` then keep their code.
+    holds it. Returns the result in words: all canaries hold the code, no canary with provisional
+    code runs the pattern now (a push starts no run), or `limit` s are over. Failure if a canary
+    does not answer, or has returned to another version; the robots of `rest` then keep their code.
     """
     options, operator = asked.options, asked.operator
     digest = hashlib.sha256(source.code).hexdigest()[:DIGEST_LENGTH]
@@ -409,7 +412,7 @@ def _await_canary(
         for robot in canaries:
             report = _named(replies.get(robot), source.name)
             if report is None or report.digest != digest:
-                if report is not None and report.text:
+                if report is not None and report.text:  # why the new code failed
                     fault = f"returned: {report.text}"
                 elif robot in replies:
                     fault = "has another version"
@@ -420,7 +423,8 @@ def _await_canary(
                 provisional_on.append(robot)
                 member = view.members.get(robot)
                 status = None if member is None else member.status
-                is_tried_now |= status is not None and status.pattern == source.name
+                runs_it = status is not None and status.pattern == source.name
+                is_tried_now = is_tried_now or runs_it
         if not provisional_on:
             return "holds it"
         if not is_tried_now:

@@ -43,6 +43,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
         *_check_fence(settings),
+        *_check_low_battery(settings),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -99,11 +100,25 @@ def fence_settings_text(fence: FenceSettings) -> str:
     )
 
 
-def peers_text(settings: DaemonSettings) -> str:
-    """The platforms that come with swarmd beside which this robot must stand, as text.
+def _check_low_battery(settings: DaemonSettings) -> list[Finding]:
+    """What the robot does at a low battery, if it has a pattern for that."""
+    given = settings.on_low_battery
+    if given is None:
+        return []
+    known, act = pattern_names(settings.plugin_dir), f"runs {given.pattern}"
+    if given.pattern is not None and given.pattern not in known:
+        text = f"on_low_battery.pattern: {unknown('pattern', given.pattern, known)}"
+        return [Finding("low battery", False, f"{text}; the robot stands instead")]
+    text = f"below {given.below:g} the robot {'stands' if given.pattern is None else act}"
+    return [Finding("low battery", True, f"{text}, until {given.until:g}")]
 
-    The platforms of the real peers are unknown, since the roster has only names. An accepted
-    platform may be a file of another robot, so that an unknown platform is no fault.
+
+def peers_text(settings: DaemonSettings) -> str:
+    """The platforms of swarmd whose robots make this robot stand, as text.
+
+    The platforms of the real peers are unknown, since the roster has only names. The settings
+    `accepts_unseen` and `accepts_faster` may name platforms that swarmd lacks, such as a file on
+    another robot, so such a name is no fault.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []
@@ -180,7 +195,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     """
     try:
         origins = pattern_names(settings.plugin_dir)
-        in_plugin_dir = pattern_names(settings.plugin_dir, {})
+        in_plugin_dir = pattern_names(settings.plugin_dir, installed={})  # without packages
         rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
     except SwarmError as error:
         yield Finding("patterns", False, str(error))

@@ -111,7 +111,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
 
     with options.operator() as operator:
         replies, failed_robots = _recordings(options, operator, targets)
-        ask = partial(_ask, options, operator)
+        ask = partial(_ask, options, operator)  # sends a query to a robot; raises without an answer
         rows = []  # (robot, path, size, state of the copy)
         for robot, reply in replies.items():
             try:
@@ -119,6 +119,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
                 for file in reply.files:
                     progress = partial(_tell, robot, file.name)
                     copy = copy_file(ask, robot, file, folder, progress)
+                    # "so far": the robot still writes the file.
                     state = copy.fault or ("whole" if copy.is_whole else "so far")
                     rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
                     if copy.fault and robot not in failed_robots:

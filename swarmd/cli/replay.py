@@ -49,7 +49,7 @@ def replay(
 
     # 1. The recordings, each a list of files, and the code of the patterns.
     recordings = recordings_of(_files(files))
-    robots = {parts[0].about.get("robot") for parts in recordings}
+    robots = {parts[0].about.get("robot") for parts in recordings}  # heads of their first files
     if len(robots) > 1:
         raise click.UsageError(f"the files are of {len(robots)} robots; give those of one")
     origins = pattern_names(plugin_dir)
@@ -67,7 +67,8 @@ def replay(
             if is_last and not results:
                 raise
             warn(f"{error}; it is left out")
-    # 3. Compare.
+    # 3. Compare. A result is the head of a recording (robot, platform) and its parity: how many
+    #    commands are equal to the recorded commands.
     head, _ = results[0]
     parity = total(parity for _, parity in results)
     is_equal = parity.safe.is_equal and parity.requested.is_equal

@@ -104,8 +104,10 @@ def run(
         canary=read_canary(canary),
         canary_time=canary_time,
     )
-    new_run.check(_option)  # `_option` names a field as the option of the command line
+    new_run.check(_option)  # faults name a field as its option of the command line
     with asking(options, targets, needs_status=canary is not None) as asked, ExitStack() as opened:
+        # The goal keeps globs and labels, for robots that join later. `asked.targeted` has the
+        # robots that must answer now. `opened` closes what the run keeps open, such as a lease.
         run_targets = goal_targets(targets, asked.names)
         if lease is not None:
             from swarmd.cli.run_lease import run_while_here

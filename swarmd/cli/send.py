@@ -117,7 +117,8 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
     If robots refused the request for a mistake in it, the mistake follows. `notes`: further fields
     of the JSON document. OSError if standard output fails, such as a full disk.
     """
-    # 1. Warnings, also about robots that the request may not have targeted.
+    # 1. Warnings, also about robots that the request may have left out: a robot of unknown labels
+    #    may have a target label, and a robot may know members that it did not list to swarmctl.
     for text in outcome.warnings:
         warn(f"warning: {text}")
     if outcome.unlabelled:

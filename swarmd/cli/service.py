@@ -199,7 +199,8 @@ def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
     config = steps.within(CONFIG_FILE)
     if not config.exists():
         return [("settings", f"absent: {config}; run swarmd install BUNDLE, or write it")]
-    # Read the settings as the service does, with its folders and not those of this user.
+    # Read the settings as the service does: with the state folder that systemd names in
+    # STATE_DIRECTORY, and with the identity below `etc` of the root, not that of this user.
     service_environ = {
         "STATE_DIRECTORY": str(STATE_FOLDER),
         "XDG_CONFIG_HOME": str(steps.within(Path("/etc"))),

@@ -55,9 +55,10 @@ class Steps:
             shutil.rmtree(there) if there.is_dir() else there.unlink()
 
     def run(self, name: str, *words: str, otherwise: str) -> bool:
-        """Run a program on the root folder; prints the line `otherwise` if it is not installed.
+        """Run a program, with `--root` for another root folder than `/`; True if it has run.
 
-        True if the program has run, False if it is not installed. Failure if it ends with an error.
+        If the program is not installed: prints the line `otherwise`, and returns False. Failure if
+        the program ends with an error.
         """
         if shutil.which(name) is None:
             click.echo(f"skip {name}: it is not on this machine; {otherwise}")
@@ -92,9 +93,10 @@ def check_may_write(steps: Steps) -> None:
 def keep_for_root(root: Path = Path("/")) -> None:
     """Make root the owner of the folder around the identities; nothing if this process is not root.
 
-    The account of the service owns each identity, which its daemon renews. If the account could
-    change the folder around the identities as well, its links could lead root to other files.
-    ConfigError if another user owns the daemon's folder.
+    The account of the service owns the folder of each identity, since the daemon writes renewed
+    certificates there. The folder above must belong to root: else the account could put links
+    there, and commands of root that write below that folder would change other files. ConfigError
+    if another user than root owns /etc/swarmd.
     """
     if os.geteuid() != 0:
         return
@@ -117,8 +119,8 @@ def give_to_service(root: Path = Path("/")) -> bool:
     """Let the service's account read the daemon's file and use the identities of the machine.
 
     Returns False, and changes nothing, without such an account below `root`, without files to give,
-    or if this process is not root. ConfigError as `keep_for_root`. The account gets only files of
-    root: among its own files may be links to other files.
+    or if this process is not root. ConfigError as `keep_for_root`. The folder of an identity that
+    another user can write is left alone: that user may have put links to other files there.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:

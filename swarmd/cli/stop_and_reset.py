@@ -71,8 +71,10 @@ def reset(
     from swarmd.client.changes import reset as clear
 
     with asking(options, targets, needs_status=True) as asked:
+        # A latch is an emergency stop that lasts until a reset. `latches`: those that the robots
+        # reported just now, by id; the request names these ids, so a later latch stays.
         robots, latches = asked.names, asked.view.latches(asked.names)
-        # Say what the reset clears. A latch is an emergency stop that lasts until a reset.
+        # Say what the reset clears.
         for latch_id, latch in latches.items():
             cause = f" ({latch.reason})" if latch.reason else ""
             stopped = "all robots" if latch.scope == "swarm" else "named robots"

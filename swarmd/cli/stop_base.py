@@ -28,8 +28,8 @@ _NO_DRIVER = 5  # as in swarmd.cli.daemon
 def stop_base(config: Path | None, within: float) -> None:
     """Command zero to the base of the daemon's settings for half a second, and exit.
 
-    Uses a connection of its own, as the watchdog does. The unit of `swarmd service install` runs
-    this command after each end of the daemon.
+    The unit of `swarmd service install` runs this command after each end of the daemon. The command
+    opens a connection of its own to the base, since that of the daemon ended with the daemon.
     """
     from swarmd.daemon.driver import make_bare_driver
     from swarmd.settings.settings import load_daemon_settings

@@ -231,16 +231,16 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    # 2. A closed pipe. Click raises SystemExit(1) for it, as for a failure, and replaces
-    #    `sys.stdout`.
+    # 2. A closed pipe, such as `| head`. Click raises SystemExit(1) for it, as for a failure, but
+    #    only for a closed pipe also replaces `sys.stdout`. Output that still waits is discarded.
     except SystemExit:
         if sys.stdout is stdout:
             raise
         sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED_PIPE
-    # 3. The name of a file is no text: `as_text` says which. Another text that cannot be encoded
-    #    is a fault of the program: the error goes on.
+    # 3. A file name that is not UTF-8 cannot be written as JSON; `as_text` says which name. Any
+    #    other text that cannot be encoded is a fault of the program, whose error is not caught.
     except UnicodeEncodeError as error:
         try:
             as_text(error.object)  # ConfigError if the object is no text
@@ -260,12 +260,13 @@ def run_cli(
 
 
 def _not_text(words: Sequence[str]) -> str:
-    """The fault of the first word that is not UTF-8; empty without such a word, and for a stop.
+    """The fault of the first word that is not UTF-8, in words; empty without such a word.
 
-    Such a word may be a file name, which answers, manifests and messages to processes cannot
-    contain. A stop sends no file name, checks the names of robots, and replaces wrong characters in
-    its reason.
+    Such a word may be a file name, which JSON, manifests and messages cannot contain. Empty also if
+    a word is `stop` or `estop`: a stop must not fail for a wrong character. It sends no file name,
+    checks the names of robots, and replaces wrong characters in its reason.
     """
+    # Python decodes a byte that is not UTF-8 to a lone surrogate, in this range.
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)
     if bad is None or any(map(_is_stop, words)):
         return ""

@@ -58,9 +58,13 @@ def view(
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
     # 1. --foxglove PORT.
     if foxglove is not None:
-        if files or web:
-            excluded = "--web" if web else f"{files[0]}: Foxglove opens recordings by itself"
-            raise click.UsageError(f"--foxglove shows a living swarm, alone; without {excluded}")
+        if web:
+            raise click.UsageError("--foxglove shows a living swarm, alone; without --web")
+        if files:
+            raise click.UsageError(
+                "--foxglove shows a living swarm, alone; Foxglove opens recordings by itself:"
+                f" leave out {files[0]}"
+            )
         if page.bind != HOST:
             raise click.UsageError(
                 f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer:"
@@ -83,7 +87,9 @@ def view(
     # 4. A page of the living swarm.
     need("websockets", extra="web")
     with _live(options, "from the page") as (source, commander, identity):
-        page = page.of(identity)  # with the token, certificate and rights of this user
+        # In a secured swarm the page gets a token, the certificate of this user's identity (with
+        # --tls), and is read only unless this user is an operator.
+        page = page.of(identity)
         check_web(page)
         serve(source, commander, page)
 
@@ -94,8 +100,8 @@ def _live(
 ) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
     """A context with the source of a living swarm, the commander of its pages, and the identity.
 
-    `reason`: stored with each emergency stop of a page. `with_patterns`: a child process describes
-    the patterns, for views that can start a run.
+    `reason`: the text that robots store with an emergency stop from a page. `with_patterns`: a
+    child process describes the patterns, for views that can start a run.
     """
     from swarmd.cli.plugin_check import describe_patterns
     from swarmd.client.known_robots import remember

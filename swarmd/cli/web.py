@@ -157,8 +157,8 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
 class Served:
     """A page that a thread serves until `close`, while the program does other work.
 
-    `reason`: the text that the page shows after the end of the server. `addresses`: lines that are
-    printed on standard error, since the program uses standard output.
+    `reason`: the text that the page shows after the end of the server. `addresses`: lines with the
+    addresses of the page, which go to standard error: standard output belongs to the program.
     """
 
     def __init__(

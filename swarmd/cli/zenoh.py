@@ -26,11 +26,12 @@ from swarmd.core.errors import ConfigError, NetworkError
 def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
-    The configuration is JSON, which Zenoh reads as JSON5. Its session is a peer that finds the
-    robots by scouting, also robots that start later. With --dial, or where robots answer no scouts,
-    the peer dials the robots that are known now. In profile routed the session is a client of the
-    routers. In a secured swarm the configuration names the files of your identity, and has its
-    access rules.
+    The configuration is JSON, a subset of the JSON5 that Zenoh reads. Its session is a peer that
+    finds the robots by scouting (multicast queries), also robots that start later. With --dial, or
+    where robots answer no scouts, the peer dials the robots that are known now: robots of a secured
+    swarm answer scouts in profile dev, and with `discoverable: true`. In profile routed the session
+    is a client of the routers. In a secured swarm the configuration names the files of your
+    identity; it also has Zenoh's access rules for your name, except in profile routed.
     """
     from swarmd.network.carriers.session import foreign_options
 
@@ -42,7 +43,8 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         endpoints = operator.endpoints()
         if not endpoints and settings.profile != "routed":
             raise unreachable(operator)
-    # 2. In a secured swarm: leave out robots that only have an IPv6 address.
+    # 2. In a secured swarm: leave out robots that only have an IPv6 address. (In profile routed the
+    #    program dials routers, not robots.)
     if identity is not None:
         by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
         if by_ipv6 and settings.profile != "routed":

@@ -45,16 +45,18 @@ class Plan:
 def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     """The changes that bring the robots in `view` to the content of a swarm file.
 
-    A robot without a status is `unknown`, and gets no changes. A file without labels leaves all
-    labels as they are. A file without a goal, or without parameters, leaves these as they are.
+    A robot that did not answer gets no changes, and is in `Plan.unknown`. A file without labels
+    leaves all labels as they are. A file without a goal, or without parameters, leaves these as
+    they are.
     """
     statuses = {
         name: member.status
         for name, member in view.members.items()
+        # A robot that does not answer now may still have the status of an earlier look.
         if member.status is not None and member.contact is Contact.ANSWERED
     }
 
-    # 1. Labels. `labels`: of the file, by robot; `new_labels`: where the robot has other labels.
+    # 1. Labels. `labels`: of the file, by robot; `new_labels`: only of robots whose labels differ.
     labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
     new_labels = {
         name: wanted for name, wanted in labels.items() if set(wanted) != {*statuses[name].labels}
@@ -90,16 +92,17 @@ def _goal_plan(
 
     `labels`: the labels of the file by robot, empty if the file names none. If the present goal has
     the content of the file, robots to which the goal is offered (known, but not run before an
-    operator says so) resume the goal. Runs that have ended are only reported (`left`: the reason by
-    robot). Otherwise the file's goal is a new goal.
+    operator says so) resume the goal. A run of this goal that has ended is not started again:
+    `Plan.left` has the reason of its end by robot. Otherwise the file's goal is a new goal.
     """
     if file.goal is None:
         return Plan()
     content = file.goal.content
-    wanted = Goal(generation=1, issuer="file", id="file", **content)
+    # A goal that is never sent, only to ask which robots the file's goal is for.
+    file_goal = Goal(generation=1, issuer="file", id="file", **content)
     robot_labels = {name: labels.get(name, status.labels) for name, status in statuses.items()}
-    targets = tuple(name for name in sorted(statuses) if wanted.is_for(name, robot_labels[name]))
-    present, _ = present_goals(view)
+    targets = tuple(name for name in sorted(statuses) if file_goal.is_for(name, robot_labels[name]))
+    present, _replaced = present_goals(view)
     if not is_like(present, content):
         before = "no goal" if present is None else present.text
         line = ("goal", _words(targets), f"{before} -> {_goal_text(content)}")
@@ -159,8 +162,9 @@ def _param_changes(
 ) -> Params:
     """The parameters of a robot's running pattern whose value in the file differs.
 
-    The file's parameters of its goal replace the file's parameters for robots and labels. Empty if
-    the robot does not run, and if the plan has a new goal (`goal`): that goal has its parameters.
+    A parameter that the file gives under its goal counts before the same parameter under a robot
+    or label. Empty if the robot does not run, and if the plan has a new goal (`goal`): the new run
+    then begins with the parameters of that goal.
     """
     pattern = status.pattern
     if status.state is not State.RUNNING or pattern is None or goal is not None:

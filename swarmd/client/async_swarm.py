@@ -150,4 +150,4 @@ async def _from_thread(
     finally:
         cancelled.set()
         next_item.cancel()  # the loop of a notebook goes on, and the task would wait for ever
-        thread_end.cancel()  # the thread may end after the loop
+        thread_end.cancel()  # a thread that ends after the loop must not report to the closed loop

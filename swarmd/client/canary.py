@@ -46,8 +46,9 @@ def choose_canaries(
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
-    newest status in the run.
+    `before`: the canary's status before the run; None: unknown. Its share of ticks in which
+    protection acts may not rise much. `first`, `now`: its first and its newest status in the run,
+    between which the pattern host may not restart.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -91,8 +92,8 @@ def watch_canary(
             if status is not None and status.robot in last_heard:
                 robot = status.robot
                 last_heard[robot] = boottime()
-                status_before = (before or {}).get(robot)
-                fault = fault_of(status_before, first_status.setdefault(robot, status), status)
+                first = first_status.setdefault(robot, status)
+                fault = fault_of((before or {}).get(robot), first, status)
                 if fault:
                     faults[robot] = fault
 

@@ -130,10 +130,12 @@ def connect(
 
     The options are the options of swarmctl, with the same defaults: `$SWARM`, `$SWARM_CONFIG` and
     the context in use, else swarm `default` of robots on this machine. `context`: another context
-    (a named set of options, see `swarmctl context`). `config`: a swarm file. `profile`: dev, field
-    or routed. `identity`: the folder of your identity; by default the folder of this user or
-    machine for the swarm. `timeout`: s, for each method that is called without a timeout. `tell`
-    takes lines for the user, such as robots that did not answer; by default these lines are
+    (a named set of options, see `swarmctl context`). `config`: a swarm file. `profile`: dev (robots
+    on this machine), field (robots on the network interface `interface`) or routed (through Zenoh
+    routers). `seeds`: endpoints of robots that multicast does not reach. `identity`: the folder of
+    your certificate and keys; by default the folder of this user or machine for the swarm.
+    `insecure`: use no identity. `timeout`: s, for each method that is called without a timeout.
+    `tell` takes lines for the user, such as robots that did not answer; by default these lines are
     warnings of the logger `swarmd.client`.
 
     Raises ConfigError for an option of a wrong type. Nothing is opened before the block begins: its

@@ -47,8 +47,8 @@ class EventLine:
 class EventFeed:
     """Turns the statuses of robots, and lists of members, into event lines.
 
-    Times are in s on one clock. `since`: s; events that are older than this when the first status
-    of their robot comes are left out.
+    Times are in s on one clock. The first status of a robot brings events from before: those older
+    than `since` s are left out.
     """
 
     def __init__(self, since: float = float("inf")) -> None:
@@ -107,16 +107,17 @@ class EventFeed:
         """The events that the status before did not have, and a change of the hold."""
         name, events = status.robot, status.events
         new = events if before is None else _new(before.events, events)
+        is_full = len(events) == MAX_EVENTS  # earlier events may have been dropped
         lines = [
             EventLine(now - max(status.uptime - event.at, 0.0), name, "event", event.text)
             for event in new
         ]
         if before is None:
             lines = [line for line in lines if now - line.at <= self._since]
-            if len(lines) == len(events) == MAX_EVENTS:
+            if is_full and len(lines) == MAX_EVENTS:
                 text = f"events before this one are not known: a robot keeps {MAX_EVENTS}"
                 lines.insert(0, EventLine(lines[0].at, name, "gap", text))
-        elif before.events and len(new) == len(events) == MAX_EVENTS:
+        elif before.events and is_full and len(new) == MAX_EVENTS:
             text = "events before this one may be missing: more came than a robot keeps"
             lines.insert(0, EventLine(lines[0].at, name, "gap", text))
         hold, earlier = _hold(status), None if before is None else _hold(before)

@@ -38,17 +38,17 @@ def follow_events(session: Session, feed: EventFeed, targets: Targets) -> Iterat
     news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
     watch = SwarmWatch(session.operator, on_status=news.put, on_view=news.put)
     watch.start()
-    early: list[EventLine] | None = []
+    early: list[EventLine] | None = []  # until the first look; None afterwards
     try:
         while not session.is_cancelled():
-            one = _next(news)
+            status_or_view = _next(news)
             now = time.monotonic()
-            lines = _lines_of(feed, one, now) + feed.advance(now)
+            lines = _lines_of(feed, status_or_view, now) + feed.advance(now)
             if early is not None:
                 early += lines
-                if one is None or isinstance(one, Status):
+                if status_or_view is None or isinstance(status_or_view, Status):
                     continue
-                session.tell_awaited(one, targets)
+                session.tell_awaited(status_or_view, targets)
                 lines, early = sorted(early), None
             yield [line for line in lines if targets.matching([line.robot])]
     finally:

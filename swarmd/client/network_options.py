@@ -44,7 +44,8 @@ class NetworkOptions:
 
         A context is a named set of options. A context sets no option that the command line or
         $SWARM sets. No context is used if the options or $SWARM_CONFIG name a swarm file, or if
-        the context belongs to another swarm. ConfigError if the context does not exist.
+        the options or $SWARM name another swarm than the context. ConfigError if the context does
+        not exist.
         """
         import msgspec
 
@@ -62,8 +63,8 @@ class NetworkOptions:
         values["swarm"] = swarm or context.swarm
         for name in ("config", "identity"):
             values[name] = Path(values[name]) if values[name] else None
-        missing = {name: value for name, value in values.items() if not getattr(self, name)}
-        return replace(self, **missing)
+        not_set = {name: value for name, value in values.items() if not getattr(self, name)}
+        return replace(self, **not_set)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
         """An operator in the swarm's network, a context manager.
@@ -91,7 +92,8 @@ class NetworkOptions:
     def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
         """The settings of the network, the robots that a swarm file names, and the identity.
 
-        Only these options and $SWARM count, not the context in use.
+        Only these options and $SWARM count, not the context in use. ConfigError also for the
+        identity of a robot (`check_asker`), since robots do not answer questions of robots.
         """
         from swarmd.network.settings import NetworkSettings, Profile
         from swarmd.security.identity import check_asker, choose_identity
@@ -108,6 +110,7 @@ class NetworkOptions:
                 "identity": None if self.identity is None else str(self.identity),
                 "insecure": self.insecure or None,
             }
+            # Of the environment: $SWARM, and the user's folder with the installed identities.
             file, identity = load_swarm(self.config, overrides, os.environ)
             check_asker(identity)
             return file, list(file.robots), identity

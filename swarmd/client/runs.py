@@ -17,7 +17,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import MAX_AHEAD, GoalRequest, RunRequest
 from swarmd.network.operator.exit_codes import FAILED, PARTIAL
-from swarmd.network.operator.operator_goals import next_generation, next_goal, resigned
+from swarmd.network.operator.operator_goals import next_generation, next_goal, signed_again
 from swarmd.network.operator.request_sender import REQUEST_WAIT
 from swarmd.texts.values import seconds as in_short
 
@@ -145,6 +145,7 @@ def carry_out(
         keeper = LeaseKeeper(targeted.operator, goal.id, run.lease, targeted.names)
         keeper.start()
         opened.callback(keeper.close)
+    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
     epochs = targeted.view.epochs(targeted.names)
     return StartedRun(goal, send_goal(targeted.operator, epochs, goal, timeout=targeted.time_left))
 
@@ -198,19 +199,21 @@ def start_at(
     offsets = read_clocks(operator, targeted.names)
     start = boottime() + at
     starts, skew = start_times(offsets, start)
+    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
     all_epochs = targeted.view.epochs(targeted.names)
     epochs = {name: epoch for name, epoch in all_epochs.items() if name in starts}
     without_clock = tuple(sorted(set(targeted.names) - epochs.keys()))
     if without_clock:
         session.tell(f"not asked, since their clocks did not answer: {', '.join(without_clock)}")
-    if len(starts) > 1:
+    if len(starts) > 1:  # a robot starts at its first tick after the moment: up to TICK later
         session.tell(
             f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
     session.check_awaited()
 
-    # 2. Send the request. A robot replies when it starts, or at once if it refuses.
+    # 2. Send the request. A robot replies when it starts, or at once if it refuses. So until the
+    # start only robots that refuse have replied.
     is_withdrawn = False
 
     def is_cancelled_before_start() -> bool:
@@ -233,9 +236,9 @@ def start_at(
         raise
 
     # 3. After a cancellation stop the robots that have not refused: they would start at `at`.
-    accepted = epochs.keys() - outcome.replies.keys()
-    if is_withdrawn and accepted:
-        raise SwarmError(stop_on_interrupt(session, accepted, "start cancelled"))
+    not_refused = epochs.keys() - outcome.replies.keys()
+    if is_withdrawn and not_refused:
+        raise SwarmError(stop_on_interrupt(session, not_refused, "start cancelled"))
     errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
     return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
@@ -258,7 +261,7 @@ def run_with_canary(
     session, operator, view = targeted.session, targeted.operator, targeted.view
 
     # 1. Start the canaries.
-    canary_goal = resigned(operator, goal, targets=canaries)
+    canary_goal = signed_again(operator, goal, targets=canaries)
     epochs_before = view.epochs(canaries)
     outcome = send_goal(operator, epochs_before, canary_goal, timeout=targeted.time_left)
     if len(outcome.applied) < len(canaries):
@@ -284,7 +287,7 @@ def run_with_canary(
     # stopped or changed while the canaries ran refuses the request by its epoch.
     others = tuple(name for name in targeted.names if name not in canaries)
     present_view = operator.members(timeout=session.timeout)
-    goal = resigned(operator, goal, generation=next_generation(operator, present_view))
+    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
     epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
     outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
     return outcome, {"canary": list(canaries), "others": list(others)}

@@ -39,9 +39,9 @@ class Session:
         """Query all members (a look), and tell the user which robots are missing.
 
         Returns once all expected robots have answered, or after `timeout`. With `is_request_next`
-        half of `timeout` is left for a request (see `time_left`), and SwarmError is raised as by
-        `check_awaited`. NetworkError, which names the swarms that were found, if no daemon was
-        reached.
+        half of `timeout` is left for a request (see `time_left`), and SwarmError is raised if the
+        caller no longer waits: the request would come too late. NetworkError, which names the
+        swarms that were found, if no daemon was reached.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:
@@ -135,17 +135,17 @@ class TargetedView:
         return self.operator.request(kind, epochs, timeout=self.time_left, **fields)
 
     def counted(self, outcome: Outcome) -> Outcome:
-        """The outcome with `unlabelled` robots, as it counts for the exit code."""
+        """The outcome with the `unlabelled` robots: its exit code is then PARTIAL at best."""
         return replace(outcome, unlabelled=self.unlabelled)
 
 
 def unreachable(operator: Operator, sent: str = "") -> NetworkError:
     """The error for a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
     text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
-    return NetworkError(f"{text}{instead(operator)}")
+    return NetworkError(f"{text}{other_swarms(operator)}")
 
 
-def instead(operator: Operator) -> str:
+def other_swarms(operator: Operator) -> str:
     """The other swarms that were heard, in words, when no robot was reached."""
     swarm, profile, found = operator.settings.swarm, operator.settings.profile, operator.swarms()
     if swarm in found:

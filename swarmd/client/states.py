@@ -98,7 +98,7 @@ def follow_states(
             session.tell_awaited(view, targets)
 
     operator = session.operator
-    targets = session.named_now(targets)
+    targets = session.named_now(targets)  # labels replaced by names: a state shows no labels
     until = math.inf if seconds is None else boottime() + seconds
     watch = SwarmWatch(operator, on_status=on_status, on_view=on_view)
     operator.watch("motion", on_motion)

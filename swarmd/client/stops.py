@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 from msgspec.structs import replace
 
-from swarmd.client.session import Session, gap, instead, unreachable, where
-from swarmd.client.targets import STOP_LOOK, Targets, no_target, robots_of, stopped, unlabelled
+from swarmd.client.session import Session, gap, other_swarms, unreachable, where
+from swarmd.client.targets import STOP_LOOK, Targets, no_target, robots_of, stop_targets, unlabelled
 from swarmd.core.errors import unknown
 from swarmd.texts.values import seconds
 
@@ -41,7 +41,7 @@ def send_stop(
         search_time = STOP_LOOK if timeout is None else min(timeout / 2, STOP_LOOK)
         view = operator.members(timeout=search_time)
         without_labels = unlabelled(view, targets)
-        targets = stopped(view, targets)
+        targets = stop_targets(view, targets)
         if without_labels:
             text = ", ".join(without_labels)
             session.tell(f"labels are not known, a stop is sent to them, too: {text}")
@@ -77,16 +77,18 @@ def send_stop(
     # unknown, or all robots have left), robots that did not answer, and names that no robot has.
     session.tell_notices()
     view = operator.seen()
-    if not outcome.reached and not outcome.replies and not view.roster:
+    is_none_heard = not outcome.reached and not outcome.replies
+    if is_none_heard and not view.roster:
         how = f"`{verb}` was sent {where(operator)} for {seconds(outcome.seconds)}"
         raise unreachable(operator, f"; {how} and no robot answered")
     known = view.members.keys() | view.roster | outcome.replies.keys()
     unknown_names = [name for name in outcome.missing if name not in known]
-    if not outcome.targeted or len(unknown_names) == outcome.targeted:
+    are_all_unknown = len(unknown_names) == outcome.targeted
+    if not outcome.targeted or are_all_unknown:
         names = robots_of(view, targets)
         raise no_target(*(f"{name} has left" for name in names))
-    if not outcome.reached and not outcome.replies:
-        session.tell(f"no robot was heard{instead(operator)}")
+    if is_none_heard:
+        session.tell(f"no robot was heard{other_swarms(operator)}")
     session.tell_gaps(view, [name for name in outcome.missing if name not in unknown_names])
     warnings = (unknown("robot", name, view.members) for name in unknown_names)
     return replace(outcome, warnings=(*outcome.warnings, *warnings))

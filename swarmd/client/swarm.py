@@ -36,13 +36,13 @@ class Swarm:
     None means all robots, and an empty list no robot. `labels` adds robots with any of these
     labels, `exclude` leaves robots out. `timeout`: the longest time in s that the method takes.
 
-    Methods that change robots return an `Outcome`, counted as by `swarmctl`: `line`, `applied`,
-    `refused`, `failed`, `missing`, `replies` with the code and text of each robot, `exit_code`. A
-    robot that refuses or does not answer raises no error. If nothing was sent, a method raises
-    RequestError (with the exit code of swarmctl) because no robot is targeted, NetworkError because
-    no daemon is reached, or ConfigError because a value is wrong. SwarmError, the base of these
-    errors, if the connection is closed or 8 requests are under way. Several threads may use one
-    object; a stop waits for no other method.
+    Methods that change robots return an `Outcome`: `applied`, `refused`, `failed` and `missing`
+    name robots, `replies` has the code and text of each robot, `line` and `exit_code` are those of
+    `swarmctl`. A robot that refuses or does not answer raises no error. If nothing was sent, a
+    method raises RequestError (with the exit code of swarmctl) because no robot is targeted,
+    NetworkError because no daemon is reached, or ConfigError because a value is wrong. SwarmError,
+    the base of these errors, if the connection is closed or 8 requests are under way. Several
+    threads may use one object; a stop waits for no other method.
     """
 
     def __init__(
@@ -212,9 +212,9 @@ class Swarm:
         the run; None: until a stop. `until`: conditions as in `swarmctl run --until`; the first
         condition that is met ends the run. `at`: the time from now at which all robots start at one
         moment. `canary`: the name, or the number, of robots that run first, for `canary_time` s
-        (default 10); the other robots follow if the canaries run well. `lease`: robots stop if this
-        connection was closed, or its program has ended, that long ago. `on_join` "run": robots that
-        join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
+        (default 10); the other robots follow if the canaries run well. `lease`: robots stop `lease`
+        s after this connection was closed, or after its program has ended. `on_join` "run": robots
+        that join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
         """
         from swarmd.client.runs import Run, carry_out, goal_targets
 
@@ -236,6 +236,7 @@ class Swarm:
             # The session of a run with a lease stays open for the time of the run, to renew the
             # lease. So it is not counted among the requests under way, whose number is limited.
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
+            # The check of a canary compares its statuses before the run and during the run.
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
@@ -285,8 +286,8 @@ class Swarm:
         """Clear emergency stops and faults of robots. The robots become idle, and do not move.
 
         Only emergency stops and faults that the robots report now are cleared; a later emergency
-        stop stays. With `findings`, also clear the findings of the assumption monitor, so that the
-        robots may drive at full speed again.
+        stop stays. With `findings`, also clear the violated assumptions of protection, for which
+        robots drive slower, so that the robots may drive at full speed again.
         """
         from swarmd.client.changes import reset
 

@@ -134,12 +134,12 @@ def named(view: MembersView, targets: Targets) -> Targets:
     return replace(targets, names=(*targets.names, *robots), labels=())
 
 
-def stopped(view: MembersView, targets: Targets) -> Targets:
+def stop_targets(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop by labels, with the labels replaced by names.
 
-    A robot whose labels are not known is a target, too: only robots whose known labels differ are
-    left out. All robots if no robot was heard. RequestError if all robots have answered and no
-    robot has such a label.
+    Left out are only excluded robots, and robots that are not named and have answered without any
+    of these labels. A robot whose labels are not known is stopped, too. RequestError if all
+    expected robots have answered, and no robot has one of the labels.
     """
     labels_by_robot = labels_of(view)
     if view.expected and view.expected <= labels_by_robot.keys():

@@ -2,8 +2,9 @@
 
 Each difference of arrival time and stamp is an unknown clock offset plus the delay of the message.
 The least difference so far belongs to the fastest message. The extra delay of a message is its
-difference less the least difference. The estimate of the least difference rises slowly, so that
-clock drift is forgotten.
+difference less the least difference. The clocks drift apart, and with them the least difference. So
+the estimate rises at the rate of the greatest drift, until a fast message lowers the estimate
+again.
 """
 
 from __future__ import annotations

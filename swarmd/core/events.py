@@ -111,8 +111,8 @@ class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
 class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
     """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`.
 
-    `is_program`: the sender is a Zenoh program, not a robot. `size`: bytes of the encoded value;
-    0 if the shell does not know it, and the robot then encodes the value to measure it.
+    `is_program`: the sender is a Zenoh program, not a robot. `size`: bytes of the encoded value; 0
+    if the maker of this input does not know it: the robot then encodes the value to measure it.
     """
 
     sender: Name

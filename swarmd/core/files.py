@@ -112,8 +112,8 @@ def remove_whole(path: Path) -> None:
 def write_fault(folder: Path) -> str:
     """Why no file can be written to a folder; empty if a file can be written.
 
-    Makes a missing folder. Writes and removes a file of one block: permissions alone do not show a
-    full or read-only disk.
+    For a missing folder its nearest folder above is tried. Writes and removes a file of one block:
+    permissions alone do not show a full or read-only disk.
     """
     from tempfile import TemporaryFile  # 10 ms of each start of swarmctl
 

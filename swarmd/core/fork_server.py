@@ -48,8 +48,8 @@ class ForkedProcess:
     def poll(self) -> int | None:
         """The exit code; None while the process runs.
 
-        After the end of the server, multiprocessing returns 255. The kernel has then killed this
-        process, too (`--die-with-parent`), so that the result is that of SIGKILL.
+        After the end of the server, multiprocessing returns 255 for its forks. The kernel has then
+        killed this fork, too (`--die-with-parent`), so that the result is that of SIGKILL.
         """
         code = self._process.exitcode
         return -signal.SIGKILL if code == _SERVER_IS_GONE else code

@@ -1,7 +1,9 @@
 """The goal of a swarm: which robots are to run which pattern. A record that spreads by gossip.
 
-In a secured swarm the operator signs the goal. Order and digest of a goal depend on its content
-only, neither on the signature nor on the encoding in which the goal was received.
+The greater goal counts on every robot: the goal of the later generation; in one generation the goal
+with the greater issuer, then with the greater bytes. In a secured swarm the operator signs the
+goal. Order and digest of a goal depend on its content only, neither on the signature nor on the
+encoding in which the goal was received.
 """
 
 from __future__ import annotations
@@ -70,12 +72,12 @@ class GoalState(StrEnum):
 class GoalRecord(Struct, frozen=True, kw_only=True):
     """The record of a robot on disk: its goals, the end of its run, and its labels.
 
-    - `held`: the greatest goal seen; `before`: the goal that it replaced; `own`: the greatest goal
-      for this robot.
+    - `held`: the greatest goal seen, also if it is for other robots; `before`: the goal that it
+      replaced; `own`: the greatest goal whose targets include this robot.
     - `ended`: why the run of the own goal ended; empty if it did not end.
     - `may_join`: neither a stop nor a reset came after the own goal.
     - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.
-    - `ran`: the run of the own goal was loading or running, and has not ended since.
+    - `ran`: the run of the own goal is on, or was on when the daemon ended; no stop came since.
     - `labels`: None: the labels of the swarm file.
     """
 
@@ -105,9 +107,9 @@ class KnownGoal(Struct, frozen=True, kw_only=True):
 class GoalStatus(Struct, frozen=True, kw_only=True):
     """The goals of a robot, for its status.
 
-    - `held`: the greatest goal that the robot has seen.
+    - `held`: the greatest goal (latest generation) seen, also if it is for other robots.
     - `before`: the goal that `held` replaced, with another id.
-    - `own`: the greatest goal for this robot; None without a goal.
+    - `own`: the greatest goal whose targets include this robot; None without a goal.
     - `state`: how far the robot has carried out `own`; None without a goal.
     - `reason`: why the robot does not carry out `own`; empty if the robot does.
     - `superseded`: the goal that ended the last run, such as `goal 7 of bob: flocking`.

@@ -88,8 +88,8 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
 
     `rate`: steps per second. `touches`: the zone in which the pattern asks to touch obstacles.
     `took`: seconds that loading took. `note`: requested speeds that the base cannot reach.
-    `scan_delay`: s; the pattern continues with scans up to this much later than the platform's
-    latency.
+    `scan_delay`: s beyond the platform's latency; the pattern is not held while scans arrive with
+    at most this further delay.
     """
 
     generation: int

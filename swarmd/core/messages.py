@@ -66,6 +66,7 @@ class Reason(StrEnum):
     ROSTER_CHANGED = "roster_changed"
     SUPERSEDED = "superseded"  # by a greater goal
     LEASE_ENDED = "lease_ended"  # the operator was not heard for the run lease
+    LOW_BATTERY = "low_battery"
     # holds: each makes the command zero; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
@@ -105,7 +106,7 @@ class Refusal(StrEnum):
     FAULTED = "faulted"
     BUSY = "busy"  # an earlier request is still under way
     OVERTAKEN = "overtaken"  # a stop, a fault, a greater goal or another change came first
-    TOO_LATE = "too_late"  # the time at which the run was to start is over
+    TOO_LATE = "too_late"  # the time at which the run was to start is over, or the age is unknown
     NO_GOAL = "no_goal"  # the robot has no goal to resume
     INVALID_GOAL = "invalid_goal"  # for other robots, of another run, or not signed by its issuer
     NOT_RUNNING = "not_running"
@@ -124,6 +125,7 @@ class Refusal(StrEnum):
     NOT_SIGNED = "not_signed"  # the code is not signed by an operator of the roster
     NAME_TAKEN = "name_taken"  # the robot has a pattern of that name that was not pushed
     CHANGED_CODE = "changed_code"  # the file of a pushed pattern differs from the pushed code
+    NOT_PERMITTED = "not_permitted"  # the role of the operator does not permit the request
 
 
 class Epoch(Struct, frozen=True):
@@ -213,8 +215,10 @@ class RecordingSummary(Struct, frozen=True, kw_only=True):
 class DelayFigure(Struct, frozen=True, kw_only=True):
     """How late scans arrive, by one method: the mean age of their rays on arrival, in s.
 
-    `delay` None: unknown, for the reason in `text`. `spread`: the standard deviation of single
-    scans (method `stamps`) or of the estimate (method `turns`). `age`: s since the last sample.
+    `method`: `stamps` (stamps of scans and odometry are compared) or `turns` (while the robot
+    turns, scans are matched to the odometry). `delay` None: unknown, for the reason in `text`.
+    `spread`: the standard deviation of single scans (`stamps`) or of the estimate (`turns`). `age`:
+    s since the last sample.
     """
 
     method: Word
@@ -263,8 +267,9 @@ class SweepFigure(Struct, frozen=True, kw_only=True):
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
-    `added`: the delay beyond `declared` that protection counts. A delay beyond `bound` holds the
-    robot. `sweep`: None if the platform declares the sweep.
+    `declared`: the latency in the platform's file. `added`: the measured delay beyond `declared`,
+    which protection adds to it. The robot is held while `added` exceeds `bound`. `sweep`: None if
+    the platform declares the sweep.
     """
 
     declared: Seconds
@@ -314,6 +319,21 @@ class FenceSummary(Struct, frozen=True, kw_only=True):
     limits: bool = False
     holds: bool = True
     text: Line = ""
+
+
+class BatterySummary(Struct, frozen=True, kw_only=True):
+    """The battery of a robot with the settings `on_low_battery`.
+
+    `charge`: a share; None without a fresh reading. `below`: the bound of a low battery. `is_low`
+    ends at a higher charge. `pattern`: runs then; None: the robot stands. `runs`: the present run
+    is that run.
+    """
+
+    charge: float | None
+    below: float
+    is_low: bool
+    pattern: Word | None = None
+    runs: bool = False
 
 
 class ProcessUsage(Struct, frozen=True, kw_only=True):
@@ -424,11 +444,12 @@ class Status(Struct, frozen=True, kw_only=True):
     report. `peers`: the peers that the robot may not see, or that are faster than the robot
     assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
     protection mode has no such width. `walls_stand`: None unless assumed. `fence`: None without a
-    fence. `findings`: the violated assumptions for which the robot drives slower, each with its
-    evidence. `not_following`: how the base does not follow its commands, or follows late. `goal`:
-    None before the robot has seen a
+    fence. `battery`: None without the settings `on_low_battery`. `findings`: the violated
+    assumptions for which the robot drives slower, each with its evidence. `not_following`: how the
+    base does not follow its commands, or follows late. `goal`: None before the robot has seen a
     goal. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness tokens
-    the robot sees.
+    the robot sees. `words`: what each word of an operator means to the robot, as its platform's
+    file says.
     """
 
     robot: Name
@@ -464,6 +485,7 @@ class Status(Struct, frozen=True, kw_only=True):
     passage: NarrowestPassage | None = None
     walls_stand: WallsStandSummary | None = None
     fence: FenceSummary | None = None
+    battery: BatterySummary | None = None
     findings: tuple[Line, ...] = ()
     not_following: Line = ""
     neighbors: tuple[Name, ...] = ()
@@ -471,6 +493,7 @@ class Status(Struct, frozen=True, kw_only=True):
     goal: GoalStatus | None = None
     keys: KeySummary | None = None
     programs: tuple[Name, ...] = ()
+    words: dict[Word, Line] = {}
 
 
 class Motion(Struct, frozen=True, array_like=True):

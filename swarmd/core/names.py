@@ -20,6 +20,20 @@ _COMMA = re.compile(r",(?![^\[]*\])")  # outside of brackets
 _NUMBERS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
 _GLOB = re.compile(r"[a-z0-9_*?-]{1,63}")
 _EXAMPLE = "tb3-[01-40]"
+_BY = " by "
+
+
+def named_by_program(name: str, program: str) -> str:
+    """The name of an operator for whom a program chooses the requests, such as `anna by mcp`."""
+    return f"{name}{_BY}{program}" if program else name
+
+
+def owner_of(name: str) -> str:
+    """The operator in a name of `named_by_program`, or in a plain name.
+
+    Keys prove this part alone. No name with keys has a space.
+    """
+    return name.partition(_BY)[0]
 
 
 def expand_names(text: str) -> tuple[str, ...]:

@@ -86,8 +86,8 @@ class Scan(Struct, frozen=True, eq=False):
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: an age
-    is the time by which a ray may be older than the mean ray.
+    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: each of
+    the `ages` is then half of the duration of the scan, the most by which a ray can be older.
     """
 
     seq: int
@@ -192,9 +192,9 @@ class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby that is heard or sensed.
 
     `age`: s since the robot was last heard or sensed, to within 0.5 s. `distance` in m, `bearing`
-    and `heading` in rad are relative to the own robot; None: not sensed. `in_reach`: the settings
-    of neighbors count the robot as a neighbor. Patterns get neighbors in reach; protection uses
-    every sensed robot.
+    and `heading` in rad are relative to the own robot; None: not sensed. `in_reach`: the robot is
+    within the range or link quality of the settings (`NeighborSettings`). Patterns get only
+    neighbors in reach; protection uses every sensed robot.
     """
 
     id: str
@@ -238,6 +238,12 @@ class Detection(Struct, frozen=True, array_like=True, gc=False):
 
 MAX_DETECTIONS, MAX_WORD = 256, 63
 """Detections in one input, and characters of a kind or id."""
+
+
+OPINION = "opinion"
+"""The channel of voting patterns, whose values are opinions."""
+ROUND_VOTE = "round_vote"
+"""The channel that replaces OPINION with `windows: rounds`: [round, opinion, previous opinion]."""
 
 
 class Message(Struct, frozen=True, array_like=True):
@@ -294,7 +300,7 @@ class ScanSpec:
     - `cone`: the full width of a beam in rad; a range is that of the nearest object in the beam.
     - `rate`: in Hz. `range_min`, `range_max`: in m.
     - `offset`: (x, y) of the sensor in the base frame in m.
-    - `max_gap`: the widest unknown sector in rad that conditioning may bridge.
+    - `max_gap`: rad. A wider sector without known rays makes a scan invalid, which holds the robot.
     - `zero`: the meaning of a range of exactly 0: no_return, too_close, unknown, or lds (the rule
       of the LDS family in `sensing/ray_memory.py`).
     - `is_noisy`: two identical scans reveal a frozen sensor.
@@ -328,9 +334,9 @@ class ScanSpec:
     def max_scan_delay(self) -> float:
         """The longest delay of scans in s beyond `latency` with which protection works.
 
-        A longer delay holds the robot. Protection is computed for a sum of delay and age up to
-        `stale_after`. The age takes up to one and a half scan periods of this sum; the rest is the
-        delay.
+        A longer delay holds the robot. Protection is computed for scans up to `stale_after` s old.
+        Until the next scan has come, the last scan ages by up to one and a half scan periods. The
+        rest of `stale_after` is left for the delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 
@@ -358,8 +364,9 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter: `mode`, the values of the potential field's preset
-      in force, and the settings of `barrier` and `stop_zone` under these names (None: not given).
+    - `protection`: the settings of the arbiter: `mode`, `avoidance`, `preset` (the name of the
+      preset of the potential field in force) with the values of this preset, and the settings of
+      `barrier` and `stop_zone` under these names (None: not given).
     - `patterns`: parameters by pattern name. `drivers`: options by driver name.
     - `heights`: None if unknown.
     - `body`: values for the simulated robot (mass, wheel base ...).
@@ -367,6 +374,7 @@ class Platform:
     - `sensors`: by quantity, such as `ground`: the places of its sensors, (k, 3) x, y in m and
       bearing in rad in the base frame (NaN: all directions). For `detections` (k, 5), with the
       field of view in rad and the range in m.
+    - `words`: by driver: what each word of an operator means to the robot, such as `stop`.
     """
 
     name: str
@@ -381,6 +389,7 @@ class Platform:
     body: Mapping[str, float] = field(default_factory=dict)
     ranges: ScanSpec | None = None
     sensors: Mapping[str, Array] = field(default_factory=dict)
+    words: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 OPTION_INPUTS = ("detections",)

@@ -1,9 +1,9 @@
 """The verbs of the plane `control`: requests and questions of operators, with a row for each verb.
 
-The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether
-the robot compares its epoch, and the line of the audit log. A new verb needs a struct and a row
-here, a method `on_<verb>` of its handler, a file of `cli/`, and a line in `VERBS` of
-`cli/swarmctl.py`.
+The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether the
+robot compares its epoch (the count of its changes; it refuses a request with another epoch), and
+the line of the audit log. A new verb needs a struct and a row here, a method `on_<verb>` of its
+handler, a file of `cli/`, and a line in `VERBS` of `cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """
@@ -70,7 +70,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
 
     - `goal`: the goal of the run, with the same pattern, parameters and ends. The robot refuses a
-      goal that is less than the goal that it holds.
+      goal that is less (by the order of `core/goal.py`) than the goal that it holds.
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
       request that arrives more than MAX_LATE after its start time.
@@ -118,9 +118,9 @@ class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
 
 
 class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
-    """Clear the latches with these `ids`, and a fault.
+    """Clear the latches (emergency stops) with these `ids`, and a fault.
 
-    `findings`: the findings of the assumption monitor to clear, as named in the status. A running
+    `findings`: the violated assumptions of protection to clear, as named in the status. A running
     robot refuses to clear a finding: without the finding it would drive faster.
     """
 
@@ -152,8 +152,8 @@ class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     """A piece of a pushed pattern; after the last piece the robot tries and adopts the pattern.
 
     `content` and `signature`: of the manifest (`core/pattern_manifest.py`). `offset`: of the piece
-    `data` in bytes. `is_rerun`: as in `ReloadRequest`; without a rerun nothing moves or stops, and
-    the epoch is not compared. `age`: as in RunRequest.
+    `data` in bytes. `is_rerun`: as in `ReloadRequest`; without a rerun nothing moves or stops, so
+    that the robot does not compare its epoch. `age`: as in RunRequest.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
@@ -180,8 +180,9 @@ class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
     """Take a signed roster, and the new certificate of the robot's name if there is one.
 
     `secret`: the swarm's secret of that generation; empty for a robot that the roster lacks.
-    `certificates`: by robot, in PEM, for the robot's present key. The request only ends a run, so
-    the epoch is not compared.
+    `certificates`: by robot, in PEM, for the robot's present key. At most the request ends a run,
+    and never starts motion. So it also holds for a robot that has changed since the operator saw
+    it: the epoch is not compared.
     """
 
     roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
@@ -200,10 +201,11 @@ class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
 
 
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
-    """Emergency stop. `scope` swarm: other robots adopt the latch.
+    """Emergency stop, which a robot holds as a latch until a reset.
 
-    `is_relayed`: another robot relayed the request. Such a copy does not restore a reset latch.
-    `age`: s since the operator issued the request. The goal of a later run stays.
+    `scope` swarm: the latch spreads to other robots. `is_relayed`: another robot relayed the
+    request; the robot refuses such a copy if it has already reset this latch. `age`: s since the
+    operator issued the request. The goal of a later run stays.
     """
 
     targets: Epochs | None = None
@@ -299,10 +301,11 @@ class FetchReply(Struct, frozen=True, kw_only=True):
 class PushedPatternReport(Struct, frozen=True, kw_only=True):
     """A pushed pattern on a robot.
 
-    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version`,
-    `digest` (hex): of the code that a run uses; empty without code. `pushed`: the digest of the
-    newest push. `ran`: s of runs without a fault. `source`: the operator or robot that handed the
-    code over. `text`: why the code was returned, or cannot be used.
+    `standing`: provisional (on trial), held (runs without a fault for 60 s), returned (a fault: the
+    version before counts again), missing (not pulled yet) or removed. `version`, `digest` (hex): of
+    the code that a run uses; empty without code. `pushed`: the digest of the newest push. `ran`: s
+    of runs without a fault. `source`: the operator or robot that handed the code over. `text`: why
+    the code was returned, or cannot be used.
     """
 
     name: Name
@@ -373,9 +376,11 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 
 
 class AuditReply(Struct, frozen=True, kw_only=True):
-    """Entries, oldest first, and the age of each in s; None: written before the last boot.
+    """Entries, oldest first, and the age of each in s.
 
-    `has_more`: older entries match, too. `fault`: why entries cannot be written at present.
+    An age is None if the entry was written before the last boot, and the clock was not set then or
+    is not set now. `has_more`: older entries match, too. `fault`: why entries cannot be written at
+    present.
     """
 
     robot: Name

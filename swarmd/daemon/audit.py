@@ -41,8 +41,9 @@ HANDED_ON = "handed on by "
 class Audit:
     """Makes a log line and an audit entry for each request, within limits of the rates.
 
-    Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock` names the
-    clock from which callers read `now`. `wall` returns s since 1970.
+    Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock`: the id
+    of the clock from which callers read `now`: another id after each boot. `wall` returns s since
+    1970.
     """
 
     def __init__(
@@ -74,12 +75,13 @@ class Audit:
 
         Entries and lines have separate rate limits. `what`: the request in words, which begin with
         the verb. `source`: the address of the sender. `targets`: the count of target robots, None
-        for all. `now` in s. `is_relayed`: another robot relayed the request, so that nothing proves
-        its operator; such requests have their own, lower limits.
+        for all. `now` in s. `is_relayed`: another robot relayed the request, so its operator is
+        only claimed: the source says "handed on by", and lower limits hold.
         """
-        source = f"{HANDED_ON}{source}" if is_relayed else source
-        line_limits = self._peer_lines if is_relayed else self._lines
-        entry_limits = self._peer_entries if is_relayed else self._entries
+        line_limits, entry_limits = self._lines, self._entries
+        if is_relayed:
+            source = f"{HANDED_ON}{source}"
+            line_limits, entry_limits = self._peer_lines, self._peer_entries
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
         is_applied = reply.code is Code.APPLIED
 

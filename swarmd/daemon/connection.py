@@ -76,10 +76,10 @@ class NetworkConnection:
         drops: DropCounter,
         owner: ConnectionOwner,
     ) -> None:
-        """Carrier (of datagrams) and Zenoh session stay closed until `open`.
+        """Nothing is opened until `open`: neither the carrier of datagrams nor the Zenoh session.
 
-        `owner` gets datagrams, and changes of the interface. `drops` counts datagrams and queries
-        that are dropped.
+        `tag`: the first bytes of each datagram of the swarm. `owner` gets the calls of
+        `ConnectionOwner`. `drops` counts datagrams and queries that are dropped.
         """
         self._settings = settings
         self._robot = robot
@@ -91,7 +91,7 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
-        self._opened = settings  # with the actual port of the session
+        self._opened = settings  # those of the last session, with the port that it listens on
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
         self._watch: InterfaceWatch | None = None  # in profile field
@@ -313,8 +313,9 @@ class NetworkConnection:
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
         """Open the UDP carrier, and a session that listens on the same port number by TCP.
 
-        Peers dial the port from which beacons come. Without a configured port: if the TCP port is
-        in use, another port is tried for both, up to MAX_PORT_TRIES times.
+        The number is the same since a robot dials, by TCP, the UDP port from which the beacons of a
+        peer come. Without a configured port the UDP port is free, but its TCP port may be in use:
+        then another port is tried for both, up to MAX_PORT_TRIES times.
         """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)

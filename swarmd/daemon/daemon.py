@@ -17,7 +17,6 @@ import signal
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.goal import Goal
-from swarmd.core.messages import Reply, ShownMessage, Status
+from swarmd.core.messages import Reply, Status
 from swarmd.core.pattern_manifest import Entry
 from swarmd.core.processes import SHORT_SLICE, ask_for_slices
 from swarmd.core.record import RecordKind
@@ -37,6 +36,7 @@ from swarmd.core.values import Neighbor, Value
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
+from swarmd.daemon.driver_exchange import DriverExchange
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
@@ -51,6 +51,7 @@ from swarmd.daemon.store import LatchFile, PatternFiles
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
+from swarmd.daemon.viewer_feed import ViewerFeed
 from swarmd.driver_api.driver import (
     Driver,
     check_protected,
@@ -59,7 +60,6 @@ from swarmd.driver_api.driver import (
     resting_driver,
     state_display,
 )
-from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
@@ -71,7 +71,6 @@ from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
-from swarmd.robot.robot import Robot
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import base_options, may_rest
@@ -118,32 +117,6 @@ async def serve(settings: DaemonSettings) -> int:
     return 0
 
 
-class _ViewerValues:
-    """What viewers get of a robot: each method encodes a present value; None without a value."""
-
-    def __init__(self, robot: Robot) -> None:
-        self._robot = robot
-
-    def motion(self) -> bytes | None:
-        motion = self._robot.motion(boottime())
-        return None if motion is None else encode(motion)
-
-    def pose(self) -> bytes | None:
-        pose = self._robot.shared_pose(boottime())
-        return None if pose is None else encode(pose)
-
-    def decision(self) -> bytes:
-        return encode(self._robot.shown_decision(boottime()))
-
-    def tracks(self) -> bytes | None:
-        tracks = self._robot.tracks(boottime())
-        return None if tracks is None else encode(tracks)
-
-    def message(self, channel: str, value: Value) -> bytes:
-        shown = ShownMessage(robot=self._robot.id, at=boottime(), channel=channel, value=value)
-        return encode(shown)
-
-
 class Daemon:
     """One robot's daemon; `run` is its whole life. `sink` takes the inputs of the driver."""
 
@@ -159,7 +132,7 @@ class Daemon:
             platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
             settings = dataclasses.replace(settings, platform=platform)
         self._settings = settings
-        self._active_until = -math.inf  # s until which the last event keeps the full tick rate
+        self._active_until = -math.inf  # s; until then the timer ticks at the full rate
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None  # the first error that ends the daemon
@@ -171,22 +144,19 @@ class Daemon:
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
-        self._provisional: tuple[int, ...] = ()  # generations of runs of code just pushed
-        self._shown_scan = -1  # sequence number of the last scan that was published for viewers
+        self._provisional: tuple[int, ...] = ()  # generations of loads of provisional code
         folder = settings.state_dir / settings.network.swarm / settings.id
-        self._begin_records(folder)
+        self._begin_records(folder)  # first; each part uses the parts before it
         self._begin_code(folder)
         self._begin_network()
         self._begin_requests()
-        self._begin_robot()
+        self._begin_robot(driver)
 
     def _begin_driver(self, driver: Driver) -> None:
-        """The output to the base, and to the display of the driver if it has one."""
+        """The output to the base."""
         settings = self._settings
         base = base_options(settings.driver_options, f"driver {settings.driver}")
         self._carrier = message_carrier(driver)
-        self._display = state_display(driver)
-        self._shown_status: Status | None = None  # for the display, with the next motion
         self._may_rest = may_rest(base, driver)
         self._resting_driver = resting_driver(driver)
         self._is_driver_resting = False
@@ -277,7 +247,7 @@ class Daemon:
             is_secured=settings.identity is not None,
         )
 
-    def _begin_robot(self) -> None:
+    def _begin_robot(self, driver: Driver) -> None:
         """The robot and the sources of its inputs: driver, neighbours and ticks."""
         settings = self._settings
         self._robot = make_robot(
@@ -291,6 +261,17 @@ class Daemon:
             settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
         )
         self.sink = DriverSink(self.step, self._neighborhood)
+        self._exchange = DriverExchange(
+            driver,
+            self._robot,
+            self._requests,
+            identity=lambda: self._rosters.identity,
+            robots=lambda: {settings.id, *self._network.roster, *self._network.members},
+            step=self.step,
+            on_event=self.on_event,
+            drops=self._drops,
+        )
+        self._viewer_feed = ViewerFeed(self._robot, self._network, state_display(driver))
         self._timer = TickTimer(self._loop, self._on_tick)
         self._health = HealthMeter(
             self._timer,
@@ -319,7 +300,7 @@ class Daemon:
             if self._crash is not None:
                 raise self._crash
         finally:
-            # 2. Leave. A robot that has not joined the network so far must not join any more.
+            # 2. Leave. A join still under way ends first: it would go on while `_leave` closes.
             self._notify("STOPPING=1")
             if not self._has_joined:
                 await _end(life)
@@ -330,7 +311,7 @@ class Daemon:
                     await _end(task)
                 await self._goals.close()
                 await self._pattern_versions.close()
-        if self._crash is not None:  # during `_leave`
+        if self._crash is not None:  # `_leave` crashed after a clean `stop`
             raise self._crash
 
     # Start and end
@@ -582,8 +563,7 @@ class Daemon:
     def _on_tick(self) -> None:
         """Step the robot by time, and do the periodic work whose time has come.
 
-        The timer calls this once each period (a twentieth of a second), and between two periods if
-        the robot asked for it.
+        The timer calls this each period (1/20 s), and between two periods if the robot asked.
         """
         periods_before, self._periods = self._periods, self._timer.periods
 
@@ -599,15 +579,16 @@ class Daemon:
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
         is_quiet = self._may_rest and boottime() >= self._active_until
         self._rest(is_quiet and self._robot.is_at_rest)
-        # 3. The network.
+        self._exchange.on_tick()
+        # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
         if pose_and_age := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*pose_and_age)
         if is_due(MOTION_PERIOD):
-            self._publish_motion()
-        # 4. Log, disk, CPU use and neighbors.
+            self._viewer_feed.publish_motion()
+        # 4. Log, disk (if latches could not be written), CPU use, neighbors, systemd's watchdog.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # blocks the loop, so never during a run
@@ -620,22 +601,6 @@ class Daemon:
         if is_due(NEIGHBORS_PERIOD):
             self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
-
-    def _publish_motion(self) -> None:
-        """Publish what viewers follow: motion, pose and decision, and each new scan with tracks."""
-        values = _ViewerValues(self._robot)
-        self._network.publish("motion", values.motion)
-        self._network.publish("pose", values.pose)
-        self._network.publish("decision", values.decision)
-        if self._display is not None:
-            status, self._shown_status = self._shown_status, None
-            now = boottime()
-            self._display.show(status, self._robot.motion(now), self._robot.shared_pose(now))
-        scan = self._robot.scan
-        if scan is not None and scan.seq != self._shown_scan:
-            self._shown_scan = scan.seq
-            self._network.publish("scan", lambda: encode_scan(scan))
-            self._network.publish("tracks", values.tracks)
 
     def _check_storage(self) -> None:
         """Try to write to the state folder, also latches not yet written; log a change."""
@@ -659,13 +624,13 @@ class Daemon:
         """Carry out what the robot wants after an input, the command to the base first.
 
         `may_repeat` False: a command that equals the last command is not sent again. Latches are on
-        disk before any reply is sent. A task writes goals.
+        disk before any reply is sent; a task writes the goals.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:  # nothing but a command
             return
         robot = self._robot
-        # 1. Disk, pattern host and gripper.
+        # 1. Disk, pattern host (`trial`: a second host, for the trial of new code) and gripper.
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
@@ -682,13 +647,12 @@ class Daemon:
             self._send_message(channel, value)
         if actions.has_status:
             self._network.publish("status", lambda: encode(self._status()))
-            if self._display is not None:
-                self._shown_status = self._status()
+            self._viewer_feed.show_status(self._status)
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-        # 3. Replies. The reply to a stop or reset waits until the goals are on disk: after a
-        # restart the robot must not join a goal that this request has ended. No wait while the
-        # robot runs (no goal was ended), or holds a latch (which forbids a run).
+        # 3. Replies. A goal that a stop or reset has ended must stay ended after a restart: the
+        # reply waits until the goals are on disk. It need not wait while the robot runs (no goal
+        # was ended) or holds a latch (under which no goal is joined).
         awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             if awaits_disk:
@@ -709,9 +673,8 @@ class Daemon:
             log.debug("message on %s not sent: %s", channel, error)
             self._drops.add(f"msg/{channel}:unsendable")
             return
-        self._network.publish(
-            "message", partial(_ViewerValues(self._robot).message, channel, value)
-        )
+        self._viewer_feed.publish_message(channel, value)
+        self._exchange.on_sent(channel, value)
         if self._carrier is None:
             self._network.publish_message(channel, payload)
         else:  # the base has a radio for the messages of patterns

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
+from swarmd.core.names import owner_of
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.daemon.store import StateFile
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -43,9 +44,10 @@ class StopCounters(Struct, frozen=True):
 class DatagramGuard:
     """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    `counters`: the file with the greatest counters of stops (`StopCounters`). `on_event` takes a
-    line for the log. `on_newer_roster` takes robot name, address and roster generation of an
-    unverified beacon that shows a newer roster.
+    A stop carries a counter that rises with each stop of its origin (an operator's installation). A
+    new stop is refused as a replay if its counter is far below the greatest counter of its origin,
+    or not above that counter at the start of the daemon (`StopFreshness`). The file `counters`
+    keeps the greatest counters for the next start.
     """
 
     def __init__(
@@ -59,10 +61,11 @@ class DatagramGuard:
         on_event: Callable[[str], None],
         on_newer_roster: Callable[[str, Address, int], None],
     ) -> None:
-        """Read the counters of stops from the file `counters`.
+        """Read the greatest counters of stops from the file `counters`.
 
         `lease`: s of silence after which a peer has failed. `on_event(text)`: a warning for the
-        operator. `on_newer_roster(robot, address, generation)`: a peer may have a newer roster.
+        operator. `on_newer_roster(robot, address, generation)`: a beacon, which the present keys
+        cannot verify, shows a newer roster.
         """
         self._identity = identity
         self._tag = tag
@@ -75,14 +78,19 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
-        # By host: limits how often a hint (a datagram of a newer roster) leads to a question.
+        # A hint is a beacon of a newer roster, which cannot be verified. `_asks` limits, by host,
+        # how often a hint leads to a query, since anyone can send hints.
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
-        self._noticed_at = self._replay_at = -1e9  # s; the last warnings of flaws and of replays
+        self._noticed_at = -1e9  # s; the last warning of refused datagrams; -1e9: none so far
+        self._replay_at = -1e9  # s; the last warning of a replayed stop
+        # Decides which robots count as members, and which stops are replays.
         self.admission = Admission(
             identity.name,
             identity.roster.robots,
             lease,
-            lambda: secrets.randbits(53) or 1,  # echoes of questions; 0 means no question
+            # The number of a question to a peer. The answer repeats it, so that no old answer is
+            # taken for it. 0 means no question.
+            lambda: secrets.randbits(53) or 1,
             self._written,
         )
 
@@ -134,7 +142,7 @@ class DatagramGuard:
 
     def proven(self, ack: Ack, stop: Stop) -> Ack:
         """The ack with the proof, for the operator of the stop, that this robot made it."""
-        return replace(ack, proof=self._trust.signer.proof(ack, stop.operator))
+        return replace(ack, proof=self._trust.signer.proof(ack, owner_of(stop.operator)))
 
     def refusal(self, stop: Stop, source: Address, ack: Ack, now: float) -> Ack | None:
         """The answer to a replayed stop; None beyond REFUSAL_RATE."""

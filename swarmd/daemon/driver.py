@@ -58,7 +58,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
     driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
-    # A base that never stops by itself needs zeros also while its robot is idle.
+    # A base that never stops by itself needs zeros also while its robot is idle. (The option may
+    # be absent: then `none` is the default.)
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
@@ -70,7 +71,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
             " give command_timeout: base, or its seconds, if this base stops by itself"
         )
     spec = driver.zero_sender()  # how the watchdog process sends zero to the base
-    if spec is None:  # a process of the driver itself sends zero
+    if spec is None:  # the driver has a process of its own that sends zero: no second watchdog
         return driver
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
@@ -153,8 +154,8 @@ class InputStep(Protocol):
 class DriverSink:
     """Takes the measurements of the driver, and hands them as inputs to `step`.
 
-    `neighborhood` marks the sensed robots that are in reach. `has_neighbors`: the driver itself
-    senses other robots. `drops`: counts of unreadable inputs by kind.
+    `neighborhood` marks those sensed robots whose messages the pattern may hear. `has_neighbors`:
+    the driver itself senses other robots. `drops`: counts of unreadable inputs by kind.
     """
 
     def __init__(self, step: InputStep, neighborhood: NeighborSelection) -> None:

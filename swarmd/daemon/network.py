@@ -125,8 +125,8 @@ class Network:
     """The network of one daemon: sends and receives, and hands results to the daemon.
 
     `drops` counts messages that could not be read, handled or sent. With an `identity` the swarm is
-    secured. Then `stop_counters` is required: the file of the greatest counters of stops, by which
-    replayed stops are refused.
+    secured. Then `stop_counters` is required: the file with the greatest counters of stops, by
+    which replayed stops are refused (`DatagramGuard`).
     """
 
     def __init__(
@@ -141,13 +141,14 @@ class Network:
     ) -> None:
         """Nothing is opened until `join`.
 
-        `robot`: name, instance and body of this robot. `stop_counters`: the file of the greatest
-        counters of stops, required with an `identity`. `hears_programs` False: messages of Zenoh
+        `robot`: name, instance and body of this robot. `hears_programs` False: messages of Zenoh
         programs (sessions that are no robots) are neither taken nor sent.
         """
         self._settings = settings
-        self._own, self._roster = robot, robot.roster
-        self._robot, self._instance = robot.name, bytes.fromhex(robot.instance)
+        self._own = robot
+        self._roster = robot.roster
+        self._robot = robot.name
+        self._instance = bytes.fromhex(robot.instance)  # id of this daemon process, as sent
         self._hears_programs = hears_programs
         self._identity = identity
         self._stop_counters = stop_counters
@@ -157,6 +158,7 @@ class Network:
         self.drops = drops
         self._guard: DatagramGuard | None = None  # signs and checks, in a secured swarm
         self._lost = 0  # messages of patterns that did not arrive
+        # The sockets and the session, which call the methods `on_...` of this object.
         self._connection = NetworkConnection(settings, robot.name, self._tag, identity, drops, self)
         self._is_settled = False  # True once the id is owned and the latches of peers are known
         self._is_duplicate = False  # another daemon holds this robot's id
@@ -284,12 +286,13 @@ class Network:
             check_goal=self._owner.check_goal,
         )
 
-        # 2. Claim the id. The claim lasts longer while another daemon claims the id, too.
+        # 2. Claim the id. The claim lasts longer while another daemon (a rival) claims the id, too.
+        #    The claim fails if a daemon owns the id already (the holder).
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
             self.advance()
             if boottime() > warn_at:
-                warn_at = float("inf")
+                warn_at = float("inf")  # warn once
                 _warn_of_claim(self._robot, self._peer.rivals)
             if holder := self._peer.holder:
                 raise IdHeldError(
@@ -442,8 +445,9 @@ class Network:
     ) -> None:
         """Hand a datagram to the protocol (`peer`), and carry out what follows from it.
 
-        `waited`: s from arrival until the datagram was read. `author`: its signer in a secured
-        swarm. `is_any`: the datagram is for any swarm.
+        `waited`: s from arrival until the datagram was read. `author`: the verified signer; None in
+        a swarm without keys. `is_any`: the datagram addresses robots of all swarms, such as a query
+        for the names of swarms.
         """
         effects = peer.on_datagram(
             body,
@@ -457,7 +461,9 @@ class Network:
         for stop, sender in effects.stops:
             # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
             # which an attacker may have replayed, counts as relayed, too.
-            hops = max(stop.hops, 1) if effects.is_repeated else stop.hops
+            hops = stop.hops
+            if effects.is_repeated:
+                hops = max(hops, 1)
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(replace(stop, hops=hops), sender, answer)
         if self._guard is not None:
@@ -498,6 +504,8 @@ class Network:
         # 1. Datagrams to send. An answer to `source` is signed for `author`.
         for body, address in effects.sends:
             self._send(body, address, author if address == source else None)
+        # Robots that only other robots have heard (their member lists have the addresses) get
+        # datagrams from now on, too.
         if self._carrier is not None:
             for address in effects.indirect_addresses:
                 self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())

@@ -177,24 +177,27 @@ class PatternIntake:
     ) -> None:
         """Check, write and try one pushed pattern, or carry out a removal; reply to the push.
 
-        `entry`: the signed manifest. `source`: where the code came from, in words. `request`: the
-        push that the reply answers; None: the code was pulled from a peer.
+        `entry`: the signed manifest. `code`: its bytes; unused if the robot has the code already.
+        `source`: where the code came from, in words. `request`: the push that the reply answers;
+        None: the code was pulled from a peer.
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
 
-        def refuse(code: Code, text: str) -> None:
-            """Reply after an error in this method."""
-            refusal = Refusal.PATTERN_FAILED if code is Code.REFUSED else None
+        def refuse(reply_code: Code, text: str) -> None:
+            """Reply after an error in this method: refused for bad input, else failed."""
             reply = self._refused(id, Refusal.PATTERN_FAILED, text)
-            self._state.control.reply(replace(reply, code=code, refusal=refusal))
+            if reply_code is not Code.REFUSED:
+                reply = replace(reply, code=reply_code, refusal=None)
+            self._state.control.reply(reply)
 
+        # `refusing` counts an exception of the block and hands it to `refuse`.
         with self._drops.refusing("control/push", refuse):
-            # Checks the manifest again, since the entry may have waited in the queue. Then
-            # deletes the files of patterns that are no longer in use.
+            # Check the manifest again, since the entry may have waited in the queue.
             refusal_and_text = self._refusal_of(entry)
             reply = None
             try:
+                # Delete the files of patterns that are no longer in use.
                 await asyncio.to_thread(self._state.files.prune, self._state.in_use())
                 if refusal_and_text is None:
                     refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
@@ -270,10 +273,9 @@ class PatternIntake:
         )
 
     def on_event(self, event: HostEvent) -> HostEvent | None:
-        """Take an event of the pattern host before the robot gets the event.
+        """Take an event of the pattern host, and return the event to hand to the robot.
 
-        Returns the event for the robot. None for a successful trial: the robot gets this event
-        later, once the version is on disk.
+        None for a successful trial: the robot gets this event later, once the version is on disk.
         """
         if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
             self.check_again()
@@ -307,7 +309,7 @@ class PatternIntake:
         """Take a reply of the robot before it is sent; returns the reply to send.
 
         The reply to a trial ends the trial. After a successful trial the text of the reply also
-        says that the version is provisional: a fault of a run brings the version before back.
+        says that the version is provisional: after a fault the robot returns to the version before.
         """
         candidate = self._state.candidate
         if candidate is None or reply.id != candidate.id:
@@ -353,10 +355,11 @@ takes 4 ms of a core, and an honest robot keeps only verified entries."""
 
 
 class PatternPull:
-    """Pulls missing manifests and code from peers, and serves this robot's to peers.
+    """Pulls missing manifests and code from peers, and serves its own to peers that ask.
 
-    `puller` fetches what `state` lacks, and `store` takes the code. `on_taken(robot, entry)` is
-    called when code from a peer goes into its trial. `drops` counts unreadable tables.
+    `puller` fetches the manifests and code that `state` lacks, and `store` takes the code.
+    `on_taken(robot, entry)` is called when code from a peer goes into its trial. `drops` counts
+    unreadable tables.
     """
 
     def __init__(
@@ -448,13 +451,14 @@ class PatternPull:
             return
 
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
-        """Check a table that was pulled from `robot`, and take its signed entries.
+        """Check a table of manifests that was pulled from `robot`, and take its signed entries.
 
         `blob`: the encoded table, one signed manifest an entry. Then the code of a missing pattern
         is pulled from `robot` at `address`. An entry with a false signature of an operator of the
         roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
         """
-        known, operators = set(self._state.table), self._state.operators()
+        known = set(self._state.table)  # checked before: a check takes 4 ms
+        operators = self._state.operators()  # public keys by name; None: no keys in this swarm
 
         def check_signatures() -> _CheckedTable:
             new = [entry for entry in decode_table(blob) if entry not in known]
@@ -462,6 +466,8 @@ class PatternPull:
             for entry in new:
                 if self._state.is_trusted(entry):
                     trusted.append(entry)
+                # Without a valid signature an entry is left out. If it names a present operator, it
+                # counts as forged: no table of `robot` is pulled for a while.
                 elif operators is not None and entry.manifest.issuer in operators:
                     return _CheckedTable(trusted, len(new), has_false_signature=True)
             return _CheckedTable(trusted, len(new), has_false_signature=False)

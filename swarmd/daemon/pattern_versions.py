@@ -104,10 +104,10 @@ CHANGED = "its file was changed or damaged on the disk"
 
 
 class Candidate(Struct, frozen=True):
-    """A version of a pattern whose code is being tried, for the request `id`.
+    """A version of a pattern whose code is being tried, and the stage of its trial.
 
-    `is_passed`: the trial succeeded, and the version is being written to disk. `is_accepted`: the
-    version is on disk.
+    `id`: of the request (a push, or a pull from a peer) that the trial answers. First the trial
+    runs. Then, `is_passed`, the version is being written to disk. Then, `is_accepted`, it is there.
     """
 
     id: str
@@ -445,10 +445,13 @@ class PushedRuns:
             if version is None and code.is_damaged:
                 if name == load.pattern and candidate is None:
                     raise ChangedCodeError(f"{code.fault}; push it again")
+                # The name means the pushed code: the host must not offer an installed pattern.
                 origins.pop(name, None)
+            if version is None:
+                continue
             # `_add` leaves an installed pattern in place, unless the manifest replaces it.
-            is_added = version is not None and self._add(origins, name, version, installed)
-            if version is not None and is_added and not is_trial:
+            is_added = self._add(origins, name, version, installed)
+            if is_added and not is_trial:
                 self._note_load(load, name, version)  # a restart of this run takes the same version
 
         # 2. The candidate of a trial, in place of the current version of its pattern.
@@ -493,8 +496,8 @@ class PushedRuns:
     def granted(self, event: HostEvent) -> HostEvent:
         """An event of the pattern host without permissions that a pushed pattern may not get.
 
-        A pushed pattern may not continue with late scans: no file of the robot's owner can grant
-        this permission to a pushed pattern by name.
+        A pattern of the robot's owner may state a `scan_delay`, by which scans may be late without
+        a hold. A pushed pattern may not: no file of the owner can permit this to pushed code.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"

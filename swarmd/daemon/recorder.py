@@ -296,9 +296,11 @@ class Recorder:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
-        """Count dropped entries. The next scan gets its geometry, and the memory is recorded anew.
+        """Count dropped entries, and let the recording begin anew after the gap.
 
-        From that memory a replay can continue after the gap.
+        The memory (whole state) of the robot is recorded before the next input: a replay continues
+        from there. The next scan is recorded with its geometry (bearings), since the gap may have
+        swallowed an earlier one.
         """
         self._scans = {}
         self._is_memory_due = True

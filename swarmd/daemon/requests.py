@@ -23,6 +23,7 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
 from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.names import owner_of
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -70,10 +71,10 @@ class SendReply(Protocol):
 class Services:
     """The services of a daemon that answer verbs.
 
-    The table of core/verbs.py names for each verb the field of its service. A service has a method
-    `on_<verb>` for each of its verbs. `on_<verb>(request, answer)` carries out a request.
-    `on_<verb>(question)` returns the answer to a question, or a function that makes the answer in a
-    thread.
+    The table of core/verbs.py names for each verb the field of its service, whose method
+    `on_<verb>` handles the verb. A request changes the robot: `on_<verb>(request, answer)` carries
+    it out. A question does not change the robot: `on_<verb>(question)` returns the answer, or a
+    function that makes the answer in a thread.
     """
 
     recording: RecordingService
@@ -97,8 +98,8 @@ class RequestServer:
        estop.
     3. `audit` takes each answered request.
     4. A request whose handler raises is refused, and counted in `drops`.
-    5. If the swarm `is_secured`, the operator is the name that the link has proved, not the name in
-       the request.
+    5. If the swarm `is_secured`, the operator is the name in the certificate of the Zenoh link, not
+       the name in the request. A program that speaks for this operator may add its own name.
     """
 
     def __init__(
@@ -141,9 +142,9 @@ class RequestServer:
     def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
         """Send a reply to the request that waits for it, and audit the request.
 
-        A reply without such a request is dropped. `is_stored` False: the latches could not be
-        written to disk, and the text of the reply says so. `is_audited` False: the reply answers
-        only a part of a request, such as a piece of a pushed pattern.
+        A reply without such a request is dropped. `is_stored` False: the latches or the goals could
+        not be written to disk, and the text of the reply says so. `is_audited` False: the reply
+        answers only a part of a request, such as a piece of a pushed pattern.
         """
         pending = self._pending.pop(reply.id, None)
         if pending is None:
@@ -153,9 +154,10 @@ class RequestServer:
             reply = msgspec.structs.replace(reply, text=text)
         # True if this id has had a reply: a stop is carried out for each copy, but audited once.
         is_repeat = self._keep(reply)
+        # `refusing` counts an exception of its block. Two blocks: a request is audited also if its
+        # reply could not be sent.
         with self._drops.refusing("control/reply"):
             pending.answer(reply)
-        # A separate block: a request is audited also if its reply could not be sent.
         with self._drops.refusing("control/audit"):
             if is_audited and not is_repeat:
                 request = pending.request
@@ -197,6 +199,33 @@ class RequestServer:
         self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
         self._on_request(request)
 
+    def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:
+        """Carry out a request for this robot that came from the robot's own system.
+
+        `source`: of the request, for the audit. `answer` sends the reply. The copies of a stop have
+        one id, as in `stop`.
+        """
+        is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
+        if not is_stop and len(self._pending) >= MAX_PENDING:
+            text = "too many requests wait for their replies"
+            self.refuse(request, source, answer, Refusal.BUSY, text)
+            return
+        self._pending[request.id] = _Pending(request, answer, lambda: source)
+        self._on_request(request)
+
+    def refuse(
+        self,
+        request: verbs.Request,
+        source: str,
+        answer: Callable[[Reply], None],
+        refusal: Refusal,
+        text: str,
+    ) -> None:
+        """Refuse and audit a request of `take` that must not reach the robot."""
+        self._pending[request.id] = _Pending(request, answer, lambda: source)
+        code = Code.REFUSED
+        self.reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
     def handle(self, verb: str, query: Query) -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`."""
         with self._drops.refusing(f"control/{verb}", partial(self._refuse, verb, query)):
@@ -229,7 +258,9 @@ class RequestServer:
 
     def _carry_out(self, request: verbs.AnyRequest, query: Query) -> None:
         if self._is_secured:
-            request = msgspec.structs.replace(request, operator=query.asker)
+            is_proved = owner_of(request.operator) == query.asker
+            name = request.operator if is_proved else query.asker
+            request = msgspec.structs.replace(request, operator=name)
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
@@ -251,9 +282,10 @@ class RequestServer:
                 self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:
-        """Keep a reply for repeats; True for a repeat, which is not audited again.
+        """Keep a reply for repeats of its request; True if a request of this id had a reply before.
 
-        A failure after an earlier reply of the same id is no repeat.
+        Such a repeat is not audited again, except a stop that fails after earlier success: the
+        failure must be in the audit log.
         """
         earlier = self._replies.get(reply.id)
         keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
@@ -266,8 +298,8 @@ class RequestServer:
 
         `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
         fields may have wrong types. A request without a readable head, or for other robots, is
-        dropped. An unreadable id becomes UNREADABLE. The reply is kept for repeats only if the id
-        is readable and belongs to no pending or answered request.
+        dropped. The reply to a request without a readable id has the id UNREADABLE. The reply is
+        kept for repeats, unless the id is unreadable, or another request has this id.
         """
         # 1. The targets and the id.
         try:
@@ -275,7 +307,7 @@ class RequestServer:
         except CodecError:
             query.drop()
             return
-        # `targets` should be a map or list of names. A value of any other type names no robot.
+        # `targets` should be a map or list of names. Any other value counts as a single name.
         targets = header.targets
         names = targets if isinstance(targets, dict | list) else (targets,)
         is_stop_of_all = targets is None and verb in ("stop", "estop")
@@ -292,11 +324,13 @@ class RequestServer:
         # 2. The reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
-        refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
-        text = f"{verb}: {text}"
-        if version != codec.VERSION:
+        refusal: Refusal | None
+        if version != codec.VERSION:  # then `text` says little: a field may have another form
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
+        else:
+            refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
+            text = f"{verb}: {text}"
         reply = Reply(
             id=id,
             robot=self._robot,

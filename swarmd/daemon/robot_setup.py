@@ -48,6 +48,7 @@ def make_robot(
             accepts=settings.accepts,
             tells_pose=settings.neighbors.neighborhood == "range",
             fence=settings.fence,
+            on_low_battery=settings.on_low_battery,
         ),
         seed=seed,
         instance=instance,
@@ -62,8 +63,9 @@ def recording_head(
 ) -> RecordingHead:
     """The head of a recording: all values from which a replay makes the same robot.
 
-    `robot`: as it is at the begin of the recording. `instance`: marks this life of the daemon.
-    `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
+    `robot`: as it is at the begin of the recording, with its counters: `revision` (of changes, in
+    the epoch) and `generation` (of loads). `instance`: marks this life of the daemon. `seed`: of
+    the robot's random generator. `pushed`: the names of the pushed patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     # The layers of parameters of each pattern; patterns without own parameters are left out.
@@ -84,9 +86,10 @@ def recording_head(
         touch=settings.touch_zones,
         accepts=settings.accepts,
         fence=settings.fence,
+        on_low_battery=settings.on_low_battery,
         revision=robot.epoch.revision,
         generation=robot.generation,
         latches=robot.latches,
-        cleared=tuple(robot.cleared),
+        cleared=tuple(robot.cleared),  # ids of latches that were reset
         goals=robot.goals,
     )

@@ -28,9 +28,10 @@ log = logging.getLogger(__name__)
 
 
 class RosterService:
-    """The roster of one daemon. `on_taken` applies a new roster; called on the loop.
+    """The roster of one daemon, which takes one new roster at a time.
 
-    Rosters are taken in turn. `drops` counts rosters whose handling raised an error.
+    `on_taken` is called on the loop with each new roster; the daemon applies it there. `drops`
+    counts rosters whose handling raised an error.
     """
 
     def __init__(
@@ -94,7 +95,8 @@ class RosterService:
         """Take a roster if it is valid and newer.
 
         Returns (None, what has changed), or (refusal, the reason). The refusal NOT_WRITTEN: the
-        roster is valid, but could not be written to disk. It may then count until a restart.
+        roster is valid, but the identity's folder cannot be written: the robot uses the roster
+        until a restart. If that folder cannot be read, nothing changes.
         """
         async with self._one_at_a_time:
             if self.identity is None:

@@ -53,9 +53,9 @@ class TickTimer:
             self._handle = self._loop.call_at(at, self._on_time)
 
     def tick_early(self) -> None:
-        """At rest, tick now in place of the next tick if that is due within 50 ms.
+        """At rest: if the next tick is due within 50 ms, tick now in its place.
 
-        The work of a tick then needs no wake-up of its own.
+        For a caller that is awake in any case: one wake-up of the processor is saved.
         """
         left = self._next - self._loop.time()
         if self._is_resting and self._step > 1 and left < TICK:

@@ -94,15 +94,15 @@ class FieldTools:
         self._settings, self._instance, self._network = settings, instance, network
         self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()
-        self._ring = LogRing()
+        self._ring = LogRing()  # the last log records
         self._capture = LogCapture(self._ring)
         self._published = 0  # number of the last log record that was published
         self._publish_at = 0.0  # s; the next batch of records is due
         self._pinged = 0  # index of the robot to ping next
         self._measuring = threading.Lock()  # guards the facts, which a thread measures
-        self._measured_at = -math.inf
-        self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
-        self.storage = ""
+        self._measured_at = -math.inf  # s; when `_facts` were measured
+        self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]  # from the first question on
+        self.storage = ""  # the fault of the folder of latches; set by the daemon
         folder = settings.state_dir / settings.network.swarm / settings.id
         self.audit = AuditLog(
             folder, lambda text: hand_over(self._loop, self._on_audit_event, text)
@@ -219,6 +219,7 @@ class FieldTools:
         settings, keys = self._settings, self._keys()
         with self._measuring:
             if boottime() - self._measured_at > CACHE_TIME:
+                # The loader of settings always sets a folder; the type permits None.
                 recordings = Path(settings.recording.folder or "recordings")
                 folders = (("state", settings.state_dir), ("recordings", recordings))
                 network = measure_network(settings.network.interface_name)
@@ -228,9 +229,9 @@ class FieldTools:
         return verbs.DoctorReply(
             robot=settings.id,
             version=self._version,
-            kernels=describe_kernels(),
+            kernels=describe_kernels(),  # whether the arithmetic kernels are compiled
             profile=settings.network.profile,
-            machine=msgspec.structs.replace(machine, wall=time.time()),
+            machine=msgspec.structs.replace(machine, wall=time.time()),  # not from the cache
             network=network,
             identity_expires=None if keys is None else float(keys.expires),
             roster=None if keys is None else keys.generation,

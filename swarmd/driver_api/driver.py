@@ -31,8 +31,9 @@ class Sink(Protocol):
     ) -> None:
         """Take the connection state: `is_up`, or the reason in `text` why the base is lost.
 
-        `hold`: why the robot must not move although its base is connected. `gets_zero`: the base is
-        lost, but zeros of a stopped robot are still sent to it, or the driver moves no base at all.
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: the base
+        counts as lost, but the driver still sends the zeros of a stopped robot to it. Also True for
+        a driver that moves no base at all.
         """
 
     def dropped(self, what: str) -> None:
@@ -78,8 +79,9 @@ class ZeroSender(Protocol):
 
     It lives in the watchdog's process (`watchdog.py`), which has no event loop. A sender whose
     `open` may return before the connection is made also has the attribute `is_connected`; while it
-    is False the daemon's commands are zero. A sender that needs the driver's `zero_hint` has the
-    method `take_hint(hint)`.
+    is False the daemon's commands are zero. A base may understand only one form of zero, which the
+    driver learns in operation (`ZeroSenderProvider`): a sender that needs this hint has the method
+    `take_hint(hint)`.
     """
 
     def open(self) -> None:
@@ -166,8 +168,9 @@ class RestingDriver(Protocol):
     def rest(self, take_late: TakeLate | None) -> None:
         """Keep odometry back until the next scan or `read`, then hand it to `take_late`.
 
-        None: hand over now what has arrived, and each later reading at once. Called at each tick of
-        a resting robot, and at the event that ends the rest.
+        `take_late` None: the rest has ended. The driver hands over what has arrived now, and each
+        later reading at once. Called at each tick of a resting robot, and at the event that ends
+        the rest.
         """
 
     def read(self) -> None:
@@ -176,29 +179,30 @@ class RestingDriver(Protocol):
 
 def resting_driver(driver: Driver) -> RestingDriver | None:
     """The bare driver, if the driver can leave odometry in its socket."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, RestingDriver) else None
 
 
 def message_carrier(driver: Driver) -> MessageCarrier | None:
     """The driver, or the driver that it wraps, if its base carries messages."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, MessageCarrier) and bare.carries_messages else None
 
 
 def gripper_of(driver: Driver) -> Gripper | None:
     """The driver, or the driver that it wraps, if its base has a gripper."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, Gripper) else None
 
 
 def state_display(driver: Driver) -> StateDisplay | None:
     """The driver, or the driver that it wraps, if it shows the state of its robot."""
-    bare = _unwrapped(driver)
+    bare = unwrapped(driver)
     return bare if isinstance(bare, StateDisplay) and bare.shows_state else None
 
 
-def _unwrapped(driver: Driver) -> Driver:
+def unwrapped(driver: Driver) -> Driver:
+    """The driver itself, without the watchdog that wraps it."""
     while hasattr(driver, "wrapped"):
         driver = driver.wrapped
     return driver

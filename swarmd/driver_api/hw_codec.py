@@ -1,10 +1,11 @@
 """The wire between a simulated robot and its daemon: its inputs, messages and command.
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
-The daemon sends the frames `cmd_vel`, `grip` and `sent`; the robot sends the frames of KINDS and
-`received`. An input is encoded as in a recording, except scans and odometry, which are frequent.
-The arrays of a scan are little-endian float32; regular bearings and ages are (first, step).
-`range_min` and `range_max` come from the platform file, not from the message.
+The daemon sends the frames `cmd_vel`, `grip` and `sent` (a message of its pattern, for the robot's
+radio); the robot sends the frames of KINDS and `received` (messages that its radio heard). An input
+is encoded as in a recording, except scans and odometry, which are frequent. The arrays of a scan
+are little-endian float32; regular bearings and ages are (first, step). `range_min` and `range_max`
+come from the platform file, not from the message.
 """
 
 from __future__ import annotations

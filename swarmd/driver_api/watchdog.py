@@ -9,8 +9,10 @@ end.
    until the daemon ticks again. A daemon that is back before the zeros end sends zero as well, so
    that the base stands.
 3. Before the first tick the watchdog sends nothing.
-4. After a farewell of the daemon, SIGTERM, or relief by the watchdog of a new daemon, the watchdog
-   ends after the 2 s of zeros. The new watchdog is ready by then.
+4. The watchdog of a daemon that has ended goes on until it is asked to end: by a farewell of that
+   daemon, by SIGTERM, by the end of the process to which it is tied, or by the watchdog of a new
+   daemon for this robot (relief), whose sender is open by then. It ends after the 2 s of zeros.
+   After a daemon that never ticked it ends at once.
 """
 
 from __future__ import annotations
@@ -132,7 +134,7 @@ class WatchdogTimer:
 
 
 class Watchdog:
-    """Serves the socket of one daemon until its end, and until enough zeros were sent.
+    """Serves the socket of one daemon, and sends zeros by the rules of the module.
 
     `name`: the robot's name for its watchdog, None without a name. An earlier watchdog with this
     name ends once its daemon is silent. `tie`: a process whose end makes this process end.

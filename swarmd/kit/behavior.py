@@ -34,7 +34,7 @@ class Make(Protocol):
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
-        """Make a part: pattern `name` with these parameters, further parameters from the platform.
+        """Make a part: the pattern `name` with `params`; the platform gives all other parameters.
 
         `part` names the part within this pattern (default: `name`). A part shares its message
         channels with the stand-alone pattern, unless the part is `private`. PluginError if there is
@@ -78,10 +78,10 @@ class Pattern(ABC, Generic[P]):
     - `is_symmetric`: mirrored inputs give mirrored commands, as PatternContract checks.
     - `touches`: the zone in which the robot must touch obstacles, to push or to dock. The robot's
       configuration must grant the zone. `touches` of a part has no effect.
-    - `scan_delay`: s beyond `scan.latency`, at most 0.5, by which scans may be late before the
-      robot is held, if its platform allows less. Protection adds the measured delay to the age of
-      scans, so the robot keeps larger gaps. Made for patterns that measure the delay. `scan_delay`
-      of a part, or of a pushed pattern, has no effect.
+    - `scan_delay`: s, at most 0.5. The robot is not held while scans come up to this time later
+      than `scan.latency`, also if its platform allows less. Protection adds the measured delay to
+      the age of scans, so the robot keeps larger gaps. Made for patterns that measure the delay.
+      `scan_delay` of a part, or of a pushed pattern (sent by an operator), has no effect.
     """
 
     params_type: ClassVar[type[Params]] = Params

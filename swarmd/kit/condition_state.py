@@ -107,6 +107,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             opposite = _evaluator(condition.condition, started)
             return lambda seen: not opposite(seen)
         case conditions.Timeout():
+            # A sum of steps may end a little before the time.
             seconds = condition.seconds - _ROUNDING
             return lambda seen: seen.now - started >= seconds
         case conditions.Done():

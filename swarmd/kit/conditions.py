@@ -1,8 +1,9 @@
 """Conditions as values: what can end a run, end an element of a mission, or choose a branch.
 
-`swarmd.mission.document` reads conditions from a mission's file, where the key that names the kind
-is the tag of the struct. `parse_condition` reads the short forms of the command line.
-`swarmd.kit.condition_state` evaluates conditions. Imports no numpy, for the command line.
+`swarmd.mission.document` reads conditions from a mission's file, where the tag of a struct, such as
+`timeout`, is the key that names the kind of condition. `parse_condition` reads the short forms of
+the command line. `swarmd.kit.condition_state` evaluates conditions. Imports no numpy, for the
+command line.
 """
 
 from __future__ import annotations
@@ -97,8 +98,9 @@ class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True
     """There are at least `count` neighbours within `within` m; without `within`, in radio reach.
 
     With `slope` the condition is drawn. With n neighbours the condition holds within a second with
-    probability 1 / (1 + exp(slope (count - n))). This is the neighbour count of AutoMoDe; with a
-    negative slope, its inverted neighbour count.
+    probability 1 / (1 + exp(slope (count - n))). This is the "neighbour count" of AutoMoDe (the
+    automatic design of Francesca et al. 2014); with a negative slope, its "inverted neighbour
+    count".
     """
 
     count: Annotated[float, Meta(ge=0.0, le=1000.0)] = field(name="neighbors")

@@ -55,7 +55,9 @@ def assemble(
     params, sources = build(kind.params_type, full_layers(kind, platform, layers))
 
     # The pattern calls this function for each pattern that it contains. With `private` the inner
-    # pattern has message channels of its own, else it shares those of the pattern `inner_name`.
+    # pattern has message channels of its own (`part-channel`), else it shares those of the
+    # stand-alone pattern (`inner_name/channel`). The prefix holds no `channel_prefix`: each
+    # combined pattern adds the prefix of its own parts, except to a name with `/`.
     def make(
         inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:

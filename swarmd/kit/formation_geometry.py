@@ -52,6 +52,7 @@ def place_on_line(others: Array, spacing: float) -> Array:
     for offset in away:
         xy += offset.real * offset.imag
         xx_yy += offset.real * offset.real - offset.imag * offset.imag
+    # The main axis of the points has half the angle of their second moments.
     ahead = cmath.rect(1.0, 0.5 * math.atan2(2.0 * xy, xx_yy))
     rank = _rank([offset.real * ahead.real + offset.imag * ahead.imag for offset in away])
     place = middle + (rank - 0.5 * (len(points) - 1)) * spacing * ahead
@@ -68,10 +69,11 @@ def place_on_circle(others: Array, radius: float) -> Array:
     if len(points) < 2:
         return np.zeros(2)
     angles = [math.atan2((point - middle).imag, (point - middle).real) for point in points]
-    off = 0j
+    # The angle of the first corner that fits best: the mean of angles, as of unit vectors.
+    first_corner = 0j
     for number, angle in enumerate(sorted(angles)):
-        off += cmath.rect(1.0, angle - turn * number)
-    place = middle + cmath.rect(radius, cmath.phase(off) + turn * _rank(angles))
+        first_corner += cmath.rect(1.0, angle - turn * number)
+    place = middle + cmath.rect(radius, cmath.phase(first_corner) + turn * _rank(angles))
     return np.array((place.real, place.imag))
 
 
@@ -140,7 +142,7 @@ class NeighborTracker:
             if distance is not None and bearing is not None and math.isfinite(distance + bearing):
                 if not 0.0 <= distance <= reach:
                     continue
-                if track is None or track.sensed != (distance, bearing):
+                if track is None or track.sensed != (distance, bearing):  # a new measurement
                     place = here + heading * cmath.rect(distance, bearing)
                     track = _again(track, (distance, bearing), place, now)
                 track.at = now

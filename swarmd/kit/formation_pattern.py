@@ -184,6 +184,7 @@ class FormationPattern(MovementPattern[F]):
         # The place depends on the mean of all robots. Without this robot in the mean, the place
         # would be farther away by this factor.
         off = length * (self._seen + 1) / max(self._seen, 1)
+        # Hysteresis: the robot comes to rest nearer to its place than it leaves from.
         limit = self.params.tolerance
         self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)
         return ZERO if self._is_settled else self._follow(x, y, length)
@@ -200,6 +201,7 @@ class FormationPattern(MovementPattern[F]):
         is_new_scan = scan.seq != self._seq
         if is_new_scan:
             self._seq = scan.seq
+            # Ranges are from the lidar, and the base may be nearer to a point by the offset.
             obstacle_reach = params.clearance + params.brake + math.hypot(*offset)
             points = closest_points(scan, within=obstacle_reach).tolist()
             self._points = NearPoints(polar_from_base(points, offset))

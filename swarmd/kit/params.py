@@ -50,7 +50,8 @@ class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
       None has a meaning.
     - Default: a field without a default is derived from the platform (see `about`) or required.
     - `__post_init__` may check several fields and raise ValueError.
-    - Every pattern has `recovery` and `avoidance`. A pattern that stops or pushes on purpose
+    - Every pattern has `recovery` (protection leads a blocked robot around what blocks it) and
+      `avoidance` (how recovery passes moving obstacles). A pattern that stops or pushes on purpose
       overrides the default: `recovery: Recovery = False`.
     """
 

@@ -134,7 +134,8 @@ class NearPoints:
         speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
         # Slow down before points. `toward_x`: the cosine of a point's bearing, so the share of the
         # speed toward the point. That speed falls from full speed at the range spacing + brake to
-        # zero at the range spacing.
+        # zero at the range spacing. The order of the points, and their sine, serve `keep_clear`
+        # only.
         for distance, toward_x, _ in self._farthest_first:
             ahead = sign * toward_x
             if ahead > 0.0:
@@ -178,6 +179,7 @@ def robot_centers(
         # From the lidar, that middle is `visible_angle` from the edge. The center of a circle of
         # radius `half` is asin(half / (away + half)) from its edge.
         if not is_free[i]:
+            # 1: the left is hidden, -1: the right, 0: no nearer object of the lists is beside it.
             side = _hidden_side(ranges, bearings, widths, i)
             if side == _BOTH:
                 continue
@@ -258,7 +260,7 @@ def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.in
                 if distance < shortest:
                     shortest, first, second = distance, i, j
         if not second:
-            return 0
+            return 0  # for compiled callers: no error was raised
         # The pair becomes one point.
         share = weights[second] / (weights[first] + weights[second])
         xs[first] += (xs[second] - xs[first]) * share

@@ -142,6 +142,7 @@ def network_from_bytes(data: bytes) -> PolicyNetwork:
         layer_count, remainder = divmod(len(arrays), 2)
         if remainder:
             raise ValueError("a weight without its bias")
+        # Only arrays of real numbers can be cast so.
         weights, biases = (
             tuple(
                 arrays[f"{kind}_{layer}"].astype(np.float64, casting="same_kind")

@@ -55,7 +55,7 @@ def network_from_onnx(data: bytes) -> PolicyNetwork:
         )
     spec = decode_spec(properties[SPEC_PROPERTY].encode())
     # 3. The layers along the graph. The last layer ends in Tanh; all layers before it end in the
-    #    same function.
+    #    same function. A network of one layer has no other function, and counts as "tanh".
     inputs = [value.name for value in model.graph.input if value.name not in values]
     outputs = [value.name for value in model.graph.output]
     if len(inputs) != 1 or len(outputs) != 1:
@@ -91,6 +91,7 @@ def _layers_of(
         has_open_layer = len(weights) == len(functions) + 1  # a layer without its function yet
         match node.op_type, [constant.ndim for constant in constants]:
             # The weights of Gemm have the shape (inputs, outputs), with transB (outputs, inputs).
+            # Plain: no factors alpha and beta, and the first input is not transposed.
             case "Gemm", [2, 1] if node.input[0] == name and _is_plain(attributes):
                 is_transposed = "transB" in attributes and attributes["transB"].i == 1
                 weights.append(constants[0] if is_transposed else constants[0].T)

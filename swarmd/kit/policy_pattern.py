@@ -64,7 +64,7 @@ class ActionPattern(MovementPattern[PolicyParams]):
 
 
 class PolicyPattern(ActionPattern):
-    """A pattern that runs the policy in `network`: the text of `to_text`, which a plugin declares.
+    """A pattern that runs a policy; a plugin sets `network` to the text that `to_text` returns.
 
     The policy decides every `spec.period` s. Between two decisions the requested twist stays the
     same.

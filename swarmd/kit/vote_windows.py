@@ -79,6 +79,7 @@ class VoteWindow:
             return None
         every = self.length if self.period is None else self.period
         self._end += every * (math.floor((now - self._end) / every) + 1)
+        # A tumbling window counts votes since it opened, a sliding window those of `length` s.
         opened = self._opened if self.period is None else now - self.length
         oldest = max(opened, now - self.expiry)
         votes = {sender: vote for sender, vote in self._votes.items() if vote[1] >= oldest}
@@ -91,15 +92,15 @@ class Rounds:
 
     1. A round lasts at least `pause` s and at most `length` s. In between, the round ends as soon
        as no robot heard in the last `expiry` s is in an earlier round.
-    2. A robot one round ahead counts with its previous vote, which its message repeats. Robots
-       further ahead do not count.
+    2. A robot that is one round ahead counts with its vote of this round: its messages hold both
+       votes. Robots further ahead do not count.
     3. If more than half of the robots are further ahead, this robot has fallen behind, and jumps to
        their median round.
 
     So a lost message, a robot that left, and a robot that sends arbitrary rounds block no robot.
 
     Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
-    acknowledgements, votes are repeated and hold the previous vote.
+    acknowledgements, votes are repeated, together with the previous vote.
     """
 
     def __init__(
@@ -145,6 +146,7 @@ class Rounds:
         if elapsed < min(self.period, self.length):
             return None
         self._expire(now - self.expiry)
+        # By how many rounds each other robot is ahead; negative: behind.
         leads = sorted(_lead(vote.round, self.round) for vote, _ in self._round_votes.values())
         median = leads[(len(leads) - 1) // 2] if leads else 0
         if median > 1:
@@ -189,7 +191,7 @@ def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generato
         return current
     most = max(counts.values())
     leaders = [opinion for opinion, count in counts.items() if count == most]
-    if len(leaders) == 1 or ties == "lowest":
+    if len(leaders) == 1 or ties == "lowest":  # `tally` orders equal counts by opinion
         return leaders[0]
     return current if ties == "keep" else int(rng.choice(leaders))
 

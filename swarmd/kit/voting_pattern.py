@@ -6,15 +6,10 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, TypeVar
 
-from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Value
+from swarmd.core.values import OPINION, ROUND_VOTE, Inputs, Message, Neighbor, Outputs, Value
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.kit.vote_windows import Rounds, Ties, VoteWindow, Windows, read_opinion, read_round_vote
-
-OPINION = "opinion"
-ROUND_VOTE = "round_vote"
-"""The channel that replaces OPINION with `windows: rounds`: [round, opinion, previous opinion]."""
-
 
 Opinions = Annotated[
     int,
@@ -99,11 +94,12 @@ V = TypeVar("V", bound=VotingParams)
 
 
 class VotingPattern(Pattern[V]):
-    """Holds an opinion, which is sent to the neighbours and updated when a window ends.
+    """Holds an opinion, sends it to the neighbours, and updates it at the end of each window.
 
-    The robot stands. Source: Kaiser et al., ICRA 2022: each robot sends its opinion after every
-    update. Ours: the robot also repeats its opinion. A vote expires if it is not repeated, or if
-    its sender is no longer a neighbour.
+    A window is a time in which votes are counted (`vote_windows.py`). The robot stands. Source:
+    Kaiser et al., ICRA 2022: each robot sends its opinion after every update. Ours: the robot also
+    repeats its opinion. A vote expires if it is not repeated, or if its sender is no longer a
+    neighbour.
     """
 
     params_type: ClassVar[type[Params]] = VotingParams

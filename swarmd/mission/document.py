@@ -38,10 +38,10 @@ class Document:
 
 
 def read_document(path: Path) -> Document:
-    """The mission of a YAML file, with all faults that need no patterns.
+    """Read the mission of a YAML file, and check all that can be checked without patterns.
 
-    ConfigError if the file is not YAML. `Document.root`, the outermost element, is None if an
-    element has a fault.
+    The faults are in `Document.faults`; ConfigError only if the file cannot be read as keys and
+    values of YAML. `Document.root`, the outermost element, is None if an element has a fault.
     """
     data = read_yaml(path)
     # The keys of the mission itself; all other keys describe the root element.
@@ -58,7 +58,7 @@ def read_document(path: Path) -> Document:
         yield from value_faults
 
     file, faults = read(mission_keys, MissionFile, check)
-    expanded = _expanded(root_keys)  # with short forms written out
+    expanded = _expanded(root_keys)  # with {part: NAME} in place of NAME alone
     root, root_faults = read(expanded, Element, check)
     root_faults += check_names(expanded, (), part_names)
     document = Document(
@@ -73,7 +73,7 @@ def read_document(path: Path) -> Document:
         root=None if root_faults else root,
         faults=faults + root_faults,
     )
-    document.faults += check_whole(document, data)
+    document.faults += check_whole(document, data)  # faults between several keys
     return document
 
 

@@ -78,7 +78,8 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
     `value`: an element (sequence, parallel, switch, fallback, part), a condition or a map. `keys`:
     its place in the file. `names`: the names of the mission's parts.
     """
-    # 1. Rules of each kind of value.
+    # 1. Rules of each kind of value. A condition is drawn if a random draw at each step decides on
+    # it: its negation, or a choice between branches, would jump from step to step.
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -167,8 +168,9 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
     if sequence.then == "stay" and last.until is not None:
         text = "is the until of the last step, and then is stay; leave it out, or take end"
         yield fault_at((*place, "until"), text)
-    is_left = last.transitions is not None and sequence.then == "repeat"
-    if sequence.then != "stay" and not _can_end(last) and not is_left:
+    # The last step of a repeated sequence may also be left by a transition to another step.
+    can_be_left = last.transitions is not None and sequence.then == "repeat"
+    if sequence.then != "stay" and not _can_end(last) and not can_be_left:
         text = f"never ends, and then is {sequence.then}; give it an until, or take stay"
         yield fault_at(place, text)
 
@@ -269,8 +271,9 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
         yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
     if document.root is not None and document.root.transitions is not None:
         yield fault_at(("transitions",), _TRANSITIONS)
-    # 2. Parts with a wrong name, without use, or with a parameter of the whole mission. If the root
-    #    has faults, all parts count as used.
+    # 2. Parts with a wrong name, without use, or with a parameter of the whole mission. NO_DRIVER
+    #    is no name: `drives` of a parallel element has this word for no part. If the root has
+    #    faults, all parts count as used.
     used_parts = set(document.names) if document.root is None else parts_in(document.root)
     for name in document.names:
         params = document.parts[name].params if name in document.parts else {}
@@ -281,7 +284,8 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
             yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
         elif "avoidance" in params:
             yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
-    # 3. A parameter of a part that two maps or parameters of the mission set.
+    # 3. A parameter of a part that is set twice: by two maps, by two parameters of the mission, or
+    #    by a map and a parameter. `setter_of`: what sets each parameter first, for the text.
     setter_of: dict[Reference, str] = {}
     for keys, mapping in document.maps:
         target = split(mapping.target)

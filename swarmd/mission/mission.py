@@ -314,8 +314,10 @@ class _Node(ABC):
         """Evaluate the conditions once before each step; returns why the element ended, or "".
 
         1. An element never ends before its first step: the reports of its parts would be old.
-        2. `until` is evaluated before `fails`, and `fails` before the transitions.
-        3. The first transition whose condition holds sets `target`; the element continues.
+        2. If several conditions hold, `until` counts before `fails`, and `fails` before the
+           transitions.
+        3. The first transition whose condition holds sets `target`. The element itself does not
+           end: the sequence around it starts the step `target` in its place.
         """
         is_new, self._is_new = self._is_new, False
         if not self.ended:

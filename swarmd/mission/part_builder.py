@@ -11,12 +11,12 @@ import msgspec
 
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ParameterError, SwarmError, unknown
-from swarmd.core.values import Inputs
+from swarmd.core.values import OPINION, Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
 from swarmd.kit.conditions import simple_conditions
 from swarmd.kit.params import build, schema
-from swarmd.kit.voting_pattern import OPINION, VotingPattern
+from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.document import Document
 from swarmd.mission.schema import Map, Reference, conditions, report_of, split
 from swarmd.settings.layered import Fault, Keys, fault_at
@@ -77,7 +77,8 @@ def build_setters(
 
     A map sets a parameter of the target part by the report of a source part. Each value is tried on
     new parts: one that starts with the value, and one that is changed to the value. A refused value
-    adds a fault to the builder. `opinions`: by part, overrides the number of opinions of a vote.
+    adds a fault to the builder. `opinions`: by voting part, the number of opinions that its
+    parameter `opinions` is about to have; without an entry the present number counts.
     """
     setters = []
     for keys, mapping in builder.document.maps:
@@ -96,14 +97,15 @@ def build_setters(
         opinion_count: int | None = None
         pattern = parts[source_part]
         if isinstance(pattern, VotingPattern) and source_report == OPINION:
-            default_count = getattr(pattern.params, "opinions", 0)
-            opinion_count = (opinions or {}).get(source_part, default_count)
+            present_count = getattr(pattern.params, "opinions", 0)
+            opinion_count = (opinions or {}).get(source_part, present_count)
         values = _values(builder, keys, mapping, opinion_count)
         accepted: dict[BoundedScalar, BoundedScalar] = {}
         for reported, value in values.items():
             prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
             try_value = partial(_tried, builder, target, value)
-            converted = _noting(builder, keys, try_value, prefix)  # None, with a fault, if refused
+            # `_noting` returns None for a refused value, and adds a fault with this prefix.
+            converted = _noting(builder, keys, try_value, prefix)
             if converted is not None:
                 accepted[reported] = converted
         setters.append(Setter(source, target, accepted))
@@ -149,7 +151,8 @@ def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
     with a fault, if the part cannot be made.
     """
     parts = builder.document.parts
-    mission_parameters = builder.exposed.get(name, {})  # the mission's own: not of the part's file
+    # Values that come from the mission's own parameters, not from the part's section of the file.
+    mission_parameters = builder.exposed.get(name, {})
     while True:
         part = parts[name]
         try:

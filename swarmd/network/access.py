@@ -12,7 +12,8 @@ of the link, `egress` messages go to that end.
 - A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
   viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
   `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each name of the
-  roster. It receives puts (messages) from operators only: a vote may move a robot.
+  roster. It receives puts, the messages of programs to patterns, from operators only: such a
+  message may move a robot.
 - Operators and viewers receive a robot's keys from the robot of that name only.
 - Robots, operators and viewers see each other's liveliness tokens; each may declare only the token
   of its own name.
@@ -29,7 +30,8 @@ from swarmd.core.verbs import VERBS
 from swarmd.security.roster import Role, Roster
 
 OPERATOR_SENDERS = "operator-$*"
-"""The senders of datagrams by routers that are operators or viewers, see `routed.py`."""
+"""The senders that are operators or viewers, of datagrams by routers (`routed.py`)."""
+# Asks for tokens; a token itself is of the kind `liveliness_token`.
 _LIVELINESS = ["declare_liveliness_subscriber", "liveliness_query"]
 _ALL_MESSAGES = [
     *("put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"),
@@ -78,8 +80,8 @@ def robot_access(roster: Roster, robot: str) -> Access:
     replied = [robot_state, robot_control, robot_shared]
     rules.allow(readers, _OUT, ["reply", "declare_queryable"], replied)
     rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
-    rules.allow(readers, _OUT, _LIVELINESS, all_tokens)
-    rules.allow(readers, _IN, _LIVELINESS, all_tokens)
+    for flow in (_OUT, _IN):  # both ends look for the tokens of the other end
+        rules.allow(readers, flow, _LIVELINESS, all_tokens)
     rules.allow(roster.operators, _OUT, ["declare_subscriber"], all_messages)
 
     # 2. Operators and viewers to this robot: subscriptions, and the liveliness token of the sender.
@@ -126,7 +128,7 @@ def asker_access(roster: Roster, name: str) -> Access:
     if role is not Role.ROBOT:
         rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
         rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
-        for flow in (_IN, _OUT):
+        for flow in (_IN, _OUT):  # both ends look for the tokens of the other end
             rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
     if role is Role.OPERATOR:
         own_messages = build(roster.swarm, name, MESSAGE, ANY, ANY)
@@ -152,9 +154,9 @@ def router_access(roster: Roster, router: str) -> Access:
     """Zenoh's `access_control` for a router of profile routed.
 
     Directions are seen from the router. The ingress rules (_IN) decide what each name of the roster
-    may send, query and subscribe to. The egress rules (_OUT) permit all keys of the swarm: a router
-    sends to a link only replies, and keys to which the other end subscribed. `router`: the name in
-    the certificates of all routers of the swarm.
+    may send, query and subscribe to. So the egress rules (_OUT) can permit all keys of the swarm: a
+    router sends to a link only replies, and keys to which the other end was allowed to subscribe.
+    `router`: the name in the certificates of all routers of the swarm.
     """
     swarm = roster.swarm
     all_keys = [f"{ROOT}/{swarm}/**"]
@@ -166,7 +168,8 @@ def router_access(roster: Roster, router: str) -> Access:
     rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, all_keys)
     for name in names:
         is_robot = roster.role_of(name) is Role.ROBOT
-        # Operators and viewers send under a random name that matches OPERATOR_SENDERS.
+        # All datagrams go through the router: on keys multicast/all and unicast/<receiver>, under
+        # the sender's name. Operators and viewers send under a random name of OPERATOR_SENDERS.
         sender = name if is_robot else OPERATOR_SENDERS
         own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
         queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]

@@ -193,7 +193,8 @@ class MemberReport(_Datagram, frozen=True, kw_only=True):
 class MemberList(_Datagram, frozen=True, kw_only=True):
     """A part of a robot's list of the other members; `part` counts from 0 to `parts` - 1.
 
-    `roster`: the names that the robot's own settings expect, after the members, in any part.
+    `roster`: names that the robot's own settings expect. They begin after the last member, so that
+    a part has members, names, or the last members and the first names.
     """
 
     robot: RobotId
@@ -421,7 +422,7 @@ def only_names(word: MemberList, names: Collection[str]) -> MemberList:
 def in_parts(
     members: tuple[MemberReport, ...], *, roster: tuple[str, ...] = ()
 ) -> list[tuple[tuple[MemberReport, ...], tuple[str, ...]]]:
-    """Members and names of the roster in parts, each of which fits one datagram."""
+    """Members and names of the roster in parts, within the bounds of `MemberList` and datagram."""
     parts: list[tuple[list[MemberReport], list[str]]] = [([], [])]
     room = _ROOM
     items: tuple[MemberReport | str, ...] = (*members, *roster)

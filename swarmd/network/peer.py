@@ -257,7 +257,8 @@ class Peer:
         if isinstance(body, Stop) and waited > 0.0:
             body = replace(body, age=body.age + round(1000.0 * waited))  # ms
 
-        # In a secured swarm: check the role of the signer, and that the datagram is no replay.
+        # In a secured swarm: check the role of the signer, and that the datagram is no replay. The
+        # sender of a beacon that may be replayed is asked for a new beacon (`_question`).
         if self._admission is not None and not is_any:
             admitted = self._admit(body, author, now)
             if isinstance(admitted, Flaw):
@@ -293,7 +294,7 @@ class Peer:
             case RunLease():
                 effects.leases.append(body)
             case Message() if body.robot != self.robot:  # of a pattern
-                is_new, effects.lost = self._windows.take(body)
+                is_new, effects.lost = self._windows.take(body)  # by the number of the message
                 if is_new:
                     effects.messages.append(body)
             case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
@@ -377,20 +378,24 @@ class Peer:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
 
-        # 3. Beacon, latches, relayed stops and goals, to all (address None). The beacon goes before
-        # the latches: peers compare its digest with the digest of their own latches.
+        # 3. Beacon, latches and relayed stops, to all (address None). The beacon goes before the
+        # latches: peers compare its digest with the digest of their own latches.
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, effects)
         self._send_latches_if_due(now, summary, effects)
+        # Not a stop that a later run, goal or reset has overtaken (`_is_overtaken`).
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         effects.sends.extend((stop, None) for stop in stops)
+
+        # 4. Goals: this robot may join the run of its goal once the goals and latches of all peers
+        # are known. Questions for goals are repeated if their answers are overdue.
         self._join_if_settled(now, summary, effects)
         effects.sends.extend(
             (Solicit(echo=echo, wants_goal=True), address)
             for echo, address in self._goal_sync.repeats(summary.goal, now)
         )
 
-        # 4. Ask a random member for its member list, which shows robots that are not heard here.
+        # 5. Ask a random member for its member list, which shows robots that are not heard here.
         if now >= self._lists_at:
             self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())
@@ -447,12 +452,14 @@ class Peer:
         self.links.on_beacon(beacon.robot, beacon.instance, beacon.number, now)
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
-            self._new_peer_at = now
+            self._new_peer_at = now  # a run is joined only JOIN_SETTLE later
 
         # `is_owner`: the sender owns its id, so that its digests count.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         effects.beacon = beacon if is_owner else None
-        is_stranger = not self.membership.is_established(beacon.robot)  # heard only briefly
+        # Heard only briefly: such a robot may be invented. Few strangers are asked at once, so that
+        # they do not take the place of known peers.
+        is_stranger = not self.membership.is_established(beacon.robot)
         digest, own_digest = beacon.digest(RecordKind.LATCH), digest_of(summary.latches)
         if is_owner and self._sync.wants(
             beacon.instance, digest, own_digest, now, is_stranger=is_stranger
@@ -554,8 +561,9 @@ class Peer:
                 effects.sends.append((rival, source))
             return
 
-        # 2. The beacon. In a secured swarm `said` and `clock` show which messages and places of
-        # this instance are older than this answer, and so may be replayed.
+        # 2. The beacon. In a secured swarm the asker refuses messages of this instance up to the
+        # number `said`, and places from before `clock`: an attacker may have kept them for a
+        # replay.
         beacon = replace(
             self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,

@@ -4,13 +4,15 @@
     0       1       format
     1       4       generation of the signer's roster, big endian
     5       24      GROUP: a tag for robots, one for operators, one for viewers
-    5       16      ANSWER: a tag for the asker's class, and one of the pair of robot and asker
+    5       16      ANSWER: a tag for the asker's class, and a tag for the asker alone
     5       n + 9   NAMED: the length of the name, the name of the operator or viewer, and its tag
 
-A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and the trailer up to the first tag.
-`datagram_keys.py` describes the keys. All robots share the key of the class "robot". So the tag of
-this class does not show which robot signed, and `Author` names only operators and viewers. The tag
-of a pair, and the proof in an `Ack`, show which robot signed.
+A robot signs answers to an operator or viewer by ANSWER, and all other datagrams by GROUP. An
+operator or viewer signs by NAMED. A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and
+the trailer up to the first tag. `datagram_keys.py` describes the keys. All robots share the key of
+the class "robot". So the tag of this class does not show which robot signed, and `Author` names
+only operators and viewers. The key of the tag for the asker alone is shared by this robot and this
+asker only. This tag, and the proof in an `Ack`, show which robot signed.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ class PatternExecutor:
         if isinstance(assembled, _Fault):
             return host_messages.LoadRefused(load.generation, *assembled)
         # 2. The conditions that end the run. Any error other than a missing sensor is an invalid
-        #    condition.
+        #    condition; `_guard` gives such an error the code PATTERN_FAILED.
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
             is_other_error = until.refusal is Refusal.PATTERN_FAILED
@@ -163,7 +163,7 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
             except msgspec.ValidationError:
                 expected = f"expected {declared_type.__name__}, as channels declares"
                 raise PluginError(f"channel {channel!r} got {named(value)}; {expected}") from None
-        messages[str(channel)] = value
+        messages[str(channel)] = value  # on an undeclared channel: the daemon counts and drops it
     # The report for operators.
     report: dict[str, Scalar] = {}
     for name, reported in outputs.report.items():

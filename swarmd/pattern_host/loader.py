@@ -56,8 +56,8 @@ class PatternLoader:
 
         Raises UnknownPatternError for an unknown name. Raises PluginError if the code has no
         pattern class or several, or if the declarations of the class contradict each other. Raises
-        ChangedCodeError if the SHA-256 of the code differs from its manifest, and ConfigError for a
-        fault in the file of a mission.
+        ChangedCodeError if the code of a pushed pattern has another SHA-256 than was pushed, and
+        ConfigError for a fault in the file of a mission.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
@@ -141,10 +141,10 @@ def _checked(path: Path, digest: bytes) -> bytes:
 
 
 def _import_first_from(wheel: str) -> None:
-    """Import modules from a wheel first, and no longer from an earlier version of the wheel.
+    """Put a wheel first in the import path, and forget modules with the names of its modules.
 
-    The wheel also precedes an installed package of the same name, since the wheel was pushed and
-    tried.
+    So the next import loads them from this wheel, not from an earlier version. The wheel also
+    precedes an installed package of the same name, since the wheel was pushed and tried.
     """
     from zipfile import ZipFile  # imported late: few hosts run a wheel
 

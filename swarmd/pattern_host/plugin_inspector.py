@@ -106,12 +106,16 @@ def main() -> None:
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
     parser.add_argument("--plugin-dir", type=Path, help="folder of one-file patterns")
-    parser.add_argument("--secret", type=Path, action="append", default=[], help="unreadable")
+    parser.add_argument(
+        "--secret", type=Path, action="append", default=[], help="unreadable folder"
+    )
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("describe").add_argument("names", nargs="*", help="default: all")
     check_parser = verbs.add_parser("check")
     check_parser.add_argument("file", type=Path)
-    check_parser.add_argument("--done", nargs="*", default=[], help="points to leave out")
+    check_parser.add_argument(
+        "--done", nargs="*", default=[], help="rules that are not tested again"
+    )
     verbs.add_parser("mission").add_argument("file", type=Path)
     args = parser.parse_args()
     die_with_parent(args.parent)
@@ -167,13 +171,13 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         pattern = loader(name)
         params = schema(pattern.params_type)
         derived_defaults = pattern.defaults(platform)
-        check_zone(name, pattern.touches)
+        check_zone(name, pattern.touches)  # the zone in which the pattern may touch obstacles
         check_scan_delay(name, pattern.scan_delay)
         # A mission can be tried if the platform has its sensors and all parameters have defaults.
-        is_mission = issubclass(pattern, Mission)
+        has_mission = issubclass(pattern, Mission)
         has_all_defaults = not any(spec.is_required for spec in params)
         refused = ""
-        if is_mission and pattern.needs <= platform.provides and has_all_defaults:
+        if has_mission and pattern.needs <= platform.provides and has_all_defaults:
             refused = _refusal(name, loader, platform)
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         return {"name": name, "error": error_text(error), "source": source}
@@ -183,7 +187,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "summary": text.split("\n")[0],
         "text": text,
         "kind": _kind(pattern),
-        "group": pattern.group or ("missions" if is_mission else "yours"),
+        "group": pattern.group or ("missions" if has_mission else "yours"),
         "source": source,
         "needs": sorted(pattern.needs),
         "missing": sorted(pattern.needs - platform.provides),
@@ -259,7 +263,8 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
     def load() -> None:
         name = pattern_name(path)
         check_module_name(name)
-        classes.append(PatternLoader({name: (str(path), True)})(name))
+        is_file = True  # not an entry point of a package
+        classes.append(PatternLoader({name: (str(path), is_file)})(name))
 
     output.send(begin=LOADING)
     fault = _fault_of(load, path)
@@ -283,7 +288,9 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
             continue
         output.send(begin=point)
         fault = _fault_of(test, path, pattern)
-        text = NOT_CLAIMED if point == MIRRORED and not pattern.is_symmetric else ""
+        # The test of mirrored scans skips a pattern that does not declare `is_symmetric`.
+        is_skipped = point == MIRRORED and not pattern.is_symmetric
+        text = NOT_CLAIMED if is_skipped else ""
         output.send(result=point, **{"text": text, **fault})
         if fault.get("is_hang"):
             return
@@ -369,8 +376,9 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
     is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)
     if isinstance(error, TimeoutError):
         is_worded = bool(text)
-    name = type(error).__name__
-    return (text if is_worded else f"{name}: {text}" if text else name) + place
+    if not is_worded:
+        text = ": ".join(filter(None, (type(error).__name__, text)))
+    return text + place
 
 
 def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[int | None]:
@@ -450,8 +458,8 @@ def _inspect_mission(
 def _other_owner(path: Path, origin: Origin | None) -> str:
     """The file or package of another pattern with the name of the mission `path`; empty if none.
 
-    `origin`: where the patterns of this name are, None without any. The mission itself, or a copy
-    of the mission, may be one of them.
+    `origin`: the file or package that has a pattern of this name, and a `rival` that has another
+    one; None without any. One of the two may be the mission itself or a copy of it.
     """
     if origin is None:
         return ""
@@ -468,7 +476,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     """
     document = read_document(path)
     # 1. The name of the file, which becomes the name of the pattern: valid, and of no other
-    #    pattern.
+    #    pattern. The text of a fault goes on after the key `mission`.
     origins = pattern_names(plugin_dir)
     owner = _other_owner(path, origins.get(path.stem))
     name_fault = ""
@@ -476,7 +484,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
         name_fault = (
             "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
         )
-    elif document.description and not is_mission(path):
+    elif document.description and not is_mission(path):  # valid, but `is_mission` reads by lines
         name_fault = (
             "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
         )

@@ -84,8 +84,8 @@ class ProcessRunner:
     - A host that ends by itself is replaced after a delay. The delay doubles while hosts end before
       they have sent an event.
     - The prints of patterns are logged.
-    - `overlay` adds pushed patterns to the patterns of packages and of `plugin_dir`. The code of
-      pushed patterns lies in the folders `code`.
+    - `overlay` adds the pushed patterns, which operators sent to the robot, to the patterns of
+      packages and of `plugin_dir`. The code of pushed patterns lies in the folders `code`.
     - Plugin code can read `plugin_dir` and `code`, and nothing in `secret`.
     """
 
@@ -99,7 +99,8 @@ class ProcessRunner:
         code: Sequence[Path] = (),
         secret: Sequence[Path] = (),
     ) -> None:
-        # The patterns: of packages, of `plugin_dir`, and those that `overlay` adds.
+        # The patterns: of packages, of `plugin_dir`, and pushed patterns. `overlay` is called for
+        # each load and each trial, and returns the patterns with the pushed patterns added.
         self._installed = installed_patterns()
         self._plugin_dir = plugin_dir
         self._overlay = overlay
@@ -151,7 +152,7 @@ class ProcessRunner:
             return
         if isinstance(command, host_messages.Load):
             log.info("loading %s", command.pattern)
-            if command.is_fresh:
+            if command.is_fresh:  # load in a new host: the present host hangs, ends or has old code
                 self._replace()
         # 2. Encode. A load also gets the places of all patterns, which it may contain.
         self._generation = command.generation
@@ -171,7 +172,8 @@ class ProcessRunner:
             self._events.append(event)
             self._loop.call_soon(self._wake)
             return
-        # 3. Send. If the socket is full or the host has ended, a timeout or the pidfd shows that.
+        # 3. Send. A full socket shows as the timeout of the command, and the end of the host as its
+        #    pidfd (a file descriptor of the process), which the loop watches.
         host = self._host or self._start()
         try:
             if isinstance(command, host_messages.Load):

@@ -266,7 +266,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Pa
         return f"no Landlock here: {_error()}"
     if len(os.listdir("/proc/self/task")) > 1:  # Landlock would not restrict other threads
         return "a library has started threads"
-    handled = (1 << _RIGHTS.get(version, 16)) - 1
+    handled = (1 << _RIGHTS.get(version, 16)) - 1  # all rights that this version knows
     ruleset = libc.syscall(_CREATE_RULESET, struct.pack("=Q", handled), ctypes.c_size_t(8), 0)
     if ruleset < 0:
         return f"Landlock: {_error()}"
@@ -349,7 +349,8 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
         refusals = chain.from_iterable(map(_refused, commands))
         block = [*_argument(argument_index), *refusals]
         yield from _if_called(numbers[column], block, _ALLOW)
-    # 5. prlimit only for the own process (pid 0), and only to read (new limits NULL).
+    # 5. prlimit only for the own process (pid 0), and only to read: the pointer to new limits is
+    #    NULL in its lower half (`_argument`) and in its upper half.
     limits = [
         *_argument(0),
         *_required(0),
@@ -360,8 +361,8 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     ]
     yield from _if_called(_PRLIMIT[column], limits, _REFUSE)
     # 6. clone without new namespaces, and without a child of the daemon.
-    flags = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)
-    clone = [*_argument(0), flags, (_RETURN, 0, 0, _REFUSE)]
+    has_refused_flag = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)  # without: skip the refusal
+    clone = [*_argument(0), has_refused_flag, (_RETURN, 0, 0, _REFUSE)]
     yield from _if_called(_CLONE[column], clone, _ALLOW)
     # 7. open without two modes that Landlock lets pass: the access mode 3 (neither read nor write)
     #    permits ioctl; before Linux 6.2 Landlock ignores that a reader truncates.

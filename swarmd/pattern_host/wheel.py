@@ -109,7 +109,7 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
         top_name = path.parts[0]
         if top_name.removesuffix(".py") in _TAKEN:
             raise PluginError(f"{label} would hide a module of that name: {info.filename}")
-        if top_name.endswith(".data"):
+        if top_name.endswith(".data"):  # an installer moves such files to other folders
             raise PluginError(f"{label} has files outside its packages: {info.filename}")
         _read(archive, info, label)  # PluginError if the content is damaged
     return files

@@ -2,8 +2,8 @@
 
 The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon. It
 has a lower priority (nice 10), and the out-of-memory killer chooses it first. Before the host loads
-plugin code it confines itself (`swarmd.pattern_host.sandbox`) and reports the denied accesses. From
-then on only the daemon can change the host's memory limit (`host_process`). The host imports
+plugin code it confines itself (`swarmd.pattern_host.sandbox`) and reports the denied accesses. The
+confined host cannot change its memory limit; the daemon can (`host_process`). The host imports
 neither Zenoh nor asyncio.
 """
 

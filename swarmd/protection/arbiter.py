@@ -1,7 +1,8 @@
 """Protection: the only path from a requested command to the command that the driver gets.
 
-`Protection` enforces limits and holds in every mode. An `Arbiter` (modes.py) implements one mode.
-`robot/input_ages.py` decides on the holds of old scans and old odometry.
+In every mode, `Protection` enforces the platform's limits and stops the robot under a hold. An
+`Arbiter` (modes.py) implements one mode. `robot/input_ages.py` decides when old scans or old
+odometry hold the robot.
 
 A kernel (see `core/kernels.py`), since each input that can change the command passes it. Other
 modules import `Protection` from protection.py, compiled or interpreted.
@@ -60,9 +61,12 @@ _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 
 @cython.cclass
 class Protection:
-    """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
+    """Decides on the safe command of one robot, in every state and mode.
 
-    `seed` seeds the random choices of recovery and right of way. Attributes:
+    The stored state follows from the calls alone, so that a recording can be replayed. `seed` seeds
+    the random choices of recovery and right of way.
+
+    Attributes:
         events: texts that the caller has yet to log.
         following: the monitor of whether the base of a running robot follows the safe commands.
         moved_at: the time in s of the last safe command that was not zero; -inf without such one.
@@ -217,7 +221,8 @@ class Protection:
             permit: what the pattern permits: recovery, avoidance, a touch zone.
         """
         recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        # 1. Switches avoidance on or off. A hold has no permit and leaves avoidance unchanged.
+        # 1. Switches avoidance on or off; a mode without avoidance has no `recovery`. A hold of a
+        # running robot comes without the pattern's permit, so it leaves avoidance unchanged.
         if recovery is not None and (hold is None or not is_running):
             may_avoid = self._avoids if permit.avoids is None else permit.avoids
             is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
@@ -238,8 +243,10 @@ class Protection:
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
         if self._has_followed and (not is_running or hold is _driver_lost or touch is not None):
+            # The base need not follow: it is not commanded, its driver is lost, or in a touch zone
+            # an object may stop the base.
             self._has_followed = False
-            self.following.reset()  # with a touch zone, an object may stop the base
+            self.following.reset()
         if not is_running or hold is not None:
             if self._may_recover:
                 self._may_recover = self._is_recovering = False
@@ -260,7 +267,8 @@ class Protection:
                 passing_request, self._mode_command, context, self._points, others, safe_for
             )
             self._is_recovering = recovery.is_active
-        # 5. Repeats the last decision for the same case in the same context.
+        # 5. Repeats the last decision for the same case in the same context. A candidate that only
+        # equals the request (`is` is false) still counts as a replacement.
         if context is self._last_context:
             case = clipped, candidate, candidate is clipped, self._is_recovering, touch
             if case == self._last_case:
@@ -305,8 +313,8 @@ class Protection:
         """The decision of the mode within the fence, and whether the fence changed a command.
 
         The fence limits the request, and then the command of a mode that changed the request. The
-        second time all speeds get one share: the constraints of the mode are convex and permit
-        zero.
+        second limit reduces all speeds by one share: the result still satisfies the constraints of
+        the mode, since these are convex and permit zero.
         """
         fence, command = self._fence, self._safe
         asked = fence.limit(request, context, command)
@@ -325,11 +333,11 @@ class Protection:
     def _pass_others(
         self, requested: Twist, context: DecisionContext, safe_for: Allows
     ) -> tuple[Twist, Others]:
-        """The command that leads past openings and moving objects, and what recovery must know.
+        """The command that leads past openings and moving objects; `Others` informs recovery.
 
         The command is `requested` if no opening and no object is in the way. `safe_for` gives the
-        command of the mode for any request. Right of way decides first. Avoidance decides unless
-        right of way or recovery has settled the command.
+        command of the mode for any request. Right of way decides first. Avoidance then decides,
+        unless right of way is in a state that settles the command, or a recovery is under way.
         """
         avoidance, recovery = self._avoidance, self._recovery
         if not self._is_avoiding:
@@ -391,7 +399,8 @@ class Protection:
         share: cython.double = 1.0
         if monitor is not None:
             share = monitor.speed_share
-            if share < 1.0:  # a share is feasible, too: the constraints are convex and permit zero
+            # A share of a permitted command is permitted: constraints are convex and permit zero.
+            if share < 1.0:
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
             text = monitor.on_command(safe)
             if text:
@@ -400,6 +409,8 @@ class Protection:
         self.following.on_command(safe)
         if safe is not _zero and not safe.is_zero:
             self.moved_at = context.now
+        # The mode decides by `_safe`, so the last decision must not be repeated after a change;
+        # `decide` sets `_last_context` again.
         self._safe, self._last_context = safe, None
         min_gap = self._min_gap
         if self._ring_points is not None:

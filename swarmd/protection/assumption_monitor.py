@@ -228,7 +228,8 @@ class _Brake:
         """Drop the stop under way if the speed on another `axis` changes, too.
 
         `speed` is the last measured speed on that axis, at `stamp`. The base may still follow any
-        command of the last _LONGEST_DELAY s, so the speed is compared with all these commands.
+        command of the last _LONGEST_DELAY s. So the change is the greatest difference between the
+        present command of that axis and its measured speed or any of these commands.
         """
         stop: _Stop = self._stop
         if stop is None:
@@ -279,7 +280,9 @@ class _Brake:
             stop.least_speed = min(new_speed, stop.least_speed)
             return new_speed > stop.least_speed + _COMMAND_RISE * stop.begin_speed and self._end()
 
-        # 2. Does the command fall clearly: by an absolute amount, and by a share of the speed?
+        # 2. Does the command fall clearly: by an absolute amount, and by a share of the speed? The
+        # first test ends most calls. A command that reverses counts as a fall to 0, so the absolute
+        # amount is tested again.
         if (previous - command if previous > 0.0 else command - previous) < self._min_drop:
             return False
         begin_speed: cython.double = fabs(previous)
@@ -293,6 +296,7 @@ class _Brake:
 
         # 3. A stop begins, if odometry shows that the base followed the command before.
         if fabs(speed - previous) <= _FOLLOWED * begin_speed and self._cruise_count >= _MIN_CRUISE:
+            # Where the three numbers of each of the last periods begin in the ring buffer.
             starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
             cruise = [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
             self._stop = _Stop(sign, begin_speed, new_speed, stamp, cruise)
@@ -319,6 +323,7 @@ class _Brake:
             if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
                 self._cruise_count = 0
             else:
+                # Where the three numbers of this period begin in the ring buffer.
                 start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
                 self._cruise[start], self._cruise[start + 1] = begin, end
                 self._cruise[start + 2] = moved
@@ -329,6 +334,7 @@ class _Brake:
         if speed > (1.0 + _NOISE_RISE) * stop.begin_speed or period > _MAX_PERIOD:
             self._stop = None  # another robot pushed the robot, or odometry was lost
             return False
+        # Done: the base has followed all of the fall but _END_SHARE.
         is_done: cython.bint = speed - stop.least_speed <= _END_SHARE * (
             stop.begin_speed - stop.least_speed
         )
@@ -347,6 +353,7 @@ class _Brake:
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
+        # With the mean time between two readings of the stop.
         self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps))
 
         # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
@@ -358,7 +365,8 @@ class _Brake:
         self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
-        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND.
+        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND: half of the
+        # difference of their misfits, which are chi-squares in units of the variance.
         misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
         log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
@@ -388,8 +396,10 @@ class _Brake:
         """Set `braking` and `evidence` by the stops of the test; always True.
 
         The measured braking is the minimum of a parabola through the misfits of three neighbouring
-        shares, as a function of the reciprocal of the share. The curvature of the parabola gives
-        the standard deviation. `braking` becomes the measured braking less two standard deviations.
+        shares, as a function of the reciprocal of the share. `curvature` is the coefficient of the
+        square. A misfit is a chi-square, which rises by 1 at one standard deviation from its
+        minimum, so the deviation is 1 / sqrt(curvature). `braking` becomes the measured braking
+        less two standard deviations.
         """
         best = int(self._misfits.argmin())
         slowness = 1.0 / _SHARES
@@ -431,8 +441,8 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     readings = np.array((*stop.cruise, *stop.steps))
     periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
 
-    # 1. The commands that can matter: those that ended after the earliest stamp and changed the
-    # speed, and the last command.
+    # 1. The commands that can matter: those that held until after the earliest stamp, and not for
+    # 0 s (several commands may come between two readings), and the last command.
     earliest_stamp = readings[0, 0] - _LONGEST_DELAY
     last = len(commands) - 1
     used_commands = [
@@ -453,11 +463,13 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
     stamps = _view(np.concatenate(([-np.inf], stamps)))
     speeds = _view(np.concatenate(([0.0], speeds)))
-    # In units of the command.
+    # The declared braking holds for speeds by odometry. The model has speeds by commands, which
+    # differ from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
     brakings = _view(_SHARES * declared * stop.begin_speed / cruise_speed)
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )
+    # Degrees of freedom: less the delay, the scale and the braking, which are fitted.
     return misfits, max(len(distances) - 3.0, 1.0), float(delays[misfits.argmin()])
 
 
@@ -483,9 +495,9 @@ def _weighted_residuals(
 
     Args:
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
-        stamps: (m,) s, since when each command holds.
+        stamps: (m,) s, since when each command holds; the first is -inf.
         speeds: (m,) the speed of each command.
-        brakings: (s,) braking in units of the command.
+        brakings: (s,) m/s2 or rad/s2 for speeds by commands, see `_misfits`.
         total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
@@ -510,7 +522,7 @@ def _weighted_residuals(
             )
             model_speeds[k] = max(speeds[k - 1], braked_speed)
 
-        # 2. The best delay: first the coarse grid, then the fine grid.
+        # 2. The best delay: the coarse grid, then anew the fine grid around its best delay.
         best_delay: cython.double = 0.0
         result[0, j] = _inf
         for k in range(len(coarse) + len(fine)):
@@ -522,13 +534,13 @@ def _weighted_residuals(
             )
 
             # Compares the model at this delay with all periods. `command` is the index of the
-            # command that holds at the stamp.
+            # command that holds at the stamp, searched from that of the stamp before.
             cross_sum: cython.double = 0.0
             model_sum: cython.double = 0.0
             command = 0
             for i in range(len(periods)):
                 speed_sum: cython.double = 0.0
-                for part in range(2):  # the mean speed of two parts of the period
+                for part in range(2):  # the speeds at a quarter and three quarters of the period
                     stamp: cython.double = periods[i, 0] + parts[part] * periods[i, 1] - delay
                     while command + 1 < count and stamps[command + 1] <= stamp:
                         command += 1
@@ -734,8 +746,8 @@ class AssumptionMonitor:
         5 s to 600 s after the first, is a violation, which slows the robot.
 
         `stamp`: s, of the scan. `gap`: m from the outline to the nearest return; None without a
-        return. `delay`: s, the greatest age of a ray of the scan. All that the robot moved since
-        then counts as its own motion towards the return.
+        return. `delay`: s, the greatest age of a ray of the scan. The ray of the nearest return is
+        not known, so all that the robot moved since the oldest ray counts as motion towards it.
         """
         gaps, approaches = self._gaps, self._approaches
         has_pause = gaps and not 0.0 < stamp - gaps[len(gaps) - 1][0] < _MAX_GAP_TIME
@@ -745,6 +757,7 @@ class AssumptionMonitor:
             gaps.clear()
         if gap is None or gap > _NEAR_GAP:
             return ""
+        # `_approach` needs the travel when the oldest ray was measured, and on arrival.
         gaps.append((stamp, gap, self._travelled_until(self._stamp - delay), self._travelled))
         while stamp - gaps[0][0] > _MAX_APPROACH_TIME:
             gaps.popleft()

@@ -130,11 +130,14 @@ class Avoidance:
             self._update_held_up(now, 1.0)
             return requested
 
-        # 4. Else the nearest permitted velocity. If a track forbids the request, the request is
-        # first turned to the right.
+        # 4. Else the nearest permitted velocity. The request is first turned to the right: if a
+        # track forbids it, by _RIGHT_RAD and what a robot that is held up adds; before walls alone,
+        # only by what such a robot adds.
         worst_line = most_violated(lines, wall_count, x, y)
         self.avoiding = surroundings.tracks[worst_line - wall_count] if worst_line >= 0 else None
-        right_rad = self._right_rad if self.avoiding is not None else self._right_rad - _RIGHT_RAD
+        right_rad = self._right_rad
+        if self.avoiding is None:
+            right_rad -= _RIGHT_RAD
         cos, sin = math.cos(right_rad), -math.sin(right_rad)
         chosen = nearest(lines, wall_count, cos * x - sin * y, sin * x + cos * y, request_speed)
         self._update_held_up(now, (chosen[0] * x + chosen[1] * y) / (request_speed * request_speed))

@@ -170,10 +170,10 @@ class Barrier:
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        The time of a scan is the time of its newest ray. If the newest ray is not newer than that
-        of the scan before, only `min_gap` is set: protection dead-reckons the obstacles of the scan
-        before, but does not dead-reckon a remembered sector. (In a scan without a measured sector,
-        conditioning fills the sector with remembered rays, whose age counts.)
+        The time of a scan is the time of its newest ray; a scan with a sector that conditioning
+        filled with remembered rays has the age of those rays. If a scan is not newer than the scan
+        before, only `min_gap` is set, and the obstacles of the scan before stay: protection moves
+        them by odometry, but does not move remembered rays.
 
         `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
         time, the age of the scan, and odometry.
@@ -211,8 +211,9 @@ class Barrier:
     def _newest_age(self, scan):
         """The age in s of the newest ray of a scan when the scan arrived.
 
-        Conditioning states this age (`newest_age`) where it filled a sector with rays of the scan
-        before. Otherwise the age follows from the platform's latency and the mean age of the rays.
+        A conditioned scan states this age (`newest_age`). Of any other scan it is the platform's
+        latency (the mean age of all rays on arrival) less the mean time by which the rays are older
+        than the newest ray.
         """
         if scan.newest_age is not None:
             return scan.newest_age

@@ -89,11 +89,11 @@ class Assumptions:
     @cython.inline
     @cython.exceptval(check=False)
     def binding_range(self, age: cython.double) -> cython.double:
-        """The gap in m beyond which no return of a ray of this age in s constrains the robot.
+        """The gap in m beyond which a return constrains no command of the robot.
 
-        With a keep-out circle around the lidar the greater of two gaps counts: that of the outline
-        and that of the circle, towards which each of two robots may use half of the distance. See
-        BindingRange.for_scan_age.
+        `age`: s of the return when the command takes effect. With a keep-out circle around the
+        lidar, the gap is the greater of that within which a return constrains the outline, and that
+        within which it constrains the circle. See BindingRange.for_scan_age.
         """
         outline_gap: cython.double = (
             self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age

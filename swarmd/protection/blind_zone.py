@@ -10,8 +10,8 @@ end at an obstacle inside the zone, or see nothing. An empty sector is a run of 
    assumed speed.
 2. An obstacle too wide to vanish may cross the rim; returns at the end of an empty sector show
    this. If an obstacle crosses at one end, the part seen there last becomes hidden. If obstacles
-   cross at both ends, they count as a single obstacle that fills the sector, and that is no nearer
-   than a square corner between the ends.
+   cross at both ends, they count as a single obstacle that fills the sector. The obstacle is no
+   nearer than the corner of a box (a right angle) whose faces cross the rim at both ends.
 3. A hidden obstacle moves with its empty sector, and fills a sector that is not too wide.
 4. A hidden obstacle is forgotten once returns show its place free, once it reappears, or once the
    robot has moved away by its own commands. Motion without commands does not count, since an
@@ -194,9 +194,9 @@ def _crosses_rim(
 ) -> cython.bint:
     """True if an obstacle beside an empty sector crosses the rim (at `radius` m) into the sector.
 
-    In a narrow sector (`is_flat`: so narrow that a face is level at its ends) the range at the ray
-    beside the sector must be near the rim. In a wide sector the ranges must fall towards the
-    sector, so that the extrapolated face lies within the rim one ray further.
+    At the ends of a narrow sector (`is_flat`) the range along a face hardly changes from ray to
+    ray, so the range at the ray beside the sector must be near the rim. In a wide sector the ranges
+    must fall towards the sector, so that the extrapolated face lies within the rim one ray further.
 
     `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index away
     from the sector.
@@ -211,7 +211,7 @@ def _crosses_rim(
     while face_rays < _EDGE_RAYS:
         i = (i + direction + ray_count) % ray_count
         next_range: cython.double = _finite_range(ranges, i)
-        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:
+        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or no range
             break
         far_range = next_range
         face_rays += 1
@@ -332,6 +332,7 @@ class BlindZoneMemory:
         table = np.ascontiguousarray(scan.ranges, np.float64)
         ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
+        # At most 5 periods count, else after a pause all returns would be near.
         obstacle_step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
         near_range: cython.double = self._radius + 2.0 * obstacle_step
         # 2. The near points become those of the scan before.
@@ -406,7 +407,8 @@ class BlindZoneMemory:
             rising_count += 1 if values[i] > values[i - 1] else -1
             if self._turned_angle[i] < self._turned_angle[lowest]:
                 lowest = i
-        # 2. Inserts the rays from the lowest angle on.
+        # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
+        # Rays of the same angle stay in their order.
         for i in range(ray_count):
             ray = _wrapped(lowest + i if rising_count >= 0 else lowest - i + ray_count, ray_count)
             angle, k = self._turned_angle[ray], i
@@ -470,11 +472,9 @@ class BlindZoneMemory:
     ):
         """Find the obstacles that are hidden now.
 
-        Args:
-            moved_x, moved_y, turned: m and rad, the motion of the base since the scan before.
-            sensor_x, sensor_y: m, the place of the sensor in the base frame.
-            seconds: s since the scan before.
-            obstacle_step: m that an obstacle moves between two scans.
+        `moved_x`, `moved_y`, `turned`: m and rad, the motion of the base in the `seconds` since the
+        scan before. `sensor_x`, `sensor_y`: m, the place of the sensor in the base frame.
+        `obstacle_step`: m that an obstacle moves between two scans.
         """
         ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
@@ -496,7 +496,8 @@ class BlindZoneMemory:
                     self._sector_first[k], self._sector_first[k] + self._sector_width[k]
                 ):
                     self._is_in_entered_sector[_wrapped(i, ray_count)] = True
-        # 2. The hidden obstacles approach. Adds the returns that have vanished.
+        # 2. The hidden obstacles approach. An obstacle that may have reached the sensor is no face
+        # any more, since `_fill` moves a face back to the corner. Adds the vanished returns.
         for i in range(self._hidden_count):
             self._hidden_bearing[i] -= turned
             self._nearest_range[i] = max(self._nearest_range[i] - self._speed * seconds, 0.0)
@@ -570,8 +571,8 @@ class BlindZoneMemory:
     def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
         """Add an empty sector of `width` rays; `first` is the index of its first ray.
 
-        Stores at how many ends an obstacle crosses the rim, and the distance of the square corner
-        of rule 2.
+        Stores at how many ends an obstacle crosses the rim, and the distance in m of the nearest
+        right angle whose two sides meet the rim at the ends of the sector (rule 2).
         """
         ray_count: cython.Py_ssize_t = self._ray_count
         k: cython.Py_ssize_t = self._sector_count
@@ -609,15 +610,11 @@ class BlindZoneMemory:
         """Add the near returns of the scan before that may have crossed the rim as candidates.
 
         A return is a candidate if no return of this scan lies near its place any more, or if an
-        obstacle enters its sector. Also updates `_emerged_m` and `_vanished_m`, in m of obstacle
-        beside the rim.
+        obstacle enters its sector. A width in m that goes out of view is added to `_vanished_m`,
+        and taken off `_emerged_m`, since noise at the rim shows the same width out and in.
 
-        Args:
-            moved_x, moved_y: m, the motion of the base since the scan before.
-            cos_turn, sin_turn: of its turn.
-            sensor_x, sensor_y: m, the place of the sensor in the base frame.
-            obstacle_step: m that an obstacle moves between two scans.
-            is_entered: an obstacle enters any sector across the rim.
+        `is_entered`: an obstacle enters any sector across the rim. `cos_turn`, `sin_turn`: of the
+        turn of the base. The other arguments are those of `_find`.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
@@ -656,7 +653,8 @@ class BlindZoneMemory:
                 return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
-            # 4. Adds the candidate. A return still in view only continues a face, and is doubtful.
+            # 4. Adds the candidate, as far within the rim as it can have moved since. A return
+            # still in view only continues a face, and is doubtful.
             if is_gone or (is_entered and self._is_in_entered_sector[ray]):
                 k = self._candidate_count
                 self._hidden_bearing[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
@@ -668,8 +666,8 @@ class BlindZoneMemory:
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
         """Give each candidate that is still hidden its ray, by rules 3 to 5 of the module.
 
-        Sets for each ray the age, the least range and the kind of its obstacle; an age of inf: no
-        obstacle.
+        Sets for each ray the age, the least range and `is_face` of its obstacle (whether it only
+        continues a face in view); an age of inf: no obstacle.
 
         `turned`: rad by which the base turned since the scan before. `obstacle_step`: m that an
         obstacle moves between two scans.
@@ -684,7 +682,9 @@ class BlindZoneMemory:
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-        # 2. Rules 4 and 5: which candidates are still hidden. `_angles`: of reappeared returns.
+        # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
+        # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
+        # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
@@ -697,7 +697,7 @@ class BlindZoneMemory:
                     self._is_hidden[k] = False
                 elif angle_off <= farthest_shift:
                     self._age[k] = max(self._age[k], _DOUBTFUL)
-        # 3. Clears the rays, and lists the empty rays in `_angles`.
+        # 3. Clears the rays. From here on `_angles` are those of the empty rays.
         self._angle_total = 0
         for i in range(ray_count):
             self._exact_bearing[i] = self._bearing[i]
@@ -727,7 +727,7 @@ class BlindZoneMemory:
     def _find_reappeared(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
         """Find the returns near the rim whose rays were empty in the scan before.
 
-        Sets `_angle` to their angles, `_found` to their number, and adds to `_emerged`.
+        Sets `_angles` to their angles, `_angle_total` to their number, and adds to `_emerged_m`.
         """
         ray_count: cython.Py_ssize_t = self._ray_count
         old_empty_count: cython.Py_ssize_t = self._old_empty_count
@@ -751,7 +751,7 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _turn_empty(self, turned: cython.double) -> cython.int:
-        """Set `_turned` to the rising angles of the rays that were empty, in the present frame."""
+        """Set `_turned_angle`: in the present frame, the rising angles of rays that were empty."""
         count: cython.Py_ssize_t = self._old_empty_count
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
@@ -773,10 +773,13 @@ class BlindZoneMemory:
     def _fill(self, seconds: cython.double) -> cython.int:
         """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        A sector is treated by the first case that fits:
+        An obstacle is doubtful once its age is above 0. A sector is treated by the first case that
+        fits:
 
         1. Obstacles cross the rim at both ends: they fill the sector, doubtful.
         2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
+           Its age there: 0 where a robot has room; else at most doubtful while an obstacle crosses
+           the rim; else older by `seconds`.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         4. Else the rays stay as they are.
         """

@@ -104,8 +104,8 @@ def closing_deceleration(
 ) -> cython.double:
     """The rate in m/s2 at which the closing speed of a place of the outline can fall.
 
-    `linear` and `lever` are as in `Constraints._add`. `slowing` in m/s2 and `turning` in rad/s2 are
-    the rates at which the linear and the angular speed can fall.
+    `linear` (from -1 to 1) and `lever` in m: the closing speed per m/s of linear and per rad/s of
+    angular speed. `slowing` in m/s2 and `turning` in rad/s2: the rates at which these can fall.
     """
     braking: cython.double = fabs(linear) * slowing
     braking += fabs(lever) * turning

@@ -97,8 +97,8 @@ def findings(
 ) -> Iterator[PeerFinding]:
     """Reasons why this robot does not fit its peer `robot`; none if both fit.
 
-    `peer` is the body that the peer sent; None: the peer sent none. `others_speed` in m/s is what
-    the own protection assumes.
+    `robot`: the name of the peer. `peer`: the body that the peer sent; None: the peer sent none.
+    `others_speed`: m/s, what the protection of this robot assumes.
     """
     if peer is None:
         text = "tells nothing of its body, as an older version: whether it is seen is not known"

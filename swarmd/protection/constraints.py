@@ -172,6 +172,54 @@ class PlacedPoints:
         self.normal_x, self.normal_y = doubles(room), doubles(room)
         self.first_row, self.in_touch_zone = indices(room), indices(room)
 
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def place(self, chunk: Chunk, first: cython.Py_ssize_t, rows: ConstraintRows) -> cython.int:
+        """Copy the points of a chunk to the placed points from `first` on.
+
+        `contact` of a point is the gap within which the obstacle may touch the robot: the free
+        distance, and the part of the gap that the blind zone hides. Links each point to its first
+        constraint and back: row `rows.count` and the rows after it, which the caller has filled but
+        not counted yet.
+        """
+        j: cython.Py_ssize_t
+        count: cython.Py_ssize_t = chunk.count
+        end: cython.Py_ssize_t = first + count
+        row: cython.Py_ssize_t = rows.count
+        chunk_x: cython.p_double = chunk.x
+        chunk_y: cython.p_double = chunk.y
+        free: cython.p_double = chunk.free
+        age: cython.p_double = chunk.age
+        hidden: cython.p_double = chunk.hidden
+        chunk_normal_x: cython.p_double = chunk.normal_x
+        chunk_normal_y: cython.p_double = chunk.normal_y
+        gap: cython.p_double = chunk.gap
+        radius: cython.p_double = chunk.radius
+        placed_x: cython.p_double = checked(self.x, end)
+        placed_y: cython.p_double = checked(self.y, end)
+        placed_free: cython.p_double = checked(self.free, end)
+        placed_age: cython.p_double = checked(self.age, end)
+        placed_contact: cython.p_double = checked(self.contact, end)
+        placed_gap: cython.p_double = checked(self.gap, end)
+        placed_normal_x: cython.p_double = checked(self.normal_x, end)
+        placed_normal_y: cython.p_double = checked(self.normal_y, end)
+        placed_radius: cython.p_double = checked(self.radius, end)
+        others: cython.p_double = chunk.others
+        placed_others: cython.p_double = checked(self.others, end)
+        for j in range(count):
+            i = first + j
+            placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
+            placed_free[i], placed_age[i] = free[j], age[j]
+            placed_contact[i] = free[j] + hidden[j]
+            placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
+            placed_gap[i], placed_radius[i] = gap[j], radius[j]
+            placed_others[i] = others[j]
+        first_row: cython.p_longlong = checked_indices(self.first_row, end)
+        source: cython.p_longlong = checked_indices(rows.source, row + count)
+        for j in range(count):
+            first_row[first + j], source[row + j] = row + j, first + j
+        return 0
+
 
 @cython.final
 @cython.cclass
@@ -235,12 +283,13 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Place the returns that `begin` counted, and add their constraints.
+        """Place the first `placed.seen` returns (set by `begin`), and add their constraints.
 
         The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
         A return too far away to constrain any command within the limits is left out. `near`: near
         returns of the scan, contacts first. `frame`: the pose of the scan in the predicted base
-        frame. `age`: s from the newest ray until the command takes effect. `free`: m around each.
+        frame. `age`: s from the newest ray until the command takes effect. `free`: m that must stay
+        free around each return.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
@@ -275,6 +324,7 @@ class Constraints:
             # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
             chunk.count = in_chunk
             self._add_chunk(first_placed, assumptions.blind_radius)
+            # Contacts forbid all motion towards them anyway (`_add_contacts`).
             if assumptions.unseen_extent > 0.0:
                 self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
             if assumptions.has_keep_out():
@@ -290,8 +340,7 @@ class Constraints:
     ) -> cython.int:
         """Forbid all motion towards contacts (returns too close to measure), and along their rays.
 
-        Sets the cap of the first constraint of each contact to 0, and adds a constraint with cap 0
-        in the direction of its ray.
+        The first constraint of a contact gets the cap 0, its ray a constraint with the cap 0.
         """
         i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
@@ -320,12 +369,9 @@ class Constraints:
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
         distance that must stay free around the centre.
 
-        Args:
-            point: the index of the disc among the placed points.
-            x, y: the centre in m in the predicted base frame.
-            radius: m.
-            age: s since the place of the disc was measured.
-            moved: m that the outline may have moved since the newest odometry.
+        `x`, `y`: the centre in m in the predicted base frame. `radius`: m. `age`: s since the place
+        of the disc was measured. `moved`: m that the outline may have moved since the newest
+        odometry.
         """
         chunk: Chunk = self._chunk
         least: cython.double = self._assumptions.margin + radius
@@ -342,11 +388,10 @@ class Constraints:
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
         """Place the points of the chunk (up to 64), and add their constraints.
 
-        A constraint limits the speed at which a place of the outline closes on a point to its cap
-        in m/s. The points become the placed points from `first` on. `blind` in m is the radius of
-        the lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
-        nearest place of the outline. The constraints for obstacles that approach from the side or
-        are passed sideways follow.
+        The points become the placed points from `first` on. `blind` in m is the radius of the
+        lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
+        nearest place of the outline; then those for obstacles that approach from the side or are
+        passed sideways.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -380,6 +425,7 @@ class Constraints:
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j], is_passive)
+            # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         if assumptions.standing_speed < others_speed:
             self._limit_to_walls()
@@ -392,7 +438,7 @@ class Constraints:
             row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
             row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
         # 3. Stores the points, then adds the constraints against approach from the side.
-        self._place_chunk(first)
+        self.placed.place(chunk, first, rows)
         rows.count = first_row + count
         self._add_approaching(first)
         return self._add_sides(first)
@@ -419,54 +465,6 @@ class Constraints:
                 room: cython.double = chunk.gap[j] - chunk.free[j]
                 chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
                 chunk.hidden[j] = 0.0
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place_chunk(self, first: cython.Py_ssize_t) -> cython.int:
-        """Copy the points of the chunk to the placed points from `first` on.
-
-        Links each point to its first constraint and back: row `rows.count` and the rows after it,
-        which the caller has filled but not counted yet.
-        """
-        j: cython.Py_ssize_t
-        chunk: Chunk = self._chunk
-        placed: PlacedPoints = self.placed
-        count: cython.Py_ssize_t = chunk.count
-        end: cython.Py_ssize_t = first + count
-        row: cython.Py_ssize_t = self.rows.count
-        chunk_x: cython.p_double = chunk.x
-        chunk_y: cython.p_double = chunk.y
-        free: cython.p_double = chunk.free
-        age: cython.p_double = chunk.age
-        hidden: cython.p_double = chunk.hidden
-        chunk_normal_x: cython.p_double = chunk.normal_x
-        chunk_normal_y: cython.p_double = chunk.normal_y
-        gap: cython.p_double = chunk.gap
-        radius: cython.p_double = chunk.radius
-        placed_x: cython.p_double = checked(placed.x, end)
-        placed_y: cython.p_double = checked(placed.y, end)
-        placed_free: cython.p_double = checked(placed.free, end)
-        placed_age: cython.p_double = checked(placed.age, end)
-        placed_contact: cython.p_double = checked(placed.contact, end)
-        placed_gap: cython.p_double = checked(placed.gap, end)
-        placed_normal_x: cython.p_double = checked(placed.normal_x, end)
-        placed_normal_y: cython.p_double = checked(placed.normal_y, end)
-        placed_radius: cython.p_double = checked(placed.radius, end)
-        others: cython.p_double = chunk.others
-        placed_others: cython.p_double = checked(placed.others, end)
-        for j in range(count):
-            i = first + j
-            placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
-            placed_free[i], placed_age[i] = free[j], age[j]
-            placed_contact[i] = free[j] + hidden[j]
-            placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
-            placed_gap[i], placed_radius[i] = gap[j], radius[j]
-            placed_others[i] = others[j]
-        first_row: cython.p_longlong = checked_indices(placed.first_row, end)
-        source: cython.p_longlong = checked_indices(self.rows.source, row + count)
-        for j in range(count):
-            first_row[first + j], source[row + j] = row + j, first + j
         return 0
 
     @cython.cfunc
@@ -504,9 +502,7 @@ class Constraints:
         foremost corners in the two directions 60 degrees to either side of the direction to the
         point. Under these limits, two such robots do not touch before both have a new scan.
         CREEP_SPEED is always allowed, and moving away stays free. A wall that stands has no such
-        constraints.
-
-        Points behind the last cap of 0 in the chunk are skipped.
+        constraints. Points behind the last cap of 0 in the chunk are skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -517,6 +513,7 @@ class Constraints:
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         cap: cython.p_double = chunk.cap
+        # Arrays that `Outline.separate` has done with.
         foremost: cython.p_double = chunk.nearest_square
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
@@ -553,7 +550,8 @@ class Constraints:
         (`greatest_height`). The chunk's first point is placed point `first`.
 
         The corner may use half of the gap that is left after the free distance and the hidden part
-        of the obstacle, until the next decision. `side_reserve` lowers this speed.
+        of the obstacle, until the next decision. `side_reserve` is subtracted from this speed for
+        an obstacle that moves towards the corner.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -591,17 +589,17 @@ class Constraints:
         """Limit the linear speed early, for obstacles that may approach from the side.
 
         The side constraints of an obstacle beside the robot (`_add_sides`) begin to hold once the
-        cap of the obstacle is 0. To brake only then is too late: a Waffle Pi still moved at 0.09
-        m/s. So this function assumes that the obstacle approaches at `others_speed`, and limits the
-        linear speed now to
+        cap of the obstacle is 0. To brake only then is too late: a Waffle Pi then still moved at
+        0.09 m/s. So this function assumes that the obstacle approaches at `others_speed`, and
+        limits the linear speed now to
 
             the speed that the side constraints will allow once the cap is 0
             + the speed that the brake can take off until then.
 
         The function adds at most two constraints: the strictest limit ahead and the strictest limit
         back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
-        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index of
-        the chunk's first point among the placed points.
+        and the stop check (stopping.py) covers corners that swing outwards. The chunk's first point
+        is placed point `first`.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -609,7 +607,7 @@ class Constraints:
         touch: TouchSector = self.touch
         reserve: cython.double = self._assumptions.side_reserve
         if reserve <= 0.0:
-            return 0
+            return 0  # this rule is a part of the reserve, which some platforms set to 0
         others_speed: cython.double = self._assumptions.others_speed
         slowing: cython.double = self._assumptions.braking_linear
         # m that an obstacle moves while the robot brakes from its highest speed
@@ -657,12 +655,12 @@ class Constraints:
     def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
         """Add a constraint for each pair of a near point and a corner of the outline.
 
-        An obstacle may extend beyond the part that the scan shows (`unseen_extent`). Then a corner
-        that swings past the point can touch the obstacle, not only the place of the outline nearest
-        to the point. The points are those of the chunk from `begin` on. The first point of the
-        chunk is placed point `first`. A point is near if its gap is within twice the free distance
-        plus the way of the obstacle until the next decision. The last points that are not near are
-        skipped.
+        An obstacle may extend beyond the part that the scan shows (`unseen_extent`), so a corner
+        that swings past the point can touch it, too. The points are those of the chunk from `begin`
+        on. The first point of the chunk is placed point `first`. A point is near if its gap is
+        within twice the free distance plus the way of the obstacle until the next decision: from
+        farther away, more than the free distance is left then to brake in. The last points that are
+        not near are skipped.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -722,9 +720,8 @@ class Constraints:
     ) -> cython.int:
         """Add the constraints of one corner of the outline, computed by `_add_corners`.
 
-        A constraint is left out if no twist within the limits violates the constraint, or if its
-        point is not near (see `_add_corners`). The points are those of the chunk from `begin` to
-        before `end`.
+        Left out are constraints that no twist within the limits violates, and points that are not
+        near (see `_add_corners`). The points of the chunk from `begin` to before `end` count.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -785,12 +782,11 @@ class Constraints:
     def allow_touch(self) -> cython.int:
         """Raise the caps in a granted touch zone to its speed, and limit all motion in the zone.
 
-        A cap is the highest speed in m/s at which the outline may close on a point. A touch zone is
-        a range of directions in which the pattern may touch obstacles. A point is in the zone if
-        the direction from the outline to the point is in the zone. The bearing from the axle is not
-        used: seen from the axle, a pushed box is wider than any zone. No corner may move faster
-        than the zone's speed in the directions of the zone, also without a return there, since the
-        lidar may not see a pushed object.
+        A touch zone is a range of directions in which the pattern may touch obstacles. A point is
+        in the zone if the direction from the outline to the point is in the zone. The bearing from
+        the axle is not used: seen from the axle, a pushed box is wider than any zone. No corner may
+        move faster than the zone's speed in the directions of the zone, also without a return
+        there, since the lidar may not see a pushed object.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self.rows
@@ -810,5 +806,6 @@ class Constraints:
             ny: cython.double = corners[i, 1]
             linear: cython.double = nx * axes.along_x + ny * axes.along_y
             lever: cython.double = corners[i, 2] * ny - corners[i, 3] * nx
+            # Without an obstacle: the gap inf keeps the constraint, and point 0, out of reports.
             self._add(linear, lever, touch.speed, INFINITY, 0)
         return 0

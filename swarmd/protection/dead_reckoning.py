@@ -98,8 +98,8 @@ class DeadReckoning:
         """Store a reading of odometry if it differs from the newest stored reading.
 
         A new reading whose stamp does not rise, or whose pose jumps, is a reset: the function drops
-        the readings before, and `resets` rises. A jump is a step beyond MAX_STEP (m or rad) and
-        MAX_SPEED.
+        the readings before, and `resets` rises. A jump is a step of more than MAX_STEP (m or rad)
+        plus MAX_SPEED times the seconds in between.
         """
         self.odometry = odometry
         pose, twist = odometry.pose, odometry.twist
@@ -327,12 +327,12 @@ class ScanMotion:
     ):
         """Store time and pose of a scan, and the motion since the scan before.
 
-        False if the newest ray is not newer than that of the scan before; then nothing changes.
-        Times in s:
+        False if the newest ray is not newer than that of the scan before; then nothing changes. A
+        scan of age 0 has only rays that arrived just now, and always counts. Times in s:
 
         Args:
             now: the time of the call.
-            age: since the arrival of the scan.
+            age: since the arrival of the scan, or of the oldest rays that conditioning remembered.
             newest_age: of the newest ray on arrival, by the platform's latency.
             delay: by which the scan arrives later than the platform's latency says.
             odometry_age: of the newest odometry.
@@ -354,7 +354,9 @@ class ScanMotion:
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
         reckoning: DeadReckoning = self._reckoning
-        if self.resets != reckoning.resets:  # odometry jumped: find the last pose by speed
+        # After a reset of odometry the pose of the scan before is in another frame. It is found
+        # again in the new frame: the new readings are extrapolated back by their speed.
+        if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age
             reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)
         reckoning.find_pose(odometry_age, latency, self._now)
@@ -368,8 +370,9 @@ class ScanMotion:
     def driven(self):
         """The part of the motion between the last two scans that the robot's commands explain.
 
-        A Pose in the frame of the scan before. Its way along the chord of the arc, and across the
-        chord, is clamped to the way of the commands. The turn is the measured turn.
+        A Pose in the frame of the scan before. The motion is split along and across the chord of
+        the arc (the direction of the mean yaw), and each part is clamped to what the commands ahead
+        and sideways explain. The turn is the measured turn.
         """
         chord_angle: cython.double = 0.5 * self.moved.yaw  # rad, of the chord of the arc
         cos_chord: cython.double = cos(chord_angle)

@@ -66,7 +66,7 @@ class Situation:
         """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
 
         In the second case the constraints of the last decision do not hold any more: sets
-        `is_known` to False. The arguments are those of the class.
+        `is_known` to False. The arguments are described at the attributes of these names.
         """
         if (
             self.is_known
@@ -227,7 +227,7 @@ class FeasibleSet:
         self._add_discs(odometry_age, not_extrapolated)
 
         # 4. Adds the envelope: the slow envelope if an obstacle may touch the robot.
-        rows.all = rows.count
+        rows.all = rows.count  # `put` adds the envelope behind `count`, and raises `all` alone
         if near.is_near or self.discs.count:
             if self._is_touching():
                 self.creeping.slow.put(rows, constraints.axes)
@@ -281,9 +281,9 @@ class FeasibleSet:
     def _is_touching(self) -> cython.int:
         """1 if an obstacle may touch the robot.
 
-        Contact with a return of the scan lasts until the next scan (`near.has_contact`): an
-        obstacle that pushes the robot follows the robot, but by odometry the robot moves away, at
-        0.3 m/s by 4.6 cm within 0.15 s.
+        Contact with a return of the scan lasts until the next scan (`near.has_contact`). Odometry
+        cannot end a contact: by odometry a robot that is pushed moves away from the obstacle, which
+        follows the robot (4.6 cm within 0.15 s, pushed at 0.3 m/s).
         """
         i: cython.Py_ssize_t
         near: NearObstacles = self.near

@@ -146,15 +146,15 @@ class _Axis:
 
         The bounds are the speeds of a slow base, which responds late and accelerates slowly, and of
         a fast base, which responds at once to any command of the last WINDOW s. The speed is known
-        twice. The base follows if either speed is within the bounds.
+        from the twist and from the pose. The base follows if either speed is within the bounds.
 
         `period`: s since the reading before. `stamp`: s, of this reading. `by_twist`: the measured
         speed in m/s or rad/s. `by_pose`: the speed by the change of the pose.
         """
         i: cython.Py_ssize_t
 
-        # 1. Moves the slow base on. Commands have the stamp of the reading before, so a command may
-        # hold up to a period later.
+        # 1. Moves the slow base on. Two periods are added to its delay: a command has the stamp of
+        # the reading before it, and the motion that is compared began with the last period.
         response: cython.double = stamp - DELAY - 2.0 * period
         while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
             self._held += 1

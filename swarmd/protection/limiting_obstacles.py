@@ -56,8 +56,8 @@ class LimitingRows:
         <= cap is tight if both sides are equal. Obstacles with the lowest caps come first. If no
         constraint is tight, the stop check alone limits the command: the result is then the nearest
         obstacle. Constraints of the envelope and of a touch zone have no obstacle, and are left
-        out. The gap is measured from the outline, also for a constraint of a single corner. The
-        bearing of a place at the axle is 0.
+        out. The gap is measured from the outline, also for a constraint of a single corner. A place
+        at the axle has no direction, so its bearing is given as 0.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self._constraints.rows
@@ -67,7 +67,9 @@ class LimitingRows:
         row_y: cython.p_double = checked(rows.y, rows.all)
         row_cap: cython.p_double = checked(rows.cap, rows.all)
 
-        # 1. Ranks the tight constraints that have an obstacle (the rows before `rows.count`).
+        # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, which
+        # those of the envelope follow up to `rows.all`. Skips a row whose cap is above all caps of
+        # a full ranking.
         self.count = 0
         for i in range(rows.all):
             if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:

@@ -78,9 +78,10 @@ class PotentialField:
     Source: Kaiser et al., ICRA 2022, section III. More than `rays` returns within `threshold` m of
     the lidar suppress the pattern's command, and a repulsive potential field drives instead, at
     full speed. Our deviations: a return below range_min counts as a return at range_min (in the
-    original, as no return), and the arbiter clips the command to the limits. A return of a ring of
-    range sensors is rare and near: one is enough, its field has no forward bias, and the two fields
-    have equal weight.
+    original, as no return), and the arbiter clips the command to the limits. The returns of a ring
+    of range sensors have a field of their own, without forward bias, for which a single return is
+    enough, since returns of a ring are rare and near. The fields of ring and scan have equal
+    weight.
     """
 
     mode = "potential_field"

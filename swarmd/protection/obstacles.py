@@ -265,8 +265,9 @@ class NearObstacles:
     ) -> cython.double:
         """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
-        The result is the least gap in m among the returns with a range up to `longest_range`; inf
-        without such a return. Returns too close to measure go to `rays`, and have no gap.
+        `min_gap` is the least gap of all returns, at any range. The result is the least gap in m
+        among the returns with a range up to `longest_range`; inf without such a return. Returns too
+        close to measure go to `rays`, and have no gap.
 
         `ranges`, `range_min`, `ages`: as in `take_scan`. `longest_range`: m from the lidar.
         `binding_range`: m from the outline.
@@ -288,7 +289,8 @@ class NearObstacles:
         others_speed: cython.double = self._assumptions.others_speed
         near_count: cython.Py_ssize_t = 0
         nearest: cython.double = _least_of(ranges)
-        # m: the return nearest to the outline has at most this range; see `Outline.nearest_within`.
+        # m, for `min_gap`, which counts returns beyond `longest_range`, too: the return nearest to
+        # the outline has at most this range (see `Outline.nearest_within`).
         range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
         smallest_gap: cython.double = INFINITY  # of all returns
         closest_gap: cython.double = INFINITY  # of the returns up to `longest_range`

@@ -146,8 +146,9 @@ class _ScanReturns:
     def sort(self, scan) -> cython.bint:
         """Set `ranges` and `bearings`; False with less than _MIN_RETURNS returns.
 
-        Conditioned bearings rise, up to a place where a scan of a robot that turns may cross half a
-        turn. So most scans need no sorting. Returns of one bearing keep their order.
+        Conditioned bearings rise, except where those of a turning robot jump from half a turn to
+        minus half a turn. Such a scan is only rotated: the returns from the jump on come first. So
+        most scans need no sorting. Returns of the same bearing keep their order.
         """
         ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
         bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
@@ -167,6 +168,7 @@ class _ScanReturns:
         if count < _MIN_RETURNS:
             return False
         is_rotated: cython.bint = falls == 1 and before < first
+        # Where the first return goes: behind the returns from the jump on.
         k: cython.Py_ssize_t = count - begin if is_rotated else 0
         self.ranges, self.bearings = _doubles(count), _doubles(count)
         for i in range(len(ranges)):
@@ -214,7 +216,8 @@ class _ScanReturns:
         """The ends of surfaces where the range jumps, as (range, order, return, direction).
 
         The direction is 1 or -1: the step of the index towards the farther neighbour. `order` is
-        the order of bearing, `return` the index of the nearer return.
+        the index of the return before the jump, by which ends are sorted by bearing. `return` is
+        the index of the nearer return.
         """
         n: cython.Py_ssize_t = len(self.ranges)
         i: cython.Py_ssize_t
@@ -272,7 +275,8 @@ class _ScanReturns:
         partner: cython.Py_ssize_t = -1
         least_square: cython.double = _WIDEST * _WIDEST
 
-        # 1. The nearest return of a wall, looking over half of the scan.
+        # 1. The nearest return of a wall, over half of the scan. Begins at the second return, since
+        # the first is the farther neighbour; `beside` also wraps an index one beyond an end.
         for step in range(2, count // 2):
             row = self.beside(row, direction)
             if not self.is_wall[row]:
@@ -448,7 +452,7 @@ class Opening:
         """Take in another sighting: a weighted mean of place, angle and lengths.
 
         The weight of a sighting falls with the number of sightings. The middle moves only across
-        the axis of the opening.
+        the axis of the opening: along the axis, `first` and `last` say where the opening lies.
         """
         weight: cython.double = 1.0 / min(self.hits + 1, 10)
         turn: cython.double = sighting.angle - self.angle
@@ -473,6 +477,7 @@ class Opening:
         self.y += weight * cos_angle * side
         self.angle += weight * remainder(turn, _half_turn)
         self.half += weight * (sighting.half - self.half)
+        # Longer lengths count more than shorter ones, see `_grown`.
         self.first = _grown(self.first, first, first < self.first)
         self.last = _grown(self.last, last, last > self.last)
         self.left = _grown(self.left, left, left > self.left)
@@ -565,7 +570,8 @@ class Openings:
         if not returns.sort(scan):
             return openings
 
-        # 2. The ends of walls: returns where the range jumps. An end on a track is no wall.
+        # 2. The ends of walls, as (range, order, return, direction): returns where the range jumps.
+        # An end on a track is no wall.
         wall_ends: list = returns.ends()
         if not wall_ends:
             return openings
@@ -577,7 +583,8 @@ class Openings:
         if not wall_ends:
             return openings
 
-        # 3. The nearest ends, in the order of bearing. Then the places of all near returns.
+        # 3. The nearest ends (sorted by range), in the order of bearing (sorted by `order`). Then
+        # the places of all near returns.
         if len(wall_ends) > _MAX_WALL_ENDS:
             wall_ends.sort()
             del wall_ends[_MAX_WALL_ENDS:]
@@ -625,8 +632,8 @@ def gap_middle(
         points: (n, 2) returns in m in the base frame.
         place: of the robot in the frame of the axis: m along it, m to its left, rad.
         span: m along the axis between which returns count, both excluded.
-        width: m of the gap, and by how much less than which it may be off.
-        middle: m, the expected middle, and the greatest distance from the axis.
+        width: m of the gap, and the m below which its error must lie.
+        middle: m, the expected middle, and the m below which its distance from the axis must lie.
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t

@@ -194,7 +194,7 @@ class Outline:
         lidar_x: cython.double = self.lidar_x
         lidar_y: cython.double = self.lidar_y
         for j in range(chunk.count):
-            # 1. The gap. A NaN of the point stays.
+            # 1. The gap. A NaN of the point stays. (`&`: without branches the loop vectorises.)
             is_inside: cython.bint = (height[j] <= 0.0) & (square[j] == square[j])
             gap: cython.double = sqrt(square[j])
             gap = 0.0 if is_inside else gap
@@ -209,8 +209,10 @@ class Outline:
             nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
             ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
 
-            # 3. The hidden gap: the line along the direction leaves the circle of the blind zone
-            # half of a chord beyond the foot of the perpendicular from the lidar.
+            # 3. The hidden gap, along the line from the nearest place to the point. From the foot
+            # of the perpendicular from the lidar, the circle ends after half of a chord, the point
+            # is the scalar product of ray and direction away, and the outline ends a gap before
+            # the point. Without a chord (the line misses the circle): 0.
             ray_x: cython.double = x[j] - lidar_x
             ray_y: cython.double = y[j] - lidar_y
             lateral_m: cython.double = ray_x * ny - ray_y * nx
@@ -315,7 +317,7 @@ class Outline:
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around
         the lidar. So the return with the least range need not be the return nearest to the outline.
-        -inf without a measured return, and for a return too close to measure (-inf).
+        The result is -inf if no return is measured, or if one is too close to measure.
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

@@ -53,8 +53,8 @@ class Room:
     def clearance(self, speed: float) -> Clearance:
         """The room in m that the robot needs to drive at `speed` m/s, ahead and to each side.
 
-        Lengths ahead are from the axle; at most _FARTHEST_AHEAD, also if no obstacle that near
-        allows the speed.
+        Lengths ahead are from the axle. At most _FARTHEST_AHEAD, which is also the result where
+        even an obstacle that far does not allow the speed.
         """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
@@ -114,7 +114,10 @@ class Room:
         free_distance = assumptions.margin + assumptions.unseen_extent
         post_gap = free_distance + others_speed * (age + DECISION_PERIOD) + _PASSAGE_SLACK
 
-        # 2. The gap to a wall. Robot and wall each use half of the gap beyond contact.
+        # 2. The gap to a wall, from the side constraints (`Constraints._add_side`): a corner may
+        # use half of the gap beyond contact until the next decision, less the reserve. A robot that
+        # drives along the wall moves in the side direction at sin(SIDE_ANGLE) of its speed. A scan
+        # is half a period old on average.
         mean_age = age + 0.5 / self._scan.rate
         contact_gap = self._contact_gap_beside()
         passing_speed = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve

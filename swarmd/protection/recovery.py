@@ -7,8 +7,8 @@ block each other for good.
 - In the open: recovery looks for a free corridor of the robot's width near the robot's heading, and
   prefers the right side (after the vector field histogram, Borenstein and Koren 1991).
 - In a door or a narrow corridor: recovery keeps the robot on the middle line (pure pursuit, Coulter
-  1992), and requests little more speed than protection allows. Protection would turn a robot with a
-  faster request aside, because a turning robot may move faster.
+  1992), and requests little more speed than protection allows. For a faster request, protection
+  would choose a command with a turn, since beside a wall a robot that turns away may move faster.
 - Where two robots meet and neither can pass: each backs off for a random time that grows (random
   backoff, Metcalfe and Boggs 1976). A robot that has come forward since it was last blocked waits.
 - A robot that can neither turn nor go on takes the fastest twist that protection allows.
@@ -33,6 +33,7 @@ _MOVE_BLOCKED_TIME = 0.1  # s of blocked motion before recovery begins
 _TURN_BLOCKED_TIME = 1.0  # s of blocked turning before the robot backs off instead
 _MIN_SPEED_SHARE = 0.1  # of the limits: a slower requested command never counts as blocked
 _FOLLOW_TIME = 1.5  # s for which the robot follows a free corridor
+_FOLLOW_GAIN = 2.0  # 1/s: rad/s for each rad that the heading is off the corridor
 _BACK_OFF_TIME = 0.8  # s, the shortest back-off
 _MAX_RECOVERY_TIME = 8.0  # s, in addition to the back-off, after which recovery ends
 _SIDE_HOLD_TIME = 10.0  # s for which the robot keeps the chosen side
@@ -77,7 +78,7 @@ class Clearance(NamedTuple):
 class Others(NamedTuple):
     """What avoidance and right of way know about other moving objects."""
 
-    wanted: Twist | None = None  # the pattern's request, if avoidance has replaced it
+    wanted: Twist | None = None  # the request before avoidance; None: there was no avoidance
     are_near: bool = False  # moving objects are near
     are_avoided: bool = False  # the request leads past a moving object
     is_settled: bool = False  # the request gives way at an opening or passes it: recovery ends
@@ -162,9 +163,11 @@ class Recovery:
             safe_for: gives the safe command for any requested command; None: no escape is
                 tried.
         """
+        # Whether the robot is idle is judged by the request before avoidance, which may slow it.
         now, pattern_request = context.now, others.wanted or requested
 
-        # 1. Ends a recovery that is not needed any more, or takes too long.
+        # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
+        # or takes too long.
         is_idle = not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
         duration = now - self._began_at
         if (
@@ -208,8 +211,10 @@ class Recovery:
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time.
 
-        Before a recovery this time is `patience` s, during a recovery it is shorter. A robot in a
-        passage, or a robot that creeps, is blocked only if it does not move at all.
+        The time is _TURN_BLOCKED_TIME for a request that only turns. Otherwise it is `patience` s
+        before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage the longer of
+        `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as blocked only
+        while it hardly moves.
         """
         request = self._request
         is_moving = self._is_moving(request)
@@ -253,10 +258,10 @@ class Recovery:
         return False
 
     def _product(self, a: Twist, b: Twist) -> float:
-        """The inner product of two twists in m2/s2; turns are scaled by the ratio of the limits.
+        """The inner product of two twists in m2/s2.
 
-        With this scale, a robot that may make the turn of its request does not count as blocked,
-        even if it may hardly move.
+        A turn at its limit weighs as much as motion at its limit. So a robot that may make the turn
+        of its request does not count as blocked, even if it may hardly move.
         """
         scale = (self._limits.linear / self._limits.angular) ** 2
         return a.linear * b.linear + a.lateral * b.lateral + scale * a.angular * b.angular
@@ -271,10 +276,11 @@ class Recovery:
         """
         # 1. Is the robot between walls: no corridor ahead is free up to the lookahead?
         now, pose = context.now, None if context.odometry is None else context.odometry.pose
-        is_sideways = np.abs(_BEARINGS) <= 0.5 * np.pi
-        is_enclosed = self._free_lengths(points, _BEARINGS[is_sideways]).max() < self.lookahead
+        is_ahead = np.abs(_BEARINGS) <= 0.5 * np.pi
+        is_enclosed = self._free_lengths(points, _BEARINGS[is_ahead]).max() < self.lookahead
         last_block, self._last_block = self._last_block, None if pose is None else (now, pose)
-        patience, self._patience = self._patience, _MOVE_BLOCKED_TIME
+        has_waited = self._patience != _MOVE_BLOCKED_TIME  # at the last block
+        self._patience = _MOVE_BLOCKED_TIME
         if (
             not is_enclosed
             or last_block is None
@@ -287,7 +293,7 @@ class Recovery:
         # 2. A further block of the same meeting: waits once after progress.
         dx, dy = pose.x - last_block[1].x, pose.y - last_block[1].y
         progress_m = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
-        if progress_m > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
+        if progress_m > _MIN_GAIN and not has_waited:
             self._patience = self._rng.uniform(*_WAIT_TIMES)
             return True
 
@@ -341,6 +347,7 @@ class Recovery:
         # 1. Changes the state. A blocked turn leads to a back-off or an escape; the end of a
         # back-off, or a blocked drive, to a new corridor.
         now = context.now
+        # At a creep, as in contact, the robot needs longer to get clear.
         back_time = _CREEP_TIME if self._creeps(safe) else self._back_time
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
@@ -360,7 +367,8 @@ class Recovery:
             self._enter("go", now)
         if now - self._state_since >= _FOLLOW_TIME:
             self.reset()
-        return Twist(self._speed, max(min(2.0 * yaw_error, self._turn_rate), -self._turn_rate))
+        turn = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
+        return Twist(self._speed, turn)
 
     def _backing(self, points: Points) -> Twist:
         """The command of state back; a long back-off follows the middle line of a passage."""

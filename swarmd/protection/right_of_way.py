@@ -123,9 +123,10 @@ class _Rule(Enum):
     """The rules of the state machine; at each step the first rule whose condition is true holds.
 
     The step does not depend on the state before (`WayState`), but on these attributes of
-    `RightOfWay`: `_is_backing` (rules 1 and 2), `_busy_at` and `_keep_clear_for` (rules 3 and 4),
-    `_is_lined_up` (rule 5), `_held_since` and `_held_at_s` (rules 3, 4 and 6). When the robot
-    begins to give way, the robot counts as not lined up and not held.
+    `RightOfWay` (the rules are numbered below): `_is_backing` (rules 1 and 2), `_busy_at` and
+    `_keep_clear_for` (rules 3 and 4), `_is_lined_up` (rule 5), `_held_since` and `_held_at_s`
+    (rules 3, 4 and 6). When the robot begins to give way, the robot counts as not lined up and not
+    held.
     """
 
     # 1. A robot in an opening that meets a robot coming towards it backs out until it has left the
@@ -223,8 +224,8 @@ class _Traffic(NamedTuple):
 def _by_odometry(tracks: Sequence[Track], pose: Pose) -> list[tuple[Track, float, float]]:
     """The tracks, each with its x and y in m in the frame of the odometry.
 
-    `pose` is the pose of the base in this frame. `command` sees up to 15 tracks in a crowd, 35
-    times a second; they are placed only if an opening is chosen, or for the next scan.
+    `pose` is the pose of the base in this frame. Tracks are placed only if an opening is chosen, or
+    for the next scan: in a crowd each of 35 commands a second sees up to 15 tracks.
     """
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     return [
@@ -376,7 +377,7 @@ class RightOfWay:
         # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
         is_passed = place.s > place.depth + _BEYOND
         if is_passed and surroundings.tracks:
-            self._passed_at = now
+            self._passed_at = now  # others are near: next time this robot lets them pass longer
         cos_to_request = math.cos(self._wanted_yaw - opening.angle) * self._sign
         is_too_long = now - self._chosen_at > _GIVE_UP
         if is_passed or place.s < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
@@ -437,7 +438,8 @@ class RightOfWay:
                 continue
 
             # 3. Does the request lead into the opening or its wall? `meets_aside`: m to the left of
-            # the axis where the request meets the begin of the opening.
+            # the axis where the request meets the begin of the opening, or where the robot is if it
+            # is beyond the begin. (tan is the same for the opposite way through.)
             meets_aside = aside - min(along, 0.0) * math.tan(angle)
             wall_length = opening.walls[0 if meets_aside * sign > 0.0 else 1]
             leads_in = abs(meets_aside) < opening.half and along > -_MAX_AHEAD
@@ -483,17 +485,19 @@ class RightOfWay:
             self._farthest[id] = farthest
 
             # 3. What the track does.
-            if came_from > 0.0 or (farthest > -_IN and along < farthest - _BACKS_OUT):
+            backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
+            is_ahead = along > place.s
+            if came_from > 0.0 or backs_out:
                 # The track comes out. Compares the m that each robot would have to back out.
                 own_m, other_m = place.s + _IN, place.depth + _IN - along
-                if place.is_in and along > place.s:
-                    is_met |= along - place.s < _MEETING + place.depth and other_m > max(
-                        own_m + slack, 0.0
-                    )
-                elif along < place.depth + _IN or along - place.depth < -place.s + slack:
-                    is_busy = True
+                is_in_or_through = along < place.depth + _IN
+                if place.is_in and is_ahead:
+                    is_near = along - place.s < _MEETING + place.depth
+                    is_met |= is_near and other_m > max(own_m + slack, 0.0)
+                elif is_in_or_through or along - place.depth < -place.s + slack:
+                    is_busy = True  # the track is in or through the opening, or nearer to it
                     is_within |= -_THRESHOLD < along < place.depth + _THRESHOLD
-            elif along > place.s and along > -_IN:  # the track goes in ahead of the robot
+            elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif math.hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
                 is_behind = True
@@ -509,7 +513,7 @@ class RightOfWay:
     ) -> Twist:
         """The command at a place before or in the chosen opening; sets `state`.
 
-        ZERO, without a chosen opening any more, if the opening turns out to be wrong.
+        ZERO if the opening turns out to be wrong; then it is forgotten, and none is chosen.
 
         Args:
             place: the place of this robot in the frame of the opening.
@@ -532,7 +536,8 @@ class RightOfWay:
         place = place._replace(side=place.side - middle_offset)
         others = [_PlacedTrack(id, along, aside - middle_offset) for id, along, aside in others]
 
-        # 3. Judges the traffic: how long to keep clear. Then the state.
+        # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
+        # and is random, so that two robots do not enter together. Then the state.
         traffic = self._judge_traffic(place, others)
         self._update_progress(place, traffic, now)
         if traffic.is_met or traffic.is_busy or self._is_backing:
@@ -576,7 +581,8 @@ class RightOfWay:
         if not self._is_lined_up:
             return _Rule.IS_NOT_LINED_UP
 
-        # Rules 6 and 4: held since the last progress behind a robot ahead.
+        # Rule 6; or rules 3 and 4 (by case c) after _HELD_TIME s without progress behind a robot
+        # that is close ahead.
         if not traffic.is_close or place.s > self._held_at_s + _PROGRESS:
             self._held_since, self._held_at_s = now, place.s
         elif now - self._held_since > _HELD_TIME:
@@ -608,9 +614,9 @@ class RightOfWay:
                 lean = self._lean if is_in_corridor else 0.0
                 return self._fastest(self._drive(place.s + _PURSUIT, lean, place), safe_for)
             case WayState.ASIDE:  # to the side of the axis on which the robot is, else right
-                if abs(place.side) > _HAS_SIDE and (
-                    not self._waiting_side or abs(place.side) > _KEEPS_SIDE
-                ):
+                # A chosen side stays until the robot is clearly on the other side.
+                least_aside = _KEEPS_SIDE if self._waiting_side else _HAS_SIDE
+                if abs(place.side) > least_aside:
                     self._waiting_side = math.copysign(1.0, place.side)
                 elif not self._waiting_side:
                     self._waiting_side = -1.0
@@ -630,7 +636,7 @@ class RightOfWay:
 
         The middle lies between two neighbouring returns whose gap is as wide as the opening. The
         axis of sightings from afar is off by 1 cm, and by more where a sighting took a robot for a
-        post. Between the posts 1 cm costs half of the speed.
+        post. With 1 cm off the middle, protection allows half of the speed between the posts.
         """
         if not -_LINE_UP - _NEARLY_LINED_UP < place.s < place.depth + _PAST_POSTS:
             return
@@ -649,10 +655,10 @@ class RightOfWay:
         self._middle_offset = measured if offset is None else offset + _WEIGHT * (measured - offset)
 
     def _fastest(self, twist: Twist, safe_for: Allows) -> Twist:
-        """The command `twist` at that of several speeds at which protection leaves most speed.
+        """The command `twist`, slowed to the speed for which protection allows the fastest motion.
 
-        Protection turns a robot aside if the command is fast, and lets the robot creep if it is
-        slow.
+        For a fast command protection may choose a slow turn aside; for a slow command it lets the
+        robot creep. So several speeds are tried.
         """
         fastest = abs(twist.linear)
         best_value, best = -math.inf, twist

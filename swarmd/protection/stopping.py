@@ -342,7 +342,7 @@ class StopCheck:
             if not (fastest_corner + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
                 self._poses = j + 1  # the steps after this are too slow to matter
             travel += fabs(moved) + fabs(turned) * radius
-            self._stop_travel[j] = -travel
+            self._stop_travel[j] = -travel  # `_forbids` subtracts it from a gap
         return travel
 
     @cython.cfunc
@@ -397,7 +397,8 @@ class StopCheck:
             if present_gap < reach and self._turns_outwards(j, x, y, reach):
                 return 1
 
-            # 4. The rest of the stop cannot use up the gap.
+            # 4. The rest of the stop, `travel` less the travel so far, cannot use up the gap.
+            # (`_stop_travel` is negative, so the subtraction adds the travel so far.)
             if present_gap - self._stop_travel[j] >= safe_gap:
                 return 0
             previous_gap = present_gap
@@ -415,10 +416,10 @@ class StopCheck:
         """1 if the turn of a simulated stop moves a place of the outline towards a near point.
 
         Examined are the places of the outline within `reach` m of the point. A place is moved
-        outwards if its speed along the outward normal of its edge is above FAULT_SPEED, both by the
-        turn alone and with the linear speed. Along an edge the outward speed is a linear function
-        of the place. So only the ends of the part of an edge within `reach` m are examined. A turn
-        moves no place faster than the outermost corner.
+        outwards if its speed along the outward normal of its edge is above FAULT_SPEED (up to which
+        a contact is no fault), both by the turn alone and with the linear speed. Along an edge the
+        outward speed is a linear function of the place. So only the ends of the part of an edge
+        within `reach` m are examined. A turn moves no place faster than the outermost corner.
 
         `pose`: the step of the stop. `x`, `y`: m, the point in the frame of the simulated pose.
         `reach`: m, how far the obstacle can have moved along the outline.
@@ -435,7 +436,7 @@ class StopCheck:
             nx: cython.double = outline.axis_x[edges + k]
             ny: cython.double = outline.axis_y[edges + k]
             above: cython.double = nx * x + ny * y - outline.origin[edges + k]
-            if not above < reach:
+            if not above < reach:  # the whole edge is out of reach
                 continue
             length: cython.double = outline.length[k]
             along: cython.double = outline.axis_x[k] * x + outline.axis_y[k] * y - outline.origin[k]

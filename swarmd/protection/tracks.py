@@ -2,7 +2,7 @@
 
 - A scan is cut into clusters. A compact cluster is an object that may move. A long cluster is a
   wall. A cluster that fits no track, and that nearer clusters hide on both sides, is a part of a
-  wall, too: the visible part of a wall moves with the objects that hide the rest.
+  wall, too: between two nearer objects that move, the visible part of a wall seems to move.
 - Each object has a Kalman filter (1960) with constant velocity in the frame of the odometry. A
   cluster belongs to the nearest predicted object within a gate (after Bar-Shalom and Fortmann,
   "Tracking and data association", 1988). The time of a cluster is the time of its own rays, which a
@@ -222,7 +222,8 @@ class _Filter:
     def update(self, cluster: _Cluster) -> cython.int:
         """Take in the cluster that shows this object: the update of a Kalman filter.
 
-        The residual is the distance of the middle, by the cluster, from the predicted middle. `pp`,
+        The measured place is the middle of the object, a share of the radius behind the cluster's
+        mean return. `off_x`, `off_y` (the residual): this place less the predicted place. `pp`,
         `pv` and `vv` are the covariance of place and velocity, the same for both axes. A cluster
         that a nearer object hides in part has fewer than two visible ends, and more noise. The
         speed is bounded by `fastest`.
@@ -235,7 +236,8 @@ class _Filter:
         noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * cluster.range
         if cluster.visible_ends < 2:
             noise *= _HIDDEN_NOISE
-        # Each cluster of a scan has its own time.
+        # Each cluster of a scan has its own time, so its place is moved on to the time of the
+        # state.
         delay: cython.double = self.state_at - cluster.measured_at
         inverse: cython.double = 1.0 / (self.pp + noise * noise)
         gain: cython.double = self.pp * inverse
@@ -263,8 +265,9 @@ class _Filter:
 class Surroundings:
     """The tracks, and the nearest places (k, 2) of walls, all in the base frame in m.
 
-    Either is computed when it is read first, and must be read before the tracker takes in the next
-    scan. Most decisions in a crowd read neither: 15 tracks, 35 times a second, take 0.5 ms.
+    Tracks and walls are computed when they are first read, which must be before the tracker takes
+    in the next scan. Most decisions in a crowd read neither, and to compute 15 tracks for each of
+    35 decisions would take 0.5 ms.
     """
 
     _tracks: object  # a tuple of Track; None: not computed yet
@@ -630,8 +633,8 @@ class Tracker:
         surface than _MIN_WIDTH counts as standing, so as a wall.
 
         `clusters`: the list to which the cluster is added. `index`, `end`: the first and the last
-        run of the surface, which has every second run from `index` to `end`. `scan_time`: s, the
-        time of the newest ray of the scan.
+        run of the surface. The surface has every second run between them: the others are single
+        outliers, see `_end_of_surface`. `scan_time`: s, the time of the newest ray of the scan.
         """
         xs: cython.double[::1] = self._x
         ys: cython.double[::1] = self._y

@@ -74,7 +74,8 @@ def line_of(
         horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
-    # A robot nearer than `radius` may pass aside, and need not move away.
+    # A robot nearer than `radius` may pass aside, and need not move away: the circle of `radius`
+    # around the place then ends 1 mm before the robot.
     radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
     from_cap_x: cython.double = vx - px / horizon
     from_cap_y: cython.double = vy - py / horizon
@@ -85,13 +86,15 @@ def line_of(
     change_x: cython.double
     change_y: cython.double
     # Projects the velocity on the cap, else on the nearer leg of the cone. `change` in m/s leads
-    # from the relative velocity to the border.
+    # from the relative velocity to the border. To the left of the border (dx, dy) is permitted.
     if along < 0.0 and along * along > radius * radius * length * length:
         nx: cython.double = from_cap_x / max(length, _EPSILON)
         ny: cython.double = from_cap_y / max(length, _EPSILON)
         off: cython.double = radius / horizon - length
         dx, dy, change_x, change_y = ny, -nx, off * nx, off * ny
     else:
+        # A leg is a tangent from the robot to the circle of `radius` around the place, `leg` m
+        # long. The left leg leads away from the robot, the right leg towards it.
         leg: cython.double = sqrt(max(square - radius * radius, 0.0))
         if px * from_cap_y - py * from_cap_x > 0.0:
             dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
@@ -331,7 +334,7 @@ class _Programme:
         The velocity satisfies the first `wall_count` lines. `begin` is the index of the first line
         that `solve` could not satisfy. The third linear programme of ORCA: for each line that is
         violated most so far, the other lines are replaced by the lines on which both violations are
-        equal, and the velocity goes as far as possible against the violation.
+        equal. Within these, the velocity goes as far as possible to the line's permitted side.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -363,7 +366,9 @@ class _Programme:
                 length: cython.double = max(hypot(dx, dy), _EPSILON)
                 projected.append(Line(x, y, dx / length, dy / length))
 
-            # 2. The best velocity within these lines; if rounding leaves none, the previous.
+            # 2. The velocity farthest in the direction of the line's left normal, its permitted
+            # side. `solve` satisfies fewer lines than given only by rounding: the previous velocity
+            # stays.
             previous_x: cython.double = self.x
             previous_y: cython.double = self.y
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):

@@ -19,6 +19,7 @@ import heapq
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -70,9 +71,9 @@ class ClockLine:
     def error(self, time: float) -> float:
         """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
 
-        The error is bounded at each exchange of the two clocks. Between two exchanges the bound is
-        interpolated, since the error is a line in time. Outside all exchanges the bound grows with
-        MAX_DRIFT.
+        The error is bounded at each exchange of the two clocks. Away from one exchange its bound
+        grows with MAX_DRIFT plus the drift of the line. From two exchanges the bound at `time` is
+        interpolated or extrapolated, since the error is a line in time. The least bound counts.
         """
         away = np.abs(time - self.times)
         by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
@@ -185,6 +186,7 @@ def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
         if exchange.own == exchange.peer or exchange.returned < exchange.sent:
             continue
         middle, trip = (exchange.sent + exchange.returned) / 2.0, exchange.returned - exchange.sent
+        # (time on the first clock of the pair, lead of the second clock, round trip)
         if exchange.own < exchange.peer:
             measured[exchange.own, exchange.peer].append((middle, exchange.answered - middle, trip))
         else:
@@ -200,9 +202,9 @@ def _along(
     """The alignment along a path, from both ends of `span` back to the first clock."""
     ends, errors = list(span), [0.0, 0.0]
     rate = 1.0
-    for after, before in zip(path[::-1], path[-2::-1], strict=False):
-        line = lines[min(after, before), max(after, before)]
-        is_forward = after < before
+    for clock, next_clock in pairwise(reversed(path)):
+        line = lines[min(clock, next_clock), max(clock, next_clock)]
+        is_forward = clock < next_clock  # a line leads from the first clock in order to the second
         rate *= 1.0 + line.drift if is_forward else 1.0 / (1.0 + line.drift)
         for k, time in enumerate(ends):
             ends[k] = line.forward(time) if is_forward else line.backward(time)

@@ -48,7 +48,7 @@ class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
 
 
 class MemoryEntry(Struct, frozen=True, array_like=True, tag="memory"):
-    """Part `part` of `parts` of the robot's memory before its next input; see `remember`."""
+    """Part `part` of `parts` of the robot's memory before its next input (`robot/memory.py`)."""
 
     at: float
     data: bytes

@@ -13,6 +13,7 @@ from msgspec import Struct
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import Layers
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch
 from swarmd.core.values import Array, Platform, TouchZone
 from swarmd.protection.compatibility import Accepts
@@ -47,6 +48,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     cleared: tuple[str, ...] = ()
     goals: GoalRecord = GoalRecord()
     fence: FenceSettings | None = None
+    on_low_battery: LowBatterySettings | None = None
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: main fields in plain text, all fields in `head`."""

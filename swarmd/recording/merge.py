@@ -110,7 +110,8 @@ def survey(paths: Sequence[Path]) -> Recordings:
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
         exchanges += _exchanges(recording, source.clock)
-    # 3. Exchanges with the operator's clock, which `record fetch` noted beside the files.
+    # 3. Exchanges with the operator's clock, which `record fetch` noted in its folder. Files lie
+    # in that folder, or, as they were fetched, in a folder of their robot there.
     folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
     for folder in sorted(folders):
         exchanges += read_exchanges(folder / CLOCKS_FILE)
@@ -173,9 +174,10 @@ def _write(writer: Writer, messages: Iterable[Timed]) -> int:
 
 
 def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]:
-    """Yields the messages of a source at the times of `reference`, with the robot's name in topics.
+    """Yields the messages of a source in order, with the robot's name in their topics.
 
-    The inputs for a replay are left out, since a merged file cannot be replayed. Only one file at a
+    Their times are converted to the clock of the reference robot, whose texts are `reference`. The
+    inputs for a replay are left out, since a merged file cannot be replayed. Only one file at a
     time is in memory.
     """
     wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])

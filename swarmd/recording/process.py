@@ -102,7 +102,8 @@ class Converter:
 
         `stamp`: s since 1970. A scan is written only once, as messages that a replay reads, too.
         """
-        # 1. The bytes. A value beyond its bound cannot be decoded; a replay reports that.
+        # 1. The bytes, even if the input cannot be decoded (a value exceeds its bound): a replay
+        # reports such an input.
         try:
             input = events.decode_input(entry.data)
         except CodecError:
@@ -134,7 +135,7 @@ class Converter:
                 self._write(entry, "/command/requested", message)
             case events.HostInput() | events.NoteInput() | events.TickInput():
                 pass  # nothing to view
-            case _:
+            case _:  # as JSON: an input of a single field as this field, else a list of its fields
                 fields = structs.astuple(input)
                 value = fields[0] if len(fields) == 1 else fields
                 self._text(entry, f"/{events.tag_of(input)}", value)
@@ -172,9 +173,11 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
     link.settimeout(CHUNK_TIME)
     try:
         while True:
-            # 1. Write a batch, which is empty if none arrives for CHUNK_TIME.
+            # 1. Write a batch. After CHUNK_TIME without a batch `_received` returns a batch without
+            # entries, so that step 2 still runs in time.
             frame = _received(link)
-            if not frame:  # the daemon has closed the socket
+            is_closed = not frame  # even an empty batch has a byte
+            if is_closed:
                 return
             for entry in frames.decode_batch(frame):
                 if isinstance(entry, frames.Begin):
@@ -208,7 +211,7 @@ def _received(link: socket.socket) -> bytes:
         try:
             return link.recv(1 << 18)
         except TimeoutError:
-            return b"\x90"
+            return b"\x90"  # MessagePack of an empty list
         except ConnectionResetError:
             continue  # the daemon ended with an unread report: its last batches follow
 

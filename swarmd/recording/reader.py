@@ -28,6 +28,7 @@ _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _STATISTICS, _METADATA, _DATA_END 
 )
 _ABOUT = struct.Struct("<HIQQ")  # channel, sequence and times of a message
 _HEAD = struct.Struct("<BQ")  # the code of a record and the size of its content
+_CHUNK_HEAD = struct.Struct("<QQQI")  # times of a chunk; size and checksum of its records
 _KNOWN = range(1, 16)  # record codes; greater codes are permitted and skipped, 0 is not
 _COMPRESSIONS = ("", "lz4", "zstd")
 _OBJECT = 200  # bytes of the Python objects for a record
@@ -110,9 +111,9 @@ class _Reader:
         data = self._data
         at = len(MAGIC)
         is_over = False
-        while at + 9 <= len(data):
+        while at + _HEAD.size <= len(data):
             code, end = self._record_at(at)
-            if not code or not self._take(code, data[at + 9 : end]):
+            if not code or not self._take(code, data[at + _HEAD.size : end]):
                 self._note(f"damaged or cut off at byte {at} of {len(data)}")
                 at = self._next_chunk(at + 1)
                 continue
@@ -163,7 +164,7 @@ class _Reader:
         return True
 
     def _take_chunk(self, body: memoryview) -> bool:
-        compression = _string(body, 28)[0]
+        compression = _string(body, _CHUNK_HEAD.size)[0]
         if compression not in _COMPRESSIONS:
             self._note(f"chunks are compressed by {compression[:40]!r}; expected none, lz4 or zstd")
             return True
@@ -178,7 +179,7 @@ class _Reader:
     def _record(self, code: int, body: memoryview) -> None:
         if code == _MESSAGE:
             channel, sequence, at, _ = _ABOUT.unpack_from(body)
-            self._found.append((channel, sequence, at, bytes(body[22:])))
+            self._found.append((channel, sequence, at, bytes(body[_ABOUT.size :])))
         elif code == _SCHEMA:
             (number,) = struct.unpack_from("<H", body)
             # The first record counts: records in chunks have a checksum, the summary's have none.
@@ -200,10 +201,11 @@ class _Reader:
         """The first byte from `at` on at which a whole chunk begins; the end of file without."""
         data = self._data
         while (at := self._whole.find(_CHUNK, at)) >= 0:
-            size = int.from_bytes(data[at + 1 : at + 9], "little")
-            if size >= 40 and at + 9 + size <= len(data):
+            begin = at + _HEAD.size  # of the content of the record, if a chunk begins at `at`
+            size = int.from_bytes(data[at + 1 : begin], "little")
+            if size >= 40 and begin + size <= len(data):
                 with suppress(struct.error, IndexError, UnicodeDecodeError):
-                    records = self._chunk_data(data[at + 9 : at + 9 + size])
+                    records = self._chunk_data(data[begin : begin + size])
                     if records and all(code in _KNOWN for code, *_ in _records(records)):
                         return at
             at += 1
@@ -211,8 +213,8 @@ class _Reader:
 
     def _chunk_data(self, body: memoryview) -> memoryview | None:
         """The unpacked records of a chunk, checked by the checksum; None if damaged."""
-        size, crc = struct.unpack_from("<QI", body, 16)
-        compression, place = _string(body, 28)
+        _, _, size, crc = _CHUNK_HEAD.unpack_from(body)
+        compression, place = _string(body, _CHUNK_HEAD.size)
         (length,) = struct.unpack_from("<Q", body, place)
         packed = body[place + 8 :]
         if len(packed) != length or compression not in _COMPRESSIONS:

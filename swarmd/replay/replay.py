@@ -93,8 +93,9 @@ class Parity:
 class Replay:
     """A robot that replays a recording, from its recorded memory or from the recording's head.
 
-    `platform`: replaces the recorded platform. `origins`: the places of patterns, as in `Load`.
-    `recalls`: begin with the recorded memory (the serialised robot), which is readable.
+    `platform`: replaces the recorded platform. `origins`: by pattern, its `module:Class` or path,
+    and True for a path. `recalls`: begin with the recorded memory (the serialised robot), which the
+    caller has found readable; else with a new robot by the head.
     """
 
     def __init__(
@@ -294,6 +295,7 @@ def settings_of(head: RecordingHead) -> RobotSettings:
         touch=head.touch,
         accepts=head.accepts,
         fence=head.fence,
+        on_low_battery=head.on_low_battery,
     )
 
 
@@ -345,8 +347,9 @@ def _state_in(decision: RecordedMessage, where: str) -> str:
 def check_beginning(recorded: list[RecordedMessage], where: str, fault: str) -> None:
     """ConfigError if the recording cannot be replayed from its beginning.
 
-    That is the case without a decision, and if the robot runs in the first decision but its
-    recorded memory has a `fault`.
+    1. Without a decision there is nothing to compare.
+    2. Without a usable memory (`fault`: the reason) the replay begins with a new robot, which does
+       not run. So the recorded robot must not run in its first decision.
     """
     first = next((message for message in recorded if message.topic == "/decision"), None)
     if first is None:

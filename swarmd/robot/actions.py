@@ -36,10 +36,9 @@ class Actions(Struct, frozen=True, eq=False):
 
     `requested_scan_seq`: the number of the scan from which the pattern computed its command; -1
     without a scan. `is_idle`: the state is idle and the base is connected. `is_stopped`: the state
-    is stopped, estopped or faulted. `is_quiet`: only `twist` and `decision` count, and
-    `Robot.wake_at` has not changed. `ended`: state and reason after the end of a run; empty if no
-    run ended. `grip`: True closes the gripper, False opens the gripper, None leaves the gripper
-    alone.
+    is stopped, estopped or faulted. `is_quiet`: there is no work but step 1, and the next deadline
+    is as before. `ended`: state and reason after the end of a run; empty if no run ended. `grip`:
+    True closes the gripper, False opens the gripper, None leaves the gripper alone.
     """
 
     twist: Twist

@@ -1,9 +1,10 @@
 """Decides which poses in a shared frame the fence of a robot may use, and when the robot is held.
 
 A pose is used once CONFIRMATIONS poses in a row agree by odometry, over at least CONFIRM_TIME. Two
-poses agree if they differ by no more than their errors, and the errors of odometry, explain. A pose
-that does not agree with the pose in use is a jump: nothing is known until new poses agree with each
-other, or poses agree with the pose in use again. Pure. Units: m, rad, s on the robot's clock.
+poses agree if odometry tells the way from one to the other, to within the error bounds of both
+poses and of odometry. A pose that does not agree with the pose in use is a jump: the robot has no
+usable pose until new poses agree with each other, or a pose agrees with the pose in use again.
+Pure. Units: m, rad, s on the robot's clock.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ _SLACK = 0.02, 0.02  # m and rad that two poses may differ by, beside their erro
 
 
 class _Fix(Struct, frozen=True):
-    """A measured pose with the odometry at its time `at`; `way` and `turned` so far."""
+    """A measured pose with the odometry at the same time."""
 
     shared: SharedPose
-    odometry: Pose
+    odometry: Pose  # in the frame of odometry
     error: float
     yaw_error: float
     at: float
-    way: float
-    turned: float
+    way: float  # m driven since the start of the daemon; the error of odometry grows with it
+    turned: float  # rad turned since the start, both senses counted
 
 
 class FencePose:
@@ -49,8 +50,9 @@ class FencePose:
         self._holds = settings.without_pose == "hold"
         self._readings: deque[Odometry] = deque(maxlen=HISTORY)
         self._way = self._turned = 0.0
-        self._used: _Fix | None = None
-        self._new: _Fix | None = None  # the first pose of a place that is not confirmed
+        self._used: _Fix | None = None  # the last pose in use; after a jump kept for comparison
+        # Of a place not in use: the first and the last of the poses in a row that agree.
+        self._new: _Fix | None = None
         self._newest: _Fix | None = None
         self._agreeing = 0  # poses after `_new` that agree with it
         self._is_used = False  # the last pose agreed with `_used`
@@ -85,14 +87,17 @@ class FencePose:
         if pose.frame != self._frame:
             self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
             return
+        # 1. The odometry at the time of the pose, in the clock of odometry's stamps.
         if not self._readings:
             return
         stamp = self._readings[-1].stamp + at - odometry_at
         if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
             return
-        # `way` and `turned` are those of now: a little too short, by the delay of the pose.
         odometry = _pose_at(self._readings, stamp)
+        # `_way` and `_turned` count until now, not until `at`: the way since this pose will be too
+        # short by the motion during the delay of the pose.
         fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
+        # 2. Compare with the pose in use, else with the poses of a new place.
         if self._used is not None and at - self._used.at > FORGET_TIME:
             self._used = None
         if self._used is not None and _agree(self._used, fix):
@@ -101,7 +106,7 @@ class FencePose:
             self._newest, self._agreeing = fix, self._agreeing + 1
             if self._agreeing >= CONFIRMATIONS and at - self._new.at >= CONFIRM_TIME:
                 self._use(fix)
-        else:
+        else:  # a jump, or the first pose: begin to count anew from this pose
             if self._used is not None:
                 far = _difference(self._used, fix)[0]
                 self._fault = f"the pose jumped by {far:.2f} m; waits until poses agree"

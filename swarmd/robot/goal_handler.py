@@ -62,12 +62,12 @@ class GoalHandler:
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True if the goal of this run or goal request had already come from a peer.
+        """True if only the goal of this request, which a peer brought first, has raised the epoch.
 
-        `quoted`: the epoch of the robot that the operator saw. The goal from the peer has raised
-        the epoch since then. False if anything else has changed the robot since `quoted`.
+        Such a run or goal request must not be refused as stale. `quoted`: the epoch of the robot
+        that the operator saw and quotes. False if anything else has changed the robot since then.
         """
-        known = self._peer_goal
+        known = self._peer_goal  # (goal, epoch before the goal came, revision after that)
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
             return False
         return (request.goal, quoted, self._lifecycle.revision) == known
@@ -130,7 +130,7 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Replace the own goal by the greater `goal`, and end a run or load for a lesser goal.
+        """Replace the own goal by `goal`, which is greater; a run and a load for lesser goals end.
 
         The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
         None if unknown. `may_join`: a robot that is idle or running may run `goal` without a
@@ -146,6 +146,7 @@ class GoalHandler:
         # 2. A run ends. A load ends, too, unless its goal is greater than `goal`.
         keeps_load = False
         if loading is not None and loading.goal is not None:
+            # `order`: the key by which goals compare. It does not depend on the age (None).
             order_of_load = HeldGoal.of(loading.goal, None).order
             keeps_load = order_of_load > HeldGoal.of(goal, None).order
         is_active = lifecycle.is_running or (loading is not None and not keeps_load)
@@ -155,15 +156,15 @@ class GoalHandler:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        can_join = (is_active or is_idle) and not keeps_load
+        can_join = (is_active or is_idle) and not keeps_load and not lifecycle.battery.is_low
         goals.adopt(goal, age, now, may_join=may_join and can_join)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.
 
-        The own goal is the greatest goal that targets this robot; here a peer sent that goal.
-        `Goals.joins` has the rules for the goal itself. During a load or a trial of new code the
-        robot does not join: the caller calls again after the end of the load or trial.
+        The own goal is the greatest goal that targets this robot. `Goals.joins` has the rules for
+        the goal itself, such as its greatest age. During a load or a trial of new code the robot
+        does not join: the caller calls again after the end of the load or trial.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         # 1. Reasons of the goal not to join: another peer may hold a greater goal that is not known
@@ -173,16 +174,17 @@ class GoalHandler:
             return
         if fault_of(own_goal.goal.conditions):
             return
-        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, or
-        #    the swarm has revoked this robot.
+        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, the
+        #    swarm has revoked this robot, or its battery is low.
         is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
         is_barred = lifecycle.duplicate is not None or bool(lifecycle.revoked)
-        if is_busy or is_barred:
+        if is_busy or is_barred or lifecycle.battery.is_low:
             return
         if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
             return
         # 3. Raise the revision, so that earlier requests are stale. Exception: a late request for
         #    this same goal stays acceptable if nothing else has changed since the goal came.
+        #    (`_PeerGoal.revision_after`: the revision at which such a request is still taken.)
         peer_goal, revision_before = self._peer_goal, lifecycle.revision
         age_s = own_goal.age(now) or 0.0  # an unknown age counts as 0
         lifecycle.raise_revision(own_goal.goal.text)
@@ -194,7 +196,8 @@ class GoalHandler:
         # 4. Run for the rest of the goal's time, which counts from the time the goal was set.
         seconds = own_goal.goal.seconds
         seconds_left = None if seconds is None else seconds - age_s
-        wish = Wish(now - age_s, own_goal.goal.text)  # the run counts as requested with the goal
+        # The run counts as requested when the goal was set: a stop issued since then ends the run.
+        wish = Wish(now - age_s, own_goal.goal.text)
         self._start(own_goal.goal, effects, wish, seconds_left, None)
 
     def _start(

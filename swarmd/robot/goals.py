@@ -9,12 +9,15 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
 2. Exception: the robot joins (runs without a request) a goal with `on_join: run` whose age is known
    and below `valid`. The robot must have been idle, or must have run for a lesser goal, when the
    goal came, and no run may have ended since.
-3. A robot that lacks the pattern of the goal joins once more after the pattern is pushed to it.
+3. If a load failed because the robot lacks the pattern of the goal, the robot may join again, once,
+   after the pattern has come by a push or from a peer, and has passed its trial.
 4. The robot joins a goal with a lease only while the operator of that goal is heard.
 5. The robot joins no goal that was set before its last stop, emergency stop or reset.
-6. A stop or emergency stop of all robots makes a goal without a pattern that follows the held goal,
-   unless the held goal is newer than the stop. If the age of the held goal is unknown, the stop
-   stays undecided until a peer reports that age, or a greater goal.
+6. A stop or emergency stop of all robots makes a goal without a pattern, greater by 1 generation
+   than the held goal, so that no robot joins the held goal later. No such goal is made if the held
+   goal is newer than the stop. If that is not known (the robot got the held goal, without its age,
+   after the stop was issued), the stop stays undecided until a peer reports that age, or a greater
+   goal.
 """
 
 from __future__ import annotations
@@ -73,7 +76,8 @@ class Goals:
         self._robot = robot  # the name of this robot
         self._file_labels = labels
         self._set_labels = record.labels  # by an operator; None: the labels of the swarm file count
-        # The age of a goal from disk is unknown until a peer reports it.
+        # Held: the greatest goal of the swarm. Own: the greatest that targets this robot. The age
+        # of a goal from disk is unknown until a peer reports it.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
         self.before = record.before  # the goal that `swarmctl goal undo` restores
@@ -92,7 +96,8 @@ class Goals:
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
-        # Content of the held goal if a stop of all robots came later and could make no goal.
+        # Content of a held goal of the greatest generation, which a stop of all robots could not
+        # exceed by a goal of its own: its age is ignored, so that no robot joins it.
         self._stopped_content = b""
         self.is_changed = False  # since the record was last written to disk
         # The generation of the load that failed since the robot lacks the pattern. None: no such
@@ -240,11 +245,12 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """After a stop of all robots: make a goal without a pattern that follows the held goal.
+        """After a stop of all robots: make a goal without a pattern, next after the held goal.
 
-        All robots that hold the same goal make the same new goal. `stop`: the id of the stop.
-        `age`: s since the stop was issued. Returns False if no goal is made: for a repeated stop,
-        for a stop that is older than the held goal, and while the age of the held goal is unknown.
+        So no robot that joins later runs the held goal. All robots that hold the same goal make the
+        same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False
+        if no goal is made: for a repeated stop, for a stop that is older than the held goal, while
+        it is not known which of the two is older, and if no goal can exceed the held goal.
         """
         if stop in self._stops:
             return False
@@ -334,7 +340,8 @@ class Goals:
         """Note that a run begins; `goal`: the goal of the run, None without a goal.
 
         `what`: the name of the pattern, for the status. `age`: s since the run was requested.
-        `is_resumed`: no run request set the goal now, so the lease is not renewed.
+        `is_resumed`: an earlier request set the goal (the robot resumes or joins it, or reloads its
+        pattern), so that this run does not renew the lease.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was requested after these stops

@@ -37,11 +37,11 @@ _Inputs = cython.declare(object, Inputs)
 class InputAges:
     """The arrival times of inputs, the holds that follow, and the context of decisions.
 
-    `_problem`: why the last scan is not usable, None if it is. `_peers_due`: the time until which
-    no peer holds the robot. `_hazards_until`: the time until which a hazard holds the robot.
-    `_teller`: the `Peers` object while it knows the place of any peer, else None. `_ring`: the ring
-    of range sensors, None without a ring. `_fence`: the `FencePose`, None without a fence.
-    `_fence_due`: the time until which the fence permits motion.
+    `_problem`: why the last scan is not usable, None if it is. Motion is permitted by the peers
+    until `_peers_due`, by the fence until `_fence_due` (then a place or a pose is too old). A
+    hazard holds the robot until `_hazards_until`. `_teller`: the `Peers` object while it knows the
+    place of any peer, else None: its discs are obstacles. `_ring`: the ring of range sensors, None
+    without a ring. `_fence`: the `FencePose`, None without a fence.
     """
 
     odometry = cython.declare(object, visibility="public")
@@ -215,8 +215,9 @@ class InputAges:
     def _longest_age(self) -> cython.double:
         """The age in s since arrival beyond which a scan is stale.
 
-        This age is the platform's limit less the scan delay. If the pattern permits a delay above
-        the platform's bound, the limit shrinks by that bound only.
+        This age is the platform's limit `stale_after` less the measured delay of scans, since the
+        rays of a delayed scan are older than its arrival. A pattern may permit a delay above the
+        platform's bound `max_scan_delay`. Only the bound is then subtracted.
         """
         added: cython.double = self._added
         if added <= self.permitted_delay and self._max_delay < added:

@@ -26,8 +26,9 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 class Latches:
     """The held latches (emergency stops that hold the robot) by id, and the ids that were reset.
 
-    A peer may still report a latch that was reset on this robot: the reset id keeps that latch
-    away. An estop request with a reset id latches again, since a stop is always obeyed.
+    A peer that missed the reset may still report a latch that was reset here: a latch with the id
+    of a reset latch is not adopted from a peer. But an estop request of an operator latches even
+    with such an id, since a stop is always obeyed.
     """
 
     def __init__(self, record: LatchRecord | None = None) -> None:
@@ -41,6 +42,13 @@ class Latches:
     def held(self) -> Mapping[str, Latch]:
         """The latches that hold the robot now."""
         return self._held
+
+    @property
+    def text(self) -> str:
+        """The issuers and reasons of the held latches, in one line."""
+        held = self._held.values()
+        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
+        return ", ".join(dict.fromkeys(texts))
 
     def add(self, latch_id: str, latch: Latch) -> bool:
         """Hold a latch; True if it is new."""

@@ -2,11 +2,12 @@
 
 The bytes are compressed MessagePack: a table of kinds (types), and nodes. A node is one object or
 value: the index of its kind, and its parts. A part is an atom (bool, float, int, str, None) or the
-index of another node (its place). Two objects that share a third object share it again when read.
+place of another node: its index, in a 1-tuple to tell it from an int. An object to which two others
+refer is written once, and both refer to the same object after reading.
 
 A recording may come from an untrusted machine. `recall` therefore makes only plain values and
 objects of the listed modules of a robot, with the fields of these classes. The bytes can name no
-other class, no function and no module, and each node is read once.
+other class, no function and no module. Bounds on size and depth limit the time of a read.
 
 Bytes can be read by the same version of swarmd only, with the same kernels compiled.
 """
@@ -191,25 +192,25 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of an object or value: its index in `_nodes`, as a 1-tuple.
+        """The place of the node of an object or value: its index in `_nodes`, in a 1-tuple.
 
-        (In the parts of a node an int is a number, so a place is no int.) Adds the node if `value`
-        has none yet. A value is split into its parts now. An object gets an empty node, whose
-        fields `memory` adds later: objects may refer to one another in a circle, values cannot.
+        Adds the node if `value` has none yet. A value is split into its parts now. An object gets
+        an empty node, whose fields `memory` adds later: objects may refer to one another in a
+        circle, values cannot.
         """
         known_place = self._places.get(id(value))
         if known_place is not None:
             return known_place
         cls = type(value)
-        # 1. The table of handlers and the settings: the reader has its own, so only the kind is
-        #    written.
+        # 1. The table of handlers and the settings have no parts: `recall` takes the table of its
+        #    own version, and the settings that its caller gives.
         if value is HANDLERS:
             return self._add(value, self._kind("handlers"), [])
         if cls is RobotSettings:
             return self._add(value, self._kind("settings"), [])
         # 2. Built-in containers, arrays, bytes and numpy scalars.
         if cls in _TYPES:
-            parts_of, _ = _TYPES[cls]
+            parts_of, _ = _TYPES[cls]  # functions: value to parts, and (for the reader) back
             return self._add(value, self._kind(cls.__name__), self._parts(parts_of(value)))
         if isinstance(value, np.ndarray) or _is_view(value):
             return self._array(value)
@@ -288,8 +289,8 @@ class _Reader:
         """
         nodes = self._memory.nodes
         makers = [self._maker(kind) for kind in self._memory.kinds]  # by index of the kind
-        # 1. All objects, still empty, since values may refer to any object. `make` also returns the
-        #    function that later sets the object's fields from the parts of its node.
+        # 1. All objects, still empty, since values may refer to any object. For an object `make`
+        #    returns the object, and the function that later sets its fields from the parts.
         objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
         for place, node in enumerate(nodes):
             is_object, make = makers[node.kind]
@@ -298,7 +299,8 @@ class _Reader:
                     raise ValueError(f"it has more than {MAX_OBJECTS} objects")
                 empty_object, set_fields = make(node.parts)
                 self._made[place] = empty_object
-                # (parts, depth): an object adds nothing to the size of a value that refers to it.
+                # The extent of a value: the count of its parts, and their depth, which are bounded.
+                # An object adds nothing to the extent of a value that refers to it.
                 self._extents[place] = (0, 0)
                 objects.append((empty_object, set_fields, node.parts))
         # 2. Values in the order of their nodes: a value refers only to values before it.
@@ -330,7 +332,8 @@ class _Reader:
         """The count of a value's parts, nested parts included, and its nesting depth.
 
         `parts`: the parts of the value. `name`: its type. Adds the count to `_size`, the total so
-        far. ValueError if the depth, the total or the size of a dict key exceeds its bound.
+        far. ValueError if depth, total or the size of a dict key exceeds its bound: a small
+        recording from an untrusted machine must not take long to read, compare or hash.
         """
         size, depth = 1 + len(parts), 0
         for number, part in enumerate(parts):
@@ -348,10 +351,10 @@ class _Reader:
         return size, depth + 1
 
     def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """Returns (True if `kind` is a class of objects, a function), for the nodes of `kind`.
+        """Returns (is_object, make) for the nodes of `kind`; `is_object`: a class of objects.
 
-        The function makes the value of a node from its parts. For a class of objects it returns the
-        empty object, and a second function that sets the fields of that object.
+        `make(parts)` returns the value. For a class of objects it returns the empty object, and a
+        function that sets the fields of that object.
         """
         if kind.name in self._makers:
             return False, self._makers[kind.name]

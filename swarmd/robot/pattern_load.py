@@ -9,9 +9,10 @@ from typing import NamedTuple
 from msgspec import Struct
 
 from swarmd.core.goal import Goal
-from swarmd.core.host_messages import Loaded
+from swarmd.core.host_messages import REQUEST_LAYER, Load, Loaded
 from swarmd.core.values import Scalar
 from swarmd.core.verbs import ParamRequest, ReloadRequest, ResumeRequest, RunRequest
+from swarmd.robot.settings import RobotIdentity
 
 
 class Wish(Struct, frozen=True):
@@ -19,13 +20,16 @@ class Wish(Struct, frozen=True):
 
     A joined goal (run without a request) counts from the time at which the goal was set. The run
     after a reload counts from the reload request. A restart after a fault keeps the wish of the
-    failed run.
+    failed run. The run that a low battery begins keeps the time of the run that it ends: a stop
+    that ends the one ends the other.
     """
 
     at: float
     """s on the own clock"""
     by: str
-    """the operator, or the goal as text"""
+    """the operator, the goal as text, or the low battery"""
+    is_own: bool = False
+    """the robot itself wants the run: its battery is low"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +39,8 @@ class Loading:
     `seconds`: the longest time of the run; None without a limit. `since`: start of the load, s on
     the own clock. `request`: answered once the pattern runs; None without a request. `until`:
     conditions; the first that holds ends the run. `goal`: the goal of the run, None without a goal.
-    `start_at`: the run begins not before this time, s on the own clock. `loaded`: the host's
-    answer, kept until `start_at`.
+    `start_at`: the run does not begin before this time, s on the own clock. `loaded`: the host's
+    answer, kept until `start_at`. `is_restart`: a failed pattern is loaded again.
     """
 
     generation: int
@@ -50,11 +54,7 @@ class Loading:
     goal: Goal | None = None
     start_at: float | None = None
     loaded: Loaded | None = None
-
-    @property
-    def is_restart(self) -> bool:
-        """True if a failed pattern is loaded again: neither a request nor a goal is behind it."""
-        return self.request is None and self.goal is None
+    is_restart: bool = False
 
 
 class PendingParams(NamedTuple):
@@ -72,3 +72,12 @@ class Trial:
     since: float
     request: ReloadRequest
     wish: Wish
+
+
+def load_command(
+    identity: RobotIdentity, generation: int, pattern: str, params: Mapping[str, Scalar | None]
+) -> Load:
+    """The command that loads a pattern for a robot; `params` form the strongest layer."""
+    layers = (*identity.settings.layers(pattern), (REQUEST_LAYER, dict(params)))
+    seed = (identity.seed * 1_000_003 + generation) % 2**63
+    return Load(generation, pattern, layers, identity.robot, identity.platform, seed)

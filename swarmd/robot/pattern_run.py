@@ -44,11 +44,11 @@ NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 class Running:
     """The running pattern.
 
-    `permit`: what the pattern permits protection to do while no hold is present. `period`: s
-    between two steps. `expiry`: s for which a requested command is valid (rule 1 of the module).
-    `requested`: the last requested command, None to stand. `requested_at`: the start of the step
-    that returned this command. `scan_seq`: the number of the scan which that step used, -1 without
-    a scan. `finish_at`: the end of the run, inf without an end.
+    `permit`: what protection may do and allow for this pattern, such as to touch an object.
+    `period`: s between two steps. `expiry`: s for which a requested command is valid (rule 1 of the
+    module). `requested`: the last requested command, None to stand. `requested_at`: the start of
+    the step that returned this command. `scan_seq`: the number of the scan which that step used, -1
+    without a scan. `finish_at`: the end of the run, inf without an end.
     """
 
     generation = cython.declare(object, visibility="readonly")
@@ -97,9 +97,10 @@ class Running:
 class PatternRun:
     """The load and the run of a pattern, the answer awaited from its host, and its faults.
 
-    `awaiting_since`: the start of the present step; inf while the host is free. `is_due`: a step
-    became due while the host was busy. `is_outdated`: the host may contain replaced code.
-    `stepped_generation`: the generation of the last step. `restarts`: the count of all faults.
+    A generation is the number of a load. `awaiting_since`: the start of the present step; inf while
+    the host is free. `is_due`: a step became due while the host was busy. `is_outdated`: the host
+    may contain replaced code. `stepped_generation`: of the pattern of the last step, whose answer
+    is awaited. `restarts`: the count of all faults since the start of the daemon.
     """
 
     running = cython.declare(Running, visibility="public")
@@ -208,8 +209,9 @@ class PatternRun:
     def lifecycle_due_at(self) -> cython.double:
         """The next deadline of load and run in s, the next step excepted; inf without a deadline.
 
-        During a load: -inf, since a load is checked at each tick. `restart_at` does not count: a
-        restart is a hold, and the caller checks holds at each tick.
+        During a load: -inf, since a load is checked at each tick. The deadline `restart_at` is left
+        out: until then the robot has the hold `pattern_restarting`, and under a hold the caller
+        checks all deadlines at each tick.
         """
         running = self.running
         if self.loading is not None:

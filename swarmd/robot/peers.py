@@ -1,8 +1,8 @@
 """The peers of one robot: which peers its lidar may miss, and their measured or reported places.
 
 A place comes from one of two sources: range and bearing that the own sensors measure to the peer,
-or the pose that the peer reports in a shared frame. Protection avoids such a place as a disc that
-no scan shows (`ToldObstacle`).
+or the pose that the peer reports in a shared frame. Protection treats the place as an obstacle: a
+disc (`ToldObstacle`) in addition to the points of the scan.
 """
 
 from __future__ import annotations
@@ -56,8 +56,9 @@ class _PeerDisc(NamedTuple):
 class _OwnPose(NamedTuple):
     """The own pose in a shared frame at the time `at` in s.
 
-    `at` is uncertain by half of FASTEST_POSE. During this uncertainty the robot moves by at most
-    `shift` m and turns by at most `turn` rad.
+    A pose is measured up to FASTEST_POSE before it can arrive. `at` lies in the middle, so that it
+    is uncertain by half of FASTEST_POSE, in which the robot moves by at most `shift` m and turns by
+    at most `turn` rad.
     """
 
     shared: SharedPose
@@ -69,10 +70,10 @@ class _OwnPose(NamedTuple):
 class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
-    A finding is a property of a peer that protection does not assume, such as a body below the scan
-    plane. All times are in s on the robot's monotonic clock and come with each call. With
-    `tells_pose` the robot sends its pose to its peers always, else only if the lidar of a peer may
-    miss this robot.
+    Protection assumes that the lidar sees all robots, and that they are not too fast. A finding is
+    a property of a peer that contradicts this, such as a body below the scan plane. All times are
+    in s on the robot's monotonic clock and come with each call. With `tells_pose` the robot sends
+    its pose to its peers always, else only if the lidar of a peer may miss this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -104,8 +105,8 @@ class Peers:
         """Replace the bodies (size, height, speed) of all known peers, alive or gone.
 
         `bodies`: by robot; None while the peer has not reported its body. Returns the new findings:
-        properties of peers that protection does not assume, such as a body below the scan plane. A
-        finding that `holds` makes the robot stand.
+        properties of peers that contradict what protection assumes, such as a body below the scan
+        plane. A finding that `holds` makes the robot stand.
         """
         if bodies == self._bodies:
             return []
@@ -121,23 +122,23 @@ class Peers:
             present = [structs.replace(finding, holds=False) for finding in present]
         self._findings = tuple(present)
 
-        # 2. Peers whose measured or reported places are used: the lidar may miss them, since their
-        #    finding is `unseen`, or `unknown` for lack of a height. If the lidar has a blind zone,
-        #    any near peer may vanish in it: the places of all peers are used.
+        # 2. Peers whose measured or reported places are used (`_radii`): the lidar may miss them,
+        #    since their finding is `unseen`, or `unknown` for lack of a height. If the lidar has a
+        #    blind zone around it, any near peer may vanish there: the places of all peers are used.
         radii = {robot: body.radius for robot, body in bodies.items() if body is not None}
         missed = {finding.robot for finding in present if finding.kind != "faster"}
         self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
         if self._blind_within:
-            # The places of peers that the lidar sees count inside the blind zone only.
+            # The places of all other peers, which the lidar sees, count inside that zone only.
             self._seen_beyond = frozenset(radii) - frozenset(self._radii)
             self._radii = radii
         for discs in (self._sensed, self._located):
             for robot in discs.keys() - self._radii.keys():
                 del discs[robot]
 
-        # 3. A peer whose lidar may miss this robot needs its pose. `sees` is None if a height is
-        #    unknown: the peer may miss this robot then, too. A finding `unseen` holds this robot
-        #    until the place of the peer is known, a finding `faster` always.
+        # 3. A peer whose lidar may miss this robot needs the pose of this robot. `sees` is None if
+        #    a height is unknown: the peer may miss this robot then, too. A finding `unseen` holds
+        #    this robot until the place of the peer is known, a finding `faster` always.
         reported = [body for body in bodies.values() if body is not None]
         self._is_missed = any(sees(body, self.own) is not True for body in reported)
         holding = [finding for finding in present if finding.holds]
@@ -151,8 +152,8 @@ class Peers:
 
         Each such neighbour becomes a disc in the base frame. The disc contains the body of the
         neighbour and the errors of range and bearing. Skips a neighbour without range or bearing,
-        and numbers that are not finite or too large. Returns True if the place of any neighbour
-        that the lidar may miss is known from range and bearing.
+        and numbers that are not finite or too large. Returns True if any such disc is stored, also
+        from an earlier call.
         """
         if not self._radii:
             return False
@@ -166,7 +167,7 @@ class Peers:
             if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
                 continue
             measured_at = now - max(neighbor.age, 0.0)
-            # The error along the line of sight grows with the range; across it: an angle's arc.
+            # Errors in m along the line of sight, and across it (the arc of the bearing's error).
             radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
             error = math.hypot(radial_error, ANGLE_ERROR * distance)
             disc = _PeerDisc(
@@ -248,11 +249,11 @@ class Peers:
         error += body.surface_speed * max(own_pose.at - reported_at, 0.0)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         disc = _PeerDisc(
-            x=cos * dx + sin * dy,
+            x=cos * dx + sin * dy,  # rotated by -yaw, from the shared frame to the base frame
             y=cos * dy - sin * dx,
             radius=body_radius + error,
             at=own_pose.at,
-            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,  # the older pose counts
+            until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,  # from the older of the two poses
         )
         _keep_newer(self._located, place.robot, disc)
         self._update_places_until()
@@ -261,8 +262,9 @@ class Peers:
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The places of near peers that the lidar may miss, as obstacles with their ages.
 
-        A peer that the lidar sees is listed only inside the blind zone near the sensor. A peer
-        whose place is both measured and reported is listed twice.
+        A peer that the lidar sees is listed only if it is inside the blind zone near the sensor,
+        where the lidar may lose it. A peer whose place is both measured and reported is listed
+        twice.
         """
         if not (self._sensed or self._located):
             return ()
@@ -321,7 +323,8 @@ def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> Non
 def _told_within(platform: Platform) -> float:
     """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    Valid until the disc expires after TOLD_TIMEOUT. -inf in a protection mode without such discs.
+    It holds for a disc of any age up to TOLD_TIMEOUT, after which a disc is not used. -inf in a
+    protection mode that uses no discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:
@@ -333,7 +336,7 @@ def _told_within(platform: Platform) -> float:
 def _blind_within(platform: Platform) -> float:
     """The distance in m from the axle within which the lidar may lose a peer; 0 if never.
 
-    A blind zone that ends within BLIND_RING of the outline has no room for a robot: 0, too.
+    0 also if the blind zone ends within BLIND_RING of the outline: no robot fits in between.
     """
     scan = platform.scan
     outer = float(np.hypot(*(platform.footprint - scan.offset).T).max())

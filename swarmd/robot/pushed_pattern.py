@@ -5,11 +5,12 @@
     push that passed its trial               -> provisional, current
     60 s of runs without a fault             -> held
     fault while provisional                  -> returned: the version before is current again
-    3 ends of the daemon during a run        -> returned: the version before is current again
+    3 ends of the daemon during runs         -> returned: the version before is current again
+      while provisional
     removal                                  -> gone
 
-A fault of a held version changes nothing here: the pattern is restarted and quarantined like any
-other pattern.
+An end of the daemon during a run counts since the code may be its cause. A fault of a held version
+changes nothing here: the pattern is restarted and quarantined like any other.
 """
 
 from __future__ import annotations

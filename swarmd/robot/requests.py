@@ -8,8 +8,8 @@ A stop may arrive late. The robot compares the time at which the stop was issued
 the present run or load (the time at which that run was requested):
 
 =====================================  ==========================================================
-no run and no load                     the robot stays stopped; a trial or reset requested after
-                                       this stop, or after a later stop, continues
+no run and no load                     the robot stays stopped; a trial or reset that was requested
+                                       after this stop, or after a later stop, is left alone
 stop issued after the wish             run and load end
 stop issued before the wish            refused (`overtaken`): run and load continue
 stop issued after the wish of the run  refused: the run ends, the load continues
@@ -37,7 +37,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.protection.protection import Protection
 from swarmd.robot.goal_handler import GoalHandler, fault_of
-from swarmd.robot.pattern_load import PendingParams, Trial, Wish
+from swarmd.robot.pattern_load import PendingParams, Trial, Wish, load_command
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state import Lifecycle
 
@@ -118,12 +118,15 @@ class RequestHandler:
         #    whatever age the copy states. The age of a refused copy is not kept: a forged copy
         #    would make the true stop look older.
         is_copy = request.id in self._executed
-        issued_at = min(now - request.age, self._executed.get(request.id, math.inf))
+        issued_at = now - request.age
+        if is_copy:
+            issued_at = min(issued_at, self._executed[request.id])
 
         def is_older_than(wish: Wish) -> bool:
-            """At equal times a first copy stops the run: in doubt the robot stops.
+            """At equal times the first copy stops the run: in doubt the robot stops.
 
-            A run with the time of the execution of the first copy was requested after that copy.
+            A later copy does not: the first copy ended every run at that time, so the present run
+            was requested after the first copy.
             """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 
@@ -203,10 +206,10 @@ class RequestHandler:
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
         """Reply to a stop. `is_moving` of the reply is True while the base is not known to rest.
 
-        The operator repeats the stop until the base rests. A base that is not known to rest after
-        STOP_TIME makes the stop fail (NOT_STOPPED): zero commands do not reach the base, or the
-        base moves on. A base that the driver has not reached yet may still move by a command of an
-        earlier daemon process.
+        The operator repeats the stop until the base rests. If the base is not known to rest
+        STOP_TIME after the stop, the reply is the failure NOT_STOPPED: zero commands do not reach
+        the base, or the base moves on. A base that the driver has not reached yet may still move
+        by a command of an earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)
@@ -268,8 +271,8 @@ class RequestHandler:
     ) -> Wish:
         """When (s on the own clock) and by whom the request was issued.
 
-        The request quotes an epoch that began with the last stop. The request was therefore issued
-        after that stop, even if its stated age says otherwise.
+        A stop, estop or reset that is carried out raises the epoch, and this request quotes the
+        present epoch. So it was issued after the last of these, even if its age says otherwise.
         """
         return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
 
@@ -313,13 +316,14 @@ class RequestHandler:
             lifecycle.latches.clear(latches_cleared)
             effects.is_latched = True
         if lifecycle.latches.held:
-            text = f"still estopped {lifecycle.latch_text()}; look again and reset once more"
+            text = f"still estopped {lifecycle.latches.text}; look again and reset once more"
             if latches_cleared:
                 lifecycle.raise_revision(cause)
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
             return
         # 3. A running or idle robot keeps its state, but joins no goal that was set before now
-        #    (`bar`). Joining: a load that the robot began by itself for a peer's goal.
+        #    (`bar`). `is_joining`: the robot itself began the present load for a peer's goal. Its
+        #    state may still be idle, but case 4 ends that load.
         loading = lifecycle.pattern_run.loading
         is_joining = loading is not None and loading.goal is not None and loading.request is None
         if state is State.RUNNING:
@@ -327,7 +331,8 @@ class RequestHandler:
             lifecycle.applied(effects, request, "running: nothing to reset")
         elif state is State.IDLE and not is_joining:
             lifecycle.goals.bar(effects.now)
-            self._obeyed_until = self.reset_at = effects.now  # a copy of an earlier stop is known
+            # A copy of a stop before this time counts as known, and does not undo the reset.
+            self._obeyed_until = self.reset_at = effects.now
             if findings:
                 lifecycle.raise_revision(cause)
                 self._epoch_raised_at = effects.now
@@ -379,14 +384,15 @@ class RequestHandler:
         self._trials += 1
         wish = self._wish_of(request, effects.now)
         lifecycle.trial = Trial(self._trials, effects.now, request, wish)
-        effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
+        effects.trial = StartTrial(load_command(lifecycle.identity, self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
         """Act on the end of the trial of new code that a reload request started.
 
         `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
-        ignored. After a passed trial the next run of the pattern takes the new code. A pushed
-        pattern keeps the present run (`keeps_running`); another reload replaces that run.
+        ignored. After a passed trial the next run of the pattern takes the new code. A push keeps
+        the present run (`keeps_running`). A reload, or a push that asks for a new run, ends the run
+        of this pattern. During a trial the robot joins no goal, so it may join one after the trial.
         """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
@@ -410,8 +416,8 @@ class RequestHandler:
         elif running.pattern == request.pattern and not request.keeps_running:
             self._replace(trial, effects)
         else:
-            # The run continues. Its host has imported the old code, so the next load gets a fresh
-            # host, and the host of the trial ends.
+            # The run continues in its host process. That process has imported the old code, so the
+            # next load gets a fresh one. The process of the trial, a second host, ends.
             run.is_outdated = True
             effects.trial = CancelTrial()
             old_code = " with the old code" if running.pattern == request.pattern else ""
@@ -443,7 +449,7 @@ class RequestHandler:
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
         lifecycle.stop(Reason.RELOADED, detail, effects)
-        run.awaiting_since = math.inf  # expect no answer to the present step: its host ends
+        run.awaiting_since = math.inf  # no answer to a step is awaited any more: the host ends
         if request.is_rerun:
             lifecycle.start_run(
                 request.pattern,

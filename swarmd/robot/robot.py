@@ -15,9 +15,10 @@ from msgspec.structs import astuple
 
 from swarmd.core import events
 from swarmd.core.events import Input
-from swarmd.core.goal import GoalRecord, HeldGoal
+from swarmd.core.goal import GoalRecord, HeldGoal, digest_of
 from swarmd.core.host_messages import TrialDone
 from swarmd.core.kernels import load_kernel
+from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import (
     MAX_TRACKS,
     Epoch,
@@ -153,6 +154,14 @@ class Robot(Ticker):
         run = self._run
         return tuple(one.generation for one in (run.running, run.loading) if one is not None)
 
+    def channel_named(self, name: str) -> str | None:
+        """The full name of a channel of the running pattern or of its part; None without one."""
+        running = self._run.running
+        if running is None:
+            return None
+        channels = (c for c in sorted(running.channels) if c.rpartition("/")[2] == name)
+        return next(map(running.full_name, channels), None)
+
     @property
     def latches(self) -> Mapping[str, Latch]:
         """The emergency stops that hold the robot, by id."""
@@ -232,8 +241,15 @@ class Robot(Ticker):
         """The own pose to send to peers, and its highest possible age in s; None: send nothing."""
         return self._sensors.peers.pose_to_tell(now)
 
-    def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
+    def _on_readings(self, one: events.ReadingsInput, now: float) -> Actions | None:
         self._sensors.on_readings(one.readings)
+        lifecycle, charge = self._lifecycle, self._sensors.readings.get(BATTERY)
+        settings = lifecycle.identity.settings.on_low_battery
+        if settings is None or not lifecycle.battery.take(charge, settings, now):
+            return None
+        effects = self._begin(now)
+        lifecycle.on_battery(settings, effects)
+        return self._settle(effects)
 
     def _on_option_input(self, one: events.SensorInput, now: float) -> None:
         self._sensors.on_option_input(one)
@@ -302,8 +318,12 @@ class Robot(Ticker):
         return self._settle(effects)
 
     def _on_forget(self, one: events.ForgetInput, now: float) -> Actions:
-        effects = self._begin(now)
-        self._lifecycle.forget_goals(one.digests, effects)
+        """Drop goals whose issuers are no longer operators; `on_roster` has ended their runs."""
+        effects, lifecycle = self._begin(now), self._lifecycle
+        lifecycle.log(
+            f"forgets {len(one.digests)} goals that no operator of the roster signed", now
+        )
+        lifecycle.goals.forget(lambda goal: digest_of(goal).hex() not in one.digests)
         return self._settle(effects)
 
     def _on_lease(self, one: events.LeaseInput, now: float) -> None:
@@ -420,14 +440,19 @@ class Robot(Ticker):
             return
         if running is not None and effects.host is None:
             self._lifecycle.start_run(
-                running.pattern, running.params, effects, wish=running.wish, until=running.until
+                running.pattern,
+                running.params,
+                effects,
+                wish=running.wish,
+                until=running.until,
+                is_restart=True,
             )
 
     def _has_new_status(self, now: float) -> bool:
-        """True if the status must be published at `now`; the caller then publishes the status.
+        """True if the status must be published at `now`; the caller must then publish it.
 
-        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. The
-        function notes the values and the time of a status that is due as published, and clears
+        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. A status
+        that is due counts as published by this call, so that the next call returns False. Clears
         `_is_status_due`: the flag that something may have changed.
         """
         self._is_status_due = False

@@ -273,8 +273,8 @@ class Sensors(InputAges):
     def scan_age(self, now: float) -> float | None:
         """The age of the last valid scan in s; None before the first scan.
 
-        The age counts from the arrival of the scan. If a sector of the scan is filled from memory,
-        the age counts from the time at which that sector was last measured.
+        The age counts from the arrival of the scan. If a sector without valid rays was filled with
+        rays of an earlier scan, the age counts from the time at which that sector was measured.
         """
         return None if self._scan_at == -math.inf else now - self._scan_at
 
@@ -358,8 +358,8 @@ class RangeRing:
         """The returns of the ring as discs with their ages, for protection.
 
         The radius includes the barrier's `unseen_extent`: how far an obstacle may extend beside the
-        measured point. The sensors measure in turn, so the oldest value is half a period older than
-        the mean value.
+        measured point. `latency` is the mean age of the values at arrival. The sensors measure in
+        turn, one period long, so the oldest value is half a period older than the mean.
         """
         if self._known_at is None:
             return ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import Layers
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import Platform, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
@@ -22,7 +23,7 @@ class RobotSettings:
     pattern the part of the outline that may touch objects. `accepts`: the platforms beside which
     the robot may drive although its lidar misses them. `tells_pose`: send the pose in a shared
     frame to all peers, which compute range and bearing of their neighbors from it. `fence`: the
-    area that the robot does not leave.
+    area that the robot does not leave. `on_low_battery`: None: a low battery changes nothing.
     """
 
     driver: str
@@ -37,6 +38,7 @@ class RobotSettings:
     accepts: Accepts = ACCEPTS_NONE
     tells_pose: bool = False
     fence: FenceSettings | None = None
+    on_low_battery: LowBatterySettings | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,6 +11,7 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 |             | the daemon leaves                                      | leaving              |
 |             | a greater goal; a load that peers run is refused       | superseded           |
 |             | the run lease ends                                     | lease_ended          |
+|             | the battery is low while the robot runs or loads       | low_battery          |
 |             | a roster without this robot                            | roster_changed       |
 | HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
@@ -27,7 +28,7 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 
 Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. Loads that end in
 RUN come from the requests `run` and `resume`, a reload with a new run, a goal with `on_join: run`,
-and the restart of a failed pattern.
+the restart of a failed pattern, and a low battery, whose pattern follows a run at once.
 """
 
 from __future__ import annotations
@@ -43,8 +44,9 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from swarmd.core import host_messages
-from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
+from swarmd.core.goal import Goal, GoalRecord, GoalState
 from swarmd.core.kernels import load_kernel
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import (
     MAX_EVENTS,
     Code,
@@ -70,8 +72,9 @@ from swarmd.protection.decision import Permit
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
+from swarmd.robot.low_battery import LowBattery
 from swarmd.robot.message_limits import Outbox
-from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish
+from swarmd.robot.pattern_load import Loading, PendingParams, Trial, Wish, load_command
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.timeouts import (
     FAULTS_BEFORE_QUARANTINE,
@@ -139,7 +142,7 @@ class StateMachine(StateField):
         """Change state, reason and detail by a trigger.
 
         If the trigger leads to the present state, the present reason stays, unless `_RENEWS` lists
-        the trigger for this state.
+        the trigger for this state, such as STOP for a stopped robot.
         """
         target = TRANSITIONS[trigger][self.state]
         renews = target is self.state and trigger in _RENEWS.get(target, ())
@@ -163,7 +166,7 @@ _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
 MAX_TEXT = 300  # characters
 # The load of a next run that was already requested continues; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
-_BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET})
+_BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET, Reason.LOW_BATTERY})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
@@ -178,7 +181,7 @@ class Lifecycle:
         now: float,
     ) -> None:
         self.identity = identity
-        self.born = now
+        self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)  # emergency stops from the disk and since then
@@ -192,13 +195,15 @@ class Lifecycle:
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: PendingParams | None = None  # that the pattern has not answered
         self.trial: Trial | None = None  # the present trial of new code
-        self.hold_since = math.inf  # s, own clock; inf without a hold
+        self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
-        self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
+        self.provisional: tuple[int, ...] = ()  # numbers of loads of code that a fault replaces
+        self.battery = LowBattery()
         self._last_fault_text = ""  # of the pattern
         self._load_command: host_messages.Load | None = None  # the last sent
         if self.latches.held:
-            self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
+            text = shortened(self.latches.text, MAX_TEXT)
+            self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, text, now)
 
     @property
     def is_running(self) -> bool:
@@ -256,12 +261,6 @@ class Lifecycle:
         self.revision += 1
         self.changed_by = by[:MAX_TEXT]
 
-    def latch_text(self) -> str:
-        """The issuers and reasons of the held latches, in one line."""
-        held = self.latches.held.values()
-        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
-        return shortened(", ".join(dict.fromkeys(texts)), MAX_TEXT)
-
     # Events of the pattern host
 
     def on_host(self, event: host_messages.HostEvent, effects: Effects) -> None:
@@ -309,7 +308,8 @@ class Lifecycle:
         """Enter state running with the pattern that the host has loaded.
 
         A restart after a failure continues the failed run; any other load begins a new run. Both
-        get a new permit: exceptions of this pattern that protection respects, such as a touch zone.
+        get a new permit: what protection may do and allow for this pattern, such as a touch zone,
+        or scans that are later than the platform permits (`scan_delay`).
         """
         now = effects.now
         loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
@@ -344,7 +344,7 @@ class Lifecycle:
             now,
             is_resumed=not isinstance(loading.request, RunRequest),
         )
-        text = f"runs {loading.pattern}; {note}" if note else f"runs {loading.pattern}"
+        text = "; ".join(filter(None, (f"runs {loading.pattern}", note, self.battery.remark)))
         if loading.request is None:
             self.log(text, now)
         else:
@@ -354,6 +354,8 @@ class Lifecycle:
         text = event.text
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
+            if loading is not None and loading.wish.is_own:  # the state is stopped before and after
+                self.log(f"{loading.pattern} is not loaded: {text}", effects.now)
             self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
             is_unknown = event.refusal is Refusal.UNKNOWN_PATTERN
             if loading is not None and loading.goal is not None and is_unknown:
@@ -424,7 +426,8 @@ class Lifecycle:
     def fault(self, text: str, effects: Effects) -> None:
         """After a failure of the running pattern: restart it in a fresh host, or quarantine it.
 
-        A provisional pattern is never restarted: its first failure quarantines it.
+        A pattern of provisional (just pushed) code is never restarted: its first failure
+        quarantines it, and the daemon returns to the version before.
         """
         run = self.pattern_run
         running, loading = run.running, run.loading
@@ -476,10 +479,10 @@ class Lifecycle:
     ) -> None:
         """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        A load (of the next run) ends, too. Exception: a load that an operator requested continues
-        if `keeps_load`, or if the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the
-        end of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose
-        load or trial ends is refused as `overtaken`.
+        A load of the next run ends, too, unless an operator requested it, and either `keeps_load`
+        is True or the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the end of its
+        time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or trial
+        ends is refused as `overtaken`.
         """
         # 1. The run and the load.
         loading = self.pattern_run.loading
@@ -510,7 +513,7 @@ class Lifecycle:
         # 4. The goals, the log, and the end of the run as an effect.
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
-        if reason in _BARS_GOALS:
+        if reason in _BARS_GOALS:  # the robot joins no goal that was set before this stop
             self.goals.bar(effects.now)
         if self.state_machine.state is not state_before:
             self.log(end_text, effects.now)
@@ -550,15 +553,16 @@ class Lifecycle:
         goal: Goal | None = None,
         start_at: float | None = None,
         is_fresh: bool = False,
+        is_restart: bool = False,
     ) -> None:
         """Command the pattern host to load a pattern; the run begins once the host has loaded it.
 
         `wish`: when and by whom the run was requested. `seconds`: the longest time of the run, None
         without a limit. `until`: conditions; the first that holds ends the run. `request`: the
         request that is answered when the run begins, or refused if the load fails. `goal`: the goal
-        of the run. Without `request` and `goal` the load is a restart of a failed pattern.
-        `start_at`: the run does not begin before this time, s on the own clock. `is_fresh`: load in
-        a new host process; also done if the present host has outdated code.
+        of the run. `start_at`: the run does not begin before this time, s on the own clock.
+        `is_fresh`: load in a new host process; also done if the present host has outdated code.
+        `is_restart`: the failed pattern of the present run is loaded again.
         """
         run = self.pattern_run
         run.generation += 1
@@ -573,13 +577,14 @@ class Lifecycle:
             until=until,
             goal=goal,
             start_at=start_at,
+            is_restart=is_restart,
         )
         run.restart_at = math.inf  # this load replaces a restart that was planned
         self._load_command = structs.replace(
-            self.load_of(run.generation, pattern, params),
+            load_command(self.identity, run.generation, pattern, params),
             is_fresh=is_fresh or run.is_outdated,
             until=until,
-            is_restart=run.loading.is_restart,
+            is_restart=is_restart,
         )
         effects.command_host(self._load_command)
         run.is_outdated = False
@@ -592,17 +597,6 @@ class Lifecycle:
         else:
             run.is_outdated = True
 
-    def load_of(
-        self, generation: int, pattern: str, params: Mapping[str, Scalar | None]
-    ) -> host_messages.Load:
-        """The command that loads a pattern for this robot; `params` form the strongest layer."""
-        identity = self.identity
-        layers = (*identity.settings.layers(pattern), (host_messages.REQUEST_LAYER, dict(params)))
-        seed = (identity.seed * 1_000_003 + generation) % 2**63
-        return host_messages.Load(
-            generation, pattern, layers, identity.robot, identity.platform, seed
-        )
-
     def latch(self, latch_id: str, latch: Latch, effects: Effects) -> None:
         """Add a latch and stop, in every state."""
         effects.is_latched = True
@@ -610,7 +604,7 @@ class Lifecycle:
             self.raise_revision(f"{latch.issuer} (estop)")
         elif self.state_machine.state is State.ESTOPPED:
             return  # a copy of a held latch: a trial that began after the first copy continues
-        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latches.text, effects)
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
         """Adopt the swarm-wide latches of a peer, except latches that were reset here."""
@@ -619,13 +613,14 @@ class Lifecycle:
             return
         effects.is_latched = True
         self.raise_revision(f"{latches[new[0]].issuer} (estop)")
-        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latches.text, effects)
 
     def stall(self, late: float, effects: Effects) -> None:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
         Requests that quote an earlier epoch are refused from now on. An idle robot without a load
-        or trial stays idle: a busy computer stalls most while the daemon starts.
+        or trial stays idle: there is nothing to end. (A busy computer stalls most while the daemon
+        starts.)
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
@@ -648,6 +643,38 @@ class Lifecycle:
         self._end(Trigger.HAZARD, Reason.HAZARD, text, effects)
         self.goals.bar(effects.now)
 
+    def on_battery(self, settings: LowBatterySettings, effects: Effects) -> None:
+        """After the battery has become low or is no longer low. A charged battery starts nothing.
+
+        A low battery ends the run or the load, and the robot joins no goal that was set before. A
+        robot that ran then runs the pattern of `on_low_battery`, unless its run had a lease: the
+        operator of a lease wants a robot that stands once the operator is not heard.
+        """
+        battery, now = self.battery, effects.now
+        if not battery.is_low:
+            self.log(f"the battery is no longer low{battery.charge_text}", now)
+            return
+        text = f"the battery is below {settings.below:g}{battery.charge_text}"
+        run = self.pattern_run
+        running, has_lease = run.running, self.goals.lease_ends is not None
+        if running is None and run.loading is None:
+            self.log(text, now)
+            self.goals.on_end(text)
+            self.goals.bar(now)
+            return
+        if running is not None and running.wish.is_own and run.loading is None:
+            return  # the charge has risen and fallen again meanwhile
+        self.raise_revision("a low battery")
+        self._end(Trigger.STOP, Reason.LOW_BATTERY, text, effects)
+        if running is not None and settings.pattern is not None and not has_lease:
+            self.start_run(
+                settings.pattern,
+                settings.params,
+                effects,
+                wish=Wish(running.wish.at, "its low battery", is_own=True),
+                seconds=settings.seconds,
+            )
+
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """After a change of the daemon's network: end the run, make earlier epochs stale."""
         self.raise_revision("a change of the network")
@@ -661,11 +688,6 @@ class Lifecycle:
         self.log(f"roster: {text}", effects.now)
         trigger = Trigger.STOP if is_revoked else Trigger.NETWORK
         self._end(trigger, Reason.ROSTER_CHANGED, text, effects)
-
-    def forget_goals(self, digests: tuple[str, ...], effects: Effects) -> None:
-        """Drop goals whose issuers are no longer operators; the caller has ended their runs."""
-        self.log(f"forgets {len(digests)} goals that no operator of the roster signed", effects.now)
-        self.goals.forget(lambda goal: digest_of(goal).hex() not in digests)
 
     def on_duplicate(self, holder: str | None, effects: Effects) -> None:
         """Take in the instance that uses the same robot id; None after that instance has left."""
@@ -689,6 +711,7 @@ class Lifecycle:
         #    loaded yet times out.
         loading = run.loading
         if loading is not None and loading.loaded is not None:
+            # A timer that wakes at `start_at` may be early by a rounding error.
             if loading.start_at is None or now >= loading.start_at - ROUNDING:
                 self._on_loaded(loading.loaded, effects)
         elif loading is not None and now - loading.since >= LOAD_TIMEOUT:

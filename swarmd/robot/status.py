@@ -10,6 +10,7 @@ import msgspec
 
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.messages import (
+    BatterySummary,
     DecisionSummary,
     FenceSummary,
     Health,
@@ -53,9 +54,9 @@ def make_status(
 ) -> Status:
     """The status that a robot publishes, in the bounds of the message: long texts are cut.
 
-    `duty`: counts the ticks with active protection. `now` and all times of the lifecycle are in s
-    on the own clock; the status contains durations in s. The daemon adds the health of its own
-    loop.
+    `duty`: the share of the run's ticks in which protection was active. `now` and all times of the
+    lifecycle are in s on the own clock; the status contains durations in s. The daemon adds the
+    health of its own loop.
     """
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
@@ -69,8 +70,9 @@ def make_status(
         detail = sensors.fence_text(now)[:MAX_VALUE]
     elif reason is Reason.HAZARD and lifecycle.is_running:
         detail = sensors.hazard_text(now)[:MAX_VALUE]
-    param_sources = {} if running is None else running.values
-    params = {name: Param(value=value, source=src) for name, (value, src) in param_sources.items()}
+    # By parameter: its value, and the source of the value, such as `platform` or `request`.
+    param_values = {} if running is None else running.values
+    params = {name: Param(value=value, source=src) for name, (value, src) in param_values.items()}
     dropped_messages = {
         "msg:inbox_full": sensors.overflowed,
         "msg:not_a_neighbor": sensors.rejected,
@@ -117,10 +119,12 @@ def make_status(
         passage=identity.passage,
         walls_stand=_walls_stand(identity.platform, protection.findings),
         fence=_fence(settings, sensors, decision, protection, now),
+        battery=_battery(lifecycle),
         findings=protection.findings,
         not_following=protection.not_following,
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
+        words=dict(identity.platform.words.get(settings.driver, {})),
     )
 
 
@@ -153,6 +157,21 @@ def _fence(
         limits=decision.is_fenced,
         holds=fence.without_pose == "hold",
         text=sensors.fence_text(now)[:MAX_VALUE],
+    )
+
+
+def _battery(lifecycle: Lifecycle) -> BatterySummary | None:
+    settings, battery = lifecycle.identity.settings.on_low_battery, lifecycle.battery
+    if settings is None:
+        return None
+    run = lifecycle.pattern_run
+    present = run.running or run.loading
+    return BatterySummary(
+        charge=battery.charge,
+        below=settings.below,
+        is_low=battery.is_low,
+        pattern=settings.pattern,
+        runs=present is not None and present.wish.is_own,
     )
 
 

@@ -69,9 +69,9 @@ class Ticker:
     A quiet tick only decides (computes the safe command), since no deadline has passed:
 
     1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
-    2. Each event except a quiet tick resets `_quiet_until`.
-    3. An event that may change the lifecycle also resets `_due_at`.
-    4. Odometry, neighbours, readings and messages reset neither `_quiet_until` nor `_due_at`.
+    2. Each event except a quiet tick sets `_quiet_until` to -inf: the next tick is not quiet.
+    3. An event that may change the lifecycle also sets `_due_at` (see there) to -inf.
+    4. Exceptions: odometry, neighbours, readings and messages change no deadline, and set neither.
     """
 
     decision = cython.declare(object, visibility="public")
@@ -168,7 +168,8 @@ class Ticker:
         now: cython.double = effects.now
         sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
         is_routine: cython.bint = effects.is_routine
-        # 1. The hold of the sensors, and the hazard that ends a run.
+        # 1. The hold of the sensors, and the hazard that ends a run (`_ends_run`). Cython calls a
+        #    method in C only if it is written as `Class.method(object)`.
         running = run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
@@ -179,7 +180,7 @@ class Ticker:
         if sensors._ends_run:
             lifecycle.on_hazard(hazard_text, effects)
         # 2. Deadlines: checked under a hold, when due, and after an event that may have changed the
-        #    lifecycle (an event that is not routine). `_due_at` is then computed anew.
+        #    lifecycle (an event that is not routine). The next tick then computes `_due_at` anew.
         if hold is not None or now >= self._due_at or not is_routine:
             self._requests.advance(effects)
             hold = lifecycle.advance(hold, effects, hazard_text if hold is HAZARD else "")
@@ -251,7 +252,7 @@ class Ticker:
 
     @property
     def is_at_rest(self) -> bool:
-        """True if only events change the state: no run, load or trial, and no awaited answer.
+        """True if no deadline is pending: no run, load or trial, and no awaited answer.
 
         False while the base is not connected: another node may drive the base, and a stopped robot
         must then send zero.

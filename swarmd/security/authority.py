@@ -95,9 +95,9 @@ class Authority:
         """Make an authority in a new folder, with an empty roster; `change` adds names.
 
         The passphrase encrypts the private keys of the authority and of the names in its folder.
-        Without a passphrase these keys are not encrypted. The secrets of datagrams in the file
-        STATE are never encrypted: only mode 0600 protects them. `days`: the life of new
-        certificates. ConfigError if the folder exists.
+        Without a passphrase these keys are not encrypted. The file STATE has the secrets from which
+        the keys of datagrams derive. It is never encrypted: only mode 0600 protects it. `days`: the
+        life of new certificates. ConfigError if the folder exists.
         """
         # 1. The folder, and a certificate that the authority signs itself.
         check_id(swarm, "swarm")
@@ -114,7 +114,8 @@ class Authority:
             .sign(key, hashes.SHA256())
         )
 
-        # 2. An empty roster, and the secret of its generation.
+        # 2. An empty roster, and the secrets from which the keys of datagrams derive: `secret` is
+        # new with each generation of the roster, `master` stays.
         secret = os.urandom(datagram_keys.SECRET_BYTES)
         roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
         content = encode_roster(roster)
@@ -187,12 +188,15 @@ class Authority:
     def _next_roster(self, roles: Mapping[str, Role | None], secret: bytes) -> Roster:
         """The roster of the next generation with these names and roles.
 
-        The roster has digests of the secret, and of the datagram keys of each operator and viewer:
-        robots may hand over secret and keys, and the receiver compares the digests.
+        The roster has digests of the secret, and of the datagram keys of each operator and viewer.
+        A robot with the new roster may hand over the secret to another robot, and these keys to
+        their operator or viewer. The receiver compares them with the digests.
         """
         old, generation = self.roster, self.roster.generation + 1
         operators = [name for name, role in roles.items() if role is Role.OPERATOR]
         viewers = tuple(name for name, role in roles.items() if role is Role.VIEWER)
+        # `answers` (keys that a robot and a reader share) do not change with the roster, and are no
+        # part of the digest.
         reader_keys = {
             name: datagram_keys.reader_keys(
                 generation, secret, name, is_operator=name in operators, answers={}
@@ -225,7 +229,7 @@ class Authority:
         role = self.roster.role_of(name)
         if role is None:
             raise ConfigError(f"{name} is not on the roster of {self.roster.swarm}")
-        with self._locked():
+        with self._locked():  # makes the private key of a new name, which all processes then use
             key = self._key_of(name)
         until = _now() + datetime.timedelta(days=days)
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])

@@ -81,7 +81,7 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
     if bundle.roster.datagram_keys.generation != roster.generation:
         raise CodecError("roster and keys of the bundle are of different generations")
     if not all(is_id(name) for name in (info.swarm, info.name)):
-        raise CodecError("a bundle with names that no key may hold")
+        raise CodecError("a bundle whose swarm or holder has an invalid name")
     return OpenedBundle(bundle, roster)
 
 

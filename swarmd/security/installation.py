@@ -61,7 +61,7 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
-    is_old_moved = False
+    is_swap_begun = False  # True: `folder` may be the new identity, `backup` the old identity
     try:
         # 1. Restore the identity of an installation that was interrupted; remove other remains.
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -81,13 +81,13 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
         # 3. Put the new identity in place of the old identity.
         if os.path.lexists(folder):
             folder.rename(backup)
-        is_old_moved = True
+        is_swap_begun = True
         draft.rename(folder)
         sync_folder(folder.parent)
         yield load_identity(folder)
     except BaseException:  # also a KeyboardInterrupt restores the old identity
         remove_whole(draft)
-        if is_old_moved:
+        if is_swap_begun:
             remove_whole(folder)
             with suppress(FileNotFoundError):
                 backup.rename(folder)

@@ -85,6 +85,7 @@ def take_roster(
     """
     # 1. Check the roster.
     roster = read_roster(shared.roster, identity.info.authority)
+    # The bytes of the present roster if only encoding or signature differ, else the new bytes.
     signed = same_bytes(shared.roster, identity.signed_roster)
     if roster.swarm != identity.info.swarm:
         raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
@@ -193,6 +194,7 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
     if role is Role.ROBOT:
         if digest_of(shared.secret) != roster.secret_digest:
             raise CodecError("a roster with a secret that does not belong to it")
+        # The robot's own secret for answers does not change with the roster.
         return robot_keys(roster.generation, shared.secret, present.answer_secret)
     # An operator or viewer: the keys come from a robot, and are checked by the roster's digest.
     keys = shared.keys
@@ -203,7 +205,7 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: st
         operators=keys.operators,
         viewers=keys.viewers,
         own=keys.own,
-        answers=present.answers,
+        answers=present.answers,  # pair keys, which do not change with the roster
     )
     # The roster has no digest of pair keys: only the robot that proved its name gives its key.
     pair_key = {robot: key for robot, key in keys.answers.items() if robot == giver}

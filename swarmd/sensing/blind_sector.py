@@ -232,11 +232,12 @@ class BlindSectors:
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
-        A static object is the same object in _STREAK comparisons in a row. A sector of the sensor
-        that missed the object in between has missed a static object, which counts against the
-        sector. The object is seen only if all rays in the direction return. `x`, `y` in m is the
-        place of the robot. `_pending` has an element for each direction and sector (the sector has
-        missed the object of the direction), `_missed` for each sector and direction.
+        A static object is the same object in _STREAK comparisons in a row. If a sector of the
+        sensor missed the object before, then this proves that the sector missed a static object,
+        which counts against the sector. The object is seen only if all rays in the direction
+        return. `x`, `y` in m is the place of the robot. `_pending` by direction and sector: the
+        sector has missed the object of the direction. `_missed` by sector and direction: it was
+        static.
         """
         k: cython.Py_ssize_t
 
@@ -247,7 +248,8 @@ class BlindSectors:
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
         is_new: cython.bint = is_seen and not is_same
-        self._streak[d] = self._streak[d] + 1 if is_same else is_seen  # 1: new object, 0: no object
+        # Comparisons in a row that saw this object: 1 for a new object, 0 without an object.
+        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
 
         # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
         # sector with returns is not blind: its misses are forgotten. A new object ends the wait.

@@ -50,9 +50,10 @@ class ScanConditioner:
     - INVALID_SCAN: fewer than half of the rays known, or a sector wider than `max_gap` whose rays
       are unknown, or that has no rays although the sensor has rays there
     - INVALID_SCAN: no return at all after a scan with many far returns
-    - FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends bit-identical scans
-    - FROZEN_STAMP: the stamp is that of the scan before, whose ranges differ
-    - CLOCK_SET: the stamp is below an earlier stamp
+    - FROZEN_SCAN: the sequence number does not rise, or stamp and ranges are those of the scan
+      before, or a noisy sensor sends bit-identical ranges again and again
+    - FROZEN_STAMP: a new sequence number and other ranges, but the stamp of the scan before
+    - CLOCK_SET: a new sequence number, but a stamp below an earlier stamp
     """
 
     _max_sector: cython.double  # rad without rays
@@ -112,9 +113,9 @@ class ScanConditioner:
         n: cython.Py_ssize_t = len(raw_ranges)
         if n == 0 or (bearings is not self._bearings and raw_ranges.shape != bearings.shape):
             return Reason.INVALID_SCAN
-        if bearings is not self._bearings and not self._has_no_gap(bearings):
+        if bearings is not self._bearings and not self._takes_bearings(bearings):
             return Reason.INVALID_SCAN
-        if n != len(self._bearings) or not self._has_ages(scan.ages, n):
+        if n != len(self._bearings) or not self._takes_ages(scan.ages, n):
             return Reason.INVALID_SCAN
         reason = self._not_newer(scan.seq, stamp, raw_ranges)
         if reason is not None:
@@ -141,11 +142,12 @@ class ScanConditioner:
         return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
 
     @cython.cfunc
-    def _has_no_gap(self, bearings) -> cython.bint:
-        """True if no sector is without rays; then stores the bearings.
+    def _takes_bearings(self, bearings) -> cython.bint:
+        """Store the bearings as `_bearings`.
 
-        If the driver may write to the array, the stored array is a copy, since later stages take
-        the same object for the same bearings.
+        False, and nothing is stored, if a bearing is not finite, or a sector has no ray.
+        Later stages take the same object for equal bearings. So `_bearings` stays the same object
+        while bearings are equal, and is a copy if the driver may write to the given array.
         """
         if not np.array_equal(bearings, self._bearings):
             if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
@@ -157,8 +159,8 @@ class ScanConditioner:
         return True
 
     @cython.cfunc
-    def _has_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
-        """True if each ray has a possible age, or none has one; keeps a copy of the ages."""
+    def _takes_ages(self, ages, n: cython.Py_ssize_t) -> cython.bint:
+        """Store the ages of `n` rays, or that no ray has one; False for a wrong number or age."""
         if ages is not None and ages is not self._ages:
             if ages.shape != (n,) or not ((ages >= 0.0) & (ages <= _MAX_RAY_AGE)).all():
                 return False

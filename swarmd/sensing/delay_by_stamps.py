@@ -1,9 +1,9 @@
 """Measures the delay of scans by stamps, where one clock stamps scan and odometry.
 
 The least difference of arrival and stamp of odometry in the last second gives the offset between
-that clock and the robot's clock. The stamp of a scan is the time of its oldest ray, as in ROS. The
-delay of odometry itself cannot be seen, nor a delay that scan and odometry share for more than a
-second.
+that clock and the robot's clock. The stamp of a scan is the time of its oldest ray, as in ROS. Two
+delays cannot be seen: that of odometry itself, and one by which scan and odometry have both been
+late for more than that second.
 """
 
 from __future__ import annotations
@@ -153,8 +153,9 @@ class DelayByStamps:
             self._period_count += 1
         self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
 
-        # 2. The lowest lag of the last two periods. A sudden rise above the value at the end of the
-        # period before makes the ages of scans invalid, which were computed with that value.
+        # 2. The lowest lag of the last two periods. The ages of scans were computed with the lowest
+        # lag at the end of the period before. If that lag rises suddenly, the ages are invalid.
+        # (inf: no period has had a reading so far.)
         lowest_at_last_end: cython.double = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):

@@ -234,8 +234,8 @@ class DelayByTurns:
         if self._ray_step == 0.0:
             return
 
-        # 2. With enough pairs, of four scans only the first two (counts 0 and 1 modulo 4) are used,
-        # as a pair.
+        # 2. With enough pairs, of four scans only two are used, as a pair: the first has the count
+        # 0, the second the count 1 modulo 4.
         self._scan_count += 1
         if self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 > 1:
             return

@@ -93,8 +93,8 @@ class Deskewer:
     Exceptions:
 
     - Without a source, the scan is returned unchanged.
-    - While the measured sweep is not known, rays are not moved. The scan has the time of its mean
-      ray, and each ray gets the greatest age that a ray may have.
+    - While the measured sweep is not known, rays are not moved. The scan counts as measured at the
+      time of its mean ray, and each ray gets the greatest age that a ray may have at that time.
     - Without odometry that reaches back over the whole scan, rays are not moved, but have ages.
     - At rest, the scan keeps its bearings (the same object).
     """
@@ -208,7 +208,9 @@ class Deskewer:
         path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
         if path_rows == 0:
             return None
-        # rad: the sector that the sensor missed, since the robot turned against it.
+        # rad: the sector that the sensor missed, if the robot turned against it. The pose at the
+        # end of the path has yaw 0. The last row has the begin of the scan, so its yaw is minus the
+        # turn of the robot during the scan.
         unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
         is_filled: cython.bint = unmeasured > 0.5 * self._spacing  # half the angle between two rays
         if is_filled and not self._can_fill(stamp, seconds):

@@ -1,8 +1,8 @@
 """Measures the order in which a sensor measures its rays, while the robot turns. Pure.
 
 Many drivers of rotating lidars reverse their rays, but still give a positive `time_increment`. So
-where the platform has no `scan.sweep`, the ages of rays that a driver gives count only for the
-duration of a scan, and this module measures the order of the rays:
+where the platform has no `scan.sweep`, only the duration of a scan is taken from the ages that a
+driver gives its rays, and this module measures the order of the rays:
 
 1. Two scans with half a radian of turn between them are compared. Each sector of the surroundings
    appears displaced by the turn between the two rays that measured it. These turns depend on the
@@ -231,8 +231,8 @@ class MeasuredSweep:
     def ages(self, scan: Scan) -> Array:
         """(n,) s by which each ray is older than the newest ray; the same object for equal scans.
 
-        While the order is not known: half of the duration of a scan for each ray, the most by which
-        a ray can be older than the mean ray.
+        While the order is not known, ages count from the mean ray instead: each ray gets half of
+        the duration of a scan, the most by which it can be older.
         """
         self._update_layout(scan)
         if self._ages is None:
@@ -261,14 +261,15 @@ class MeasuredSweep:
         """
         # 1. Skips scans that show nothing new: unusable rays, rays that are all measured at once (a
         # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest.
-        layout, half = self._update_layout(scan), 0.5 * self._longest_scan()
+        layout = self._update_layout(scan)
+        half = 0.5 * self._longest_scan()  # s from the mean ray to the oldest and the newest ray
         self._scan_count += 1
         if abs(delay - self._delay) > _MAX_DELAY_CHANGE:  # earlier pairs had wrong headings
             self._delay = delay
             self._forget_pairs()
         if self.order is not None and self._scan_count % _SCAN_STRIDE:
             return
-        time = arrival - delay
+        time = arrival - delay  # of the mean ray
         if layout.fault or layout.claim == 0.0 or time - half < headings.times[0]:
             return
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
@@ -277,7 +278,8 @@ class MeasuredSweep:
         self._turned += min(abs(yaw - self._yaw), _MAX_TURN)  # rad since the last pair
         self._yaw = yaw
         age_of_last = time - stored[-1].at if stored else 0.0
-        if turned + abs(skew) < _AT_REST and 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD:
+        is_last_fresh = 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD
+        if turned + abs(skew) < _AT_REST and is_last_fresh:
             return
 
         # 2. The partner: the stored scan whose skew differs most.
@@ -291,8 +293,9 @@ class MeasuredSweep:
             if difference > greatest_difference and earlier.is_comparable(scan_at_pose):
                 partner, greatest_difference = earlier, difference
 
-        # 3. Stores the scan, in place of the last scan if that was near the heading of the scan
-        # before. Then compares the pair, once the robot has turned far enough since the last pair.
+        # 3. Stores the scan. Stored scans are _SPACING apart in heading: while the robot is near
+        # the heading of the last scan but one, the new scan replaces the last. Then compares the
+        # pair, once the robot has turned far enough since the last pair.
         if len(stored) > 1 and abs(yaw - stored[-2].yaw) < _SPACING:
             stored.pop()
         stored.append(scan_at_pose)
@@ -406,6 +409,7 @@ class MeasuredSweep:
         usual_difference = np.maximum(np.median(np.abs(worse_by), axis=0), 1e-9)
         votes = np.minimum(np.maximum(worse_by / usual_difference, -1.0), 1.0)
         standard_errors = np.maximum(votes.std(axis=0, ddof=1), _MIN_SPREAD) / math.sqrt(len(rows))
+        # A neighbour, one step of the start away, fits nearly as well: fewer errors suffice.
         needed_errors = np.where(
             self._candidates.is_neighbor(best), _ERRORS_OF_NEIGHBOR, _STANDARD_ERRORS
         )
@@ -413,9 +417,9 @@ class MeasuredSweep:
         is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * means[best]
         is_worse &= (worse_by[is_left].mean(axis=0) > 0.0) & (worse_by[~is_left].mean(axis=0) > 0.0)
 
-        # 2. Sets the order if all other candidates are worse; but no order if the best candidate
-        # begins within the message (start other than 0). Else keeps the present order, unless the
-        # votes contradict that order.
+        # 2. Sets the order if all other candidates are worse. A candidate that begins at another
+        # ray than the message's first (start other than 0) is never set: then there is no order.
+        # Else keeps the present order, unless the votes contradict that order.
         orders, order = self._candidates.orders, None
         if np.count_nonzero(is_worse) == len(is_worse) - 1:
             order = orders[best] if orders[best].start == 0.0 else None
@@ -456,9 +460,9 @@ def _layout_of(scan: Scan) -> _Layout:
 def _displacements(earlier: Array, later: Array) -> Array:
     """The displacement (18,) in rad of each sector from one scan to a later scan.
 
-    `earlier` and `later` (360,) are the ranges in m by heading, from `cells`. The displacement is
-    that with the least mean squared difference of ranges, refined by a parabola. Counter-clockwise
-    is positive. NaN: the minimum is not clear.
+    `earlier` and `later`: (360,) ranges in m by heading in degrees (`_ScanAtPose.cells`), of which
+    a sector has 20. The displacement is that with the least mean squared difference of ranges,
+    refined by a parabola. Counter-clockwise is positive. NaN: the minimum is not clear.
     """
     wrapped = np.concatenate((earlier[-_SHIFTS:], earlier, earlier[:_SHIFTS]))
     differences = np.lib.stride_tricks.sliding_window_view(wrapped, _CELLS) - later

@@ -55,8 +55,8 @@ def potential_field(
         range_max: m, the reach of the field, greater than `range_min`; with 0 no return is in
             range.
         range_min: m; a nearer ray counts as a ray at `range_min`.
-        bias: added along x; subtracted for "attraction2".
-        ray_threshold: up to this number of returns the robot counts as alone.
+        bias: added to the vector's x (forward); subtracted for "attraction2", as in the paper.
+        ray_threshold: up to this number of returns within range, `is_alone` is True.
         kind: see FieldKind.
         ignore_near: rays nearer than `range_min` do not count, as in the original.
     """
@@ -84,8 +84,8 @@ def field_twist(vector: Array, linear_max: float, angular_max: float) -> Twist:
     """The command of the paper for a field: full speed, only the direction varies.
 
     With the unit vector u: linear = linear_max * u_x, angular = angular_max * asin(u_y); so
-    `|angular|` reaches 1.57 * angular_max (the arbiter clips it), and a vector backward reverses.
-    A zero or non-finite vector gives a zero twist.
+    `|angular|` reaches 1.57 * angular_max (the arbiter clips it), and for a vector that points
+    backwards the robot drives backwards. A zero or non-finite vector gives a zero twist.
     """
     x, y = float(vector[0]), float(vector[1])
     length = math.hypot(x, y)

@@ -152,8 +152,9 @@ class RayMemory:
             return False
 
         # 1. Turns the memory with the robot, so that the memory stays with the surroundings. Even
-        # rays (one each `_step` of a full turn) need only a shift of indices, kept in [0, count).
-        # `_given` is the array of bearings of the last scan: mostly the same object.
+        # rays (one each `_step` of a full turn) need only a shift of indices by whole steps,
+        # wrapped into [0, count). `_given` is the array of bearings of the last scan: mostly the
+        # same object.
         turned: cython.double = self._turn_of(yaw)
         if (
             bearings is not self._given
@@ -272,7 +273,7 @@ class RayMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
-        """Replace the bearings; each ray gets the memory of the nearest earlier ray.
+        """Replace the bearings; each ray gets the memory of the nearest of the rays before.
 
         `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
         whether they are even (a ray at each `_step` of a full turn), and in which direction
@@ -495,6 +496,7 @@ class RayMemory:
             step = self._bearings[i] - self._bearings[wrapped_index(k - 1, count)]
             if fabs(step) >= PI:
                 wrapped_step = wrap(step)
+                # As numpy.unwrap: a step of half a turn keeps its sign.
                 if wrapped_step == -PI and step > 0.0:
                     wrapped_step = PI
                 unwrap_shift += wrapped_step - step

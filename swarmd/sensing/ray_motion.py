@@ -135,7 +135,8 @@ def move_rays(
             x, y = x_begin + fraction * x_change, y_begin + fraction * y_change
             x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
             y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
-        # 4. The return in the frame of its old ray, then as range and bearing.
+        # 4. The return relative to the sensor at the end, along and across the direction (ahead,
+        # left) of its old ray; then as range and bearing.
         ahead = cos_turn * cosines[i] - sin_turn * sines[i]
         left = sin_turn * cosines[i] + cos_turn * sines[i]
         along, across = distance + (ahead * x + left * y), ahead * y - left * x
@@ -182,7 +183,7 @@ def rays_in_sector(
     x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
     y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
     # 2. No return beyond range_min (`limits[2]`) changes its direction by more than `max_change`
-    # rad. Rays farther from the sector are skipped.
+    # rad. Rays outside the sector widened by `max_change` to both sides are skipped.
     max_change: cython.double = PI
     sensor_motion: cython.double = sqrt(x * x + y * y)
     if sensor_motion < _LEAST_SHARE * limits[2]:

@@ -64,8 +64,7 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
     whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
-    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1. A layout keeps
-    the arrays of a scan and its working arrays from call to call.
+    Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
     """
     if count < 1:  # C ends the process where it divides by zero
         raise ValueError(f"count is {count}; expected at least 1 sector")

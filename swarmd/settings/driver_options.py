@@ -40,9 +40,9 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
       watchdog sends zero. The default is `none`, and `base` for a simulated driver. A number below
       the true timeout of the base is dangerous: after the end of its daemon the robot drives on for
       longer than assumed.
-    - `idle_output`: `zeros` sends zero to an idle robot at every tick. `silent` sends zeros to a
-      robot that becomes idle for a second and then nothing, so that a joystick can drive; then
-      nothing stops the robot.
+    - `idle_output`: what the daemon sends to the base of an idle robot. `zeros`: zero at every
+      tick. `silent`: zeros in the first second, then nothing, so that a joystick can drive the
+      base, without protection.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None

@@ -82,9 +82,11 @@ def checked_settings(name: str, swarm: str, settings: Mapping[str, Any]) -> dict
 def draft_daemon_file(
     path: Path, robot: str, settings: Mapping[str, Any], overrides: Mapping[str, object]
 ) -> DraftedFile:
-    """The daemon's own file for a robot: the settings of the swarm, and the kept machine keys.
+    """The content of the daemon's file for a robot.
 
-    ConfigError if the present file or the result is wrong.
+    It has the settings of the swarm, then the keys of the present file that belong to the machine
+    (OWN_KEYS, such as platform), then `overrides`. ConfigError if the present file or the result is
+    wrong.
     """
     old = read(path) if path.exists() else {}
     kept = {key: old[key] for key in OWN_KEYS if key in old and key not in _REPLACED}

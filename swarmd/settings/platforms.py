@@ -13,6 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 
 import swarmd.config
 from swarmd.core.angles import wrap
+from swarmd.core.bounds import Line, Word
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
@@ -42,8 +43,8 @@ Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
 class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The limits of the base, m/s and rad/s, to which commands are clipped.
 
-    A limit above the true limit of the base is dangerous: protection then assumes turns and brakes
-    that the base cannot do. `lateral`: 0 for a base that cannot move sideways.
+    A limit above the true limit of the base is dangerous: protection may then avoid an obstacle by
+    a command that the base cannot follow. `lateral`: 0 for a base that cannot move sideways.
     """
 
     linear: Annotated[float, Meta(gt=0.0, le=20.0)]
@@ -76,7 +77,8 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `range_min`, `range_max`: the ranges in m that the sensor measures.
     - `first_bearing_deg`: bearing of the first ray. A wrong value turns every obstacle.
     - `offset`: position (x, y) of the sensor from the axle, m. A wrong value shifts obstacles.
-    - `zero`: the meaning of a range of 0.
+    - `zero`: how a range of 0 is read. `no_return`: nothing is within `range_max`. `too_close`: an
+      object is nearer than `range_min`. `unknown`: the ray is not valid. `lds`: as LDS lidars do.
     - `noisy`: True: two equal scans mean a frozen sensor. False: equal scans are normal.
     - `max_gap_deg`: the widest sector without valid rays that is bridged. With a greater value a
       larger object can stand there unseen. With a smaller value more scans are invalid, and an
@@ -109,9 +111,9 @@ class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     - `scan_plane`: height of the rays. With a wrong value a robot that is not seen counts as seen,
       and may be hit.
-    - `lowest`, `highest`: rays at any height between these meet an opaque part of this robot from
-      every side (wheels do not count). If they are too far apart, other robots expect to see this
-      robot, and may hit it.
+    - `lowest`, `highest`: a horizontal ray between these heights hits an opaque part of this robot
+      from every side (wheels do not count). If the stated heights lie too far apart, other robots
+      expect to see this robot where they cannot, and may hit it.
     """
 
     scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
@@ -122,7 +124,7 @@ class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The protection mode, and the settings of each mode.
 
-    - `preset`: which of the `presets` of the potential field holds.
+    - `presets`, `preset`: settings of the mode `potential_field` by name, and the name in use.
     - `avoidance`: `orca` leads a robot past moving robots, in the modes `barrier` and `stop_zone`.
       `none`: the robot drives towards them until protection or recovery turns it away.
     """
@@ -171,6 +173,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
+    - `words`: by driver, what each word of an operator, such as `stop`, means to a robot that does
+      more than it says. `describe` shows these texts.
     """
 
     description: str = ""
@@ -186,6 +190,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
     ranges: ScanSection | None = None
     sensors: dict[SensorName, Sensors] = {}
+    words: dict[str, dict[Word, Line]] = {}
 
 
 def platform_names() -> tuple[str, ...]:
@@ -382,9 +387,9 @@ def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
 def _check_sight(platform: Platform) -> Iterator[Fault]:
     """Check that rate and range of the scan sensor suffice to stop before obstacles.
 
-    In mode `barrier` the needed range follows from speed, deceleration and age of scans. The other
-    modes need no range. The fault of a short range also names the greatest `limits.linear` with
-    which the range suffices. `_check_cone` checks wide beams.
+    In mode `barrier` the needed range follows from speed, deceleration and age of scans. In other
+    modes any range suffices. The fault of a short range also names the greatest `limits.linear`
+    with which the range suffices. `_check_cone` checks wide beams.
     """
     scan, limits = platform.scan, platform.limits
     barrier = barrier_settings(platform)
@@ -395,6 +400,7 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
     def needed_range(top_speed: float) -> float:
         """The range in m that the sensor needs with this `limits.linear` in m/s."""
         changed = replace(platform, limits=replace(limits, linear=top_speed))
+        # The distance from the sensor beyond which no obstacle limits the robot.
         return BindingRange(changed, barrier, TICK).for_sensor()
 
     needed = needed_range(limits.linear)
@@ -409,8 +415,9 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
         f" protection.barrier, by scans that are {scan.stale_after:g} s old beyond scan.latency"
         f" {scan.latency:g} (scan.rate {scan.rate:g})"
     )
-    # Lower speeds in steps of 0.01 m/s, the fastest first.
-    lower_speeds = (0.01 * count for count in range(math.ceil(100.0 * limits.linear) - 1, 0, -1))
+    # Lower speeds in steps of 0.01 m/s, the fastest (of whole cm/s below `limits.linear`) first.
+    fastest_cm = math.ceil(100.0 * limits.linear) - 1
+    lower_speeds = (0.01 * speed_cm for speed_cm in range(fastest_cm, 0, -1))
     fitting = (speed for speed in lower_speeds if needed_range(speed) <= scan.range_max)
     fastest = next(fitting, None)
     if fastest is not None:
@@ -421,12 +428,14 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
 def _check_cone(scan: ScanSpec, barrier: BarrierSettings, needed: float) -> Iterator[Fault]:
     """Check that `unseen_extent` covers a beam of `scan.cone` up to the `needed` range in m.
 
-    A return counts in the middle of its beam. An object at the edge of the beam is one chord from
-    there, and a greater `unseen_extent` adds to the needed range.
+    A return counts as a point in the middle of its beam, but the object may be at an edge: the
+    distance between the two is the chord of half the beam's width. `unseen_extent`, how far an
+    obstacle may extend beside its return, must cover that chord.
     """
     chord = 2.0 * math.sin(scan.cone / 4.0)  # as a share of the range
     if barrier.unseen_extent >= chord * needed:
         return
+    # The solution x of x = chord * (needed - unseen_extent + x): `needed` contains the extent.
     least = chord * (needed - barrier.unseen_extent) / (1.0 - chord)
     text = (
         f"is {barrier.unseen_extent:g}; expected at least {math.ceil(100.0 * least) / 100.0:g}: a"
@@ -517,6 +526,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         body=file.body,
         ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
         sensors={name: _sensors(some) for name, some in file.sensors.items()},
+        words=file.words,
     )
 
 

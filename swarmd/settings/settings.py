@@ -20,6 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.files import user_path
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.values import OPTION_INPUTS, Platform, TouchZone, Value, sensor_names
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
@@ -67,6 +68,7 @@ class DaemonSettings:
     accepts: Accepts
     neighbors: NeighborSettings
     fence: FenceSettings | None
+    on_low_battery: LowBatterySettings | None
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
@@ -125,7 +127,7 @@ def load_daemon_settings(
     if file.fence is not None and (text := fence_fault(file.fence, platform)):
         raise layers.error(("fence",), f"fence {text}")
 
-    # 3. Folders, and the inputs that the driver's options add.
+    # 3. Folders, and the inputs that the driver's options add, such as the readings of topics.
     state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
     state_dir = state_dir or state_folder(environ)
     recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
@@ -134,11 +136,12 @@ def load_daemon_settings(
     platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
-        network=msgspec.convert(file, NetworkSettings, from_attributes=True),
+        network=msgspec.convert(file, NetworkSettings, from_attributes=True),  # the fields of both
         platform=platform,
         platform_name=_absolute(file.platform, folder),
         driver=file.driver,
         driver_options=options,
+        # `members`, `robots`: `labels` and `roster` of the file, with all ranges expanded.
         labels=tuple(label for label, robots in file.members.items() if robot in robots),
         label_members=file.members,
         parameters=file.parameters,
@@ -146,6 +149,7 @@ def load_daemon_settings(
         accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
         neighbors=file.neighbors,
         fence=file.fence,
+        on_low_battery=file.on_low_battery,
         roster=file.robots if identity is None else identity.roster.robots,
         state_dir=state_dir,
         plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),
@@ -199,7 +203,7 @@ def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[s
 
 
 def _inputs_of(options: Mapping[str, Value]) -> set[str]:
-    """The inputs for patterns that a driver with these options provides beside the platform's.
+    """The inputs for patterns that a driver with these options adds to those of the platform.
 
     An entry of `readings` with a list of topics, or with a `count`, gives several sensors.
     """

@@ -16,6 +16,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.files import user_path
 from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.names import expand_globs, expand_names
 from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
@@ -35,7 +36,8 @@ PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max
 """Platforms that are accepted, perhaps each with the reason."""
 Parameters = dict[str, dict[str, BoundedScalar | None]]
 _Flat = BoundedScalar | list[BoundedScalar]
-Option = _Flat | dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]] | None
+_Inner = dict[str, _Flat | dict[str, _Flat | dict[str, BoundedScalar]]]
+Option = _Flat | dict[str, _Flat | _Inner] | None
 Options = dict[str, Option]
 
 # Command-line options that are not named like their key.
@@ -94,10 +96,14 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
     - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`, `accepts_faster`: platforms whose robots may drive beside a robot that does
-      not see them (`accepts_unseen`), or that assumes a lower speed (`accepts_faster`). A list of
-      platforms, or reasons by platform. Robots may collide with robots of these platforms.
+    - `accepts_unseen`: platforms that the lidar of other robots misses, as it passes over or under.
+      Without this key a robot stands while it does not know where such a peer is; with the key it
+      drives, and may collide with the peer.
+    - `accepts_faster`: platforms that are faster than the barrier of other robots assumes. Without
+      this key a robot stands while it has such a peer. Both keys: a list of platforms, or reasons
+      by platform.
     - `fence`: the area in a shared frame that robots do not leave.
+    - `on_low_battery`: what a running robot does when its battery is low. None: nothing.
     """
 
     identity: str | None = None
@@ -111,6 +117,7 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
     fence: FenceSettings | None = None
+    on_low_battery: LowBatterySettings | None = None
 
     @property
     def robots(self) -> tuple[str, ...]:
@@ -219,9 +226,10 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
         yield from _check_names(file)
         for key, text in file.neighbors.faults():
             yield fault_at(("neighbors", key), text)
-        if file.fence is not None:
-            for keys, text in file.fence.faults():
-                yield fault_at(("fence", *keys), text)
+        for key in ("fence", "on_low_battery"):
+            if (section := getattr(file, key)) is not None:
+                for keys, text in section.faults():
+                    yield fault_at((key, *keys), text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)

@@ -49,9 +49,10 @@ def read(path: Path) -> Data:
 def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
     """Read a file, the file that it names by `extends`, and so on.
 
-    Returns (path, content) of each file; a value of an earlier file replaces a value of a later
-    file. `find(name, folder)` returns the path of a file that a file in `folder` extends.
-    ConfigError if a file extends itself, directly or not, or a missing file.
+    Yields (path, content) of each file. A file comes before the file that it extends, whose values
+    its own values replace; the caller merges them. `find(name, folder)` returns the path of a file
+    that a file in `folder` extends. ConfigError if a file extends itself, directly or not, or a
+    missing file.
     """
     seen: list[Path] = []
     while True:
@@ -104,8 +105,8 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
     """The data as YAML text that `read` reads back unchanged: text such as 08 is quoted.
 
-    `flow`: True: all lists and mappings in brackets; None: only the innermost; False: none.
-    ConfigError for a path that is not UTF-8.
+    `flow` True: lists and mappings in brackets, such as [1, 2]. False: an item a line. None: only
+    the innermost in brackets. ConfigError for a path that is not UTF-8.
     """
     text: str = yaml.dump(
         data,

@@ -409,7 +409,7 @@ class DriverContract:
         async def story(harness: DriverHarness) -> None:
             reports: list[tuple[Hazard, ...]] = harness.sink.taken["hazards"]
             order = harness.sink.order
-            # Before the first scan the robot is held.
+            # The driver reports the hold after it is connected ("up"), and before the first scan.
             await harness.until(lambda: "scan" in order, publishing=True)
             assert order.index("up") < order.index("hazards") < order.index("scan")
             not_heard = reports[0]
@@ -484,14 +484,14 @@ class DriverContract:
     ) -> None:
         """Scans of a ring of range sensors arrive as `ranges`, apart from scans of the lidar.
 
-        Their sequence numbers and stamps rise, and the ranges of lidar scans stay their own.
+        Their sequence numbers and stamps rise, and no ring's scan arrives as a scan of the lidar.
         """
         rig, sink = harness.rig, harness.sink
         spec = rig.platform.ranges
         if spec is None or not isinstance(rig, RingRig):
             pytest.skip("this rig is no RingRig")
         ranges = np.linspace(spec.range_min, spec.range_max, len(spec.bearings))
-        ranges[-1] = np.inf
+        ranges[-1] = np.inf  # a sensor without a return
 
         def have_three_arrived() -> bool:
             rig.publish_ranges(ranges)
@@ -509,6 +509,7 @@ class DriverContract:
             assert after.stamp > before.stamp
         # No scan of the ring counts as a scan of the lidar, which has another number of rays.
         assert all(len(scan.ranges) != len(ranges) for scan in sink.scans)
+        # The sink is called on the thread of the loop only.
         assert sink.threads == {threading.get_ident()}
 
     @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
@@ -537,7 +538,7 @@ class DriverContract:
                     rig.publish_odometry()
                     if elapsed * rate >= sent:
                         number = next(numbers)
-                        seq = 1000 + number
+                        seq = 1000 + number  # above the numbers of earlier scans of the test
                         bearings = _regular(harness, ray_count)
                         # Ranges change from scan to scan, as those of a real lidar do.
                         ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)

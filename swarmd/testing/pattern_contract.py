@@ -208,8 +208,8 @@ class PatternContract:
     def test_steps_give_outputs_and_nothing_else(self, subject: Subject) -> None:
         """Steps before and with scans give outputs of the declared types, and have no side effect.
 
-        Messages go to declared channels and fit the wire; reports are scalars. A step uses no file,
-        socket, process, clock or console, never sleeps, and takes chance from `context.rng`.
+        Messages go to declared channels and can be encoded; reports are scalars. A step uses no
+        file, socket, process, clock or console, never sleeps, and takes chance from `context.rng`.
         """
         pattern = subject.make()
         for inputs in subject.story(pattern, [*[None] * 10, *busy_scans(subject.platform, 40)]):

@@ -61,7 +61,7 @@ def scan_of(
     if room is not None:
         ranges = np.minimum(_to_wall(0.5 * room, x, cos), _to_wall(0.5 * room, y, sin))
     for disc in discs:
-        # Ray and circle: `along`, the way to the point nearest to the center; less half the chord.
+        # The ray passes the center nearest at `along` m, and enters the disc half a chord before.
         along = (disc.x - x) * cos + (disc.y - y) * sin
         half_chord_squared = disc.radius**2 - ((disc.x - x) ** 2 + (disc.y - y) ** 2 - along**2)
         hit = along - np.sqrt(np.maximum(half_chord_squared, 0.0))

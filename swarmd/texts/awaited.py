@@ -74,8 +74,8 @@ def meeting(view: MembersView, names: Iterable[str], awaited: Awaited) -> tuple[
 def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str, str]:
     """The robots in `names` that do not meet the conditions, each with its present state in words.
 
-    With `count`: empty once `count` robots meet the conditions. Otherwise an entry with an empty
-    name has the number of robots that meet the conditions.
+    With `count`: empty once `count` robots meet the conditions. Before that, a first entry, whose
+    name is empty, says how many robots meet them, such as "2 of 5 robots".
     """
     names = tuple(names)
     texts = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}

@@ -127,7 +127,8 @@ def of_robot(
         skew: s, the robot's wall clock less that of this machine.
         error: s, the bound of the error of `skew`.
         version: the version of this swarmctl.
-        ways: how this machine hears the robot, such as `multicast`.
+        ways: by which ways the robot's beacons reach this machine, such as `multicast`; may be
+            empty.
         others: the number of other robots that are alive.
         now: s since 1970.
         roster: the generation of the roster on this machine; None: this machine has no roster.
@@ -149,7 +150,7 @@ def of_robot(
     if reply.profile != "routed":
         yield _hears(reply, others)
 
-    # 3. The robot itself.
+    # 3. The robot itself. `storage`: why a restart would lose latches (the state folder's fault).
     if reply.storage:
         remedy = "make the state folder writable, then repeat the estop; see docs/trouble.md"
         yield Finding("latches", False, reply.storage, remedy)

@@ -82,10 +82,11 @@ def content_of(goal: Goal) -> dict[str, Any]:
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The robots of two goals: those of goal `before`, and those that only goal `present` has.
+    """The targets of goal `before`, and the robots that only goal `present` targets.
 
-    Only expected robots count. The second list is empty if `present` has no pattern. A robot whose
-    labels are not known is matched by its name alone.
+    For `undo`: the first list runs `before`, the second list is stopped. Both have only the robots
+    that must answer (`MembersView.expected`). The second list is empty if `present` has no pattern,
+    since its robots stand already. A robot of unknown labels is matched by its name alone.
     """
     labels = {
         name: member.status.labels

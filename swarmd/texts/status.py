@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from swarmd.core.messages import (
+    BatterySummary,
     Body,
     FenceSummary,
     Member,
@@ -43,6 +44,7 @@ def sections(
         (_report_title(status), _report(status, described)),
         ("Readings", _readings(status)),
         ("Health", _health(status)),
+        ("Meaning of words", list(status.words.items())),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
         ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
     ]
@@ -117,7 +119,18 @@ def _state(status: Status) -> list[tuple[str, str]]:
         ("generation", str(status.generation)),
         ("revision", str(status.epoch.revision)),
         ("changed by", status.changed_by or NOTHING),
+        *([] if status.battery is None else [("battery", battery_text(status.battery))]),
     ]
+
+
+def battery_text(battery: BatterySummary) -> str:
+    """The charge, and what happens or has happened at a low charge, in one line."""
+    act = "the robot stands" if battery.pattern is None else f"the robot runs {battery.pattern}"
+    charge = "no fresh reading" if battery.charge is None else f"{battery.charge:.2f}"
+    if not battery.is_low:
+        return f"{charge}; below {battery.below:g} {act}"
+    has_run = f"; {act}" if battery.runs else ""
+    return f"{charge}: low, since it was below {battery.below:g}{has_run}"
 
 
 def _latch(status: Status, latch_id: str) -> str:

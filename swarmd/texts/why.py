@@ -29,6 +29,7 @@ SENTENCES = {
     Reason.ROSTER_CHANGED: f"it has taken another roster{{detail}}; {_START}",
     Reason.SUPERSEDED: "a later goal ended its run{detail}; see `swarmctl goal`",
     Reason.LEASE_ENDED: f"the operator of its run was not heard{{detail}}; {_START}",
+    Reason.LOW_BATTERY: f"its battery is low{{detail}}; charge it, then {_START}",
     Reason.NO_SCAN: "no scan arrives{detail}; check the driver{driver}",
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
@@ -79,7 +80,7 @@ def why(member: SeenMember) -> str:
     """One sentence: the state of a robot; if the robot stands, the reason and what to do."""
     # 1. A robot without a present status.
     status = member.status
-    if member.contact is Contact.UNREACHABLE:
+    if member.contact is Contact.UNREACHABLE:  # only the peer `member.by` hears the robot
         return f"alive by {member.by}'s word, {seconds(member.age)} ago; not reachable from here"
     if member.contact is Contact.OTHER_VERSION:
         return f"{member.state}; it speaks {member.wire}, this swarmctl {codec.VERSION}"
@@ -90,7 +91,7 @@ def why(member: SeenMember) -> str:
         heard = f"heard {seconds(member.age)} ago"
         return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"
 
-    # 2. A robot that moves.
+    # 2. A robot that moves: it has no reason to stand.
     reason = status.reason
     if reason is None:
         manoeuvre = " around an obstacle" if status.decision.is_recovering else ""
@@ -108,7 +109,8 @@ def why(member: SeenMember) -> str:
         )
         return past_hold + _lost(status)
 
-    # 4. A robot that stands: the sentence of its reason, with its fields filled in.
+    # 4. A robot that stands: the sentence of its reason, with its fields filled in. A sentence uses
+    #    some of the fields, such as `late`: the delay of scans beyond the declared delay.
     issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
     sentence = SENTENCES[reason].format(
@@ -145,10 +147,10 @@ def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
 
 
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
-    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with the first of its rows.
+    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with its tightest row.
 
-    A row is an obstacle point that constrains the command. Rows within 10 deg of one another count
-    as one obstacle.
+    A row is an obstacle point that constrains the command; the tightest comes first. Rows within 10
+    deg of one another count as one obstacle.
     """
     seen: list[LimitingObstacle] = []
     for row in rows:

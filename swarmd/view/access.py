@@ -36,8 +36,8 @@ HEADERS = {
 class Access:
     """The tokens of operators and of viewers, which a page must quote.
 
-    With `is_read_only` no page may send commands. Without tokens each page may, so that a server
-    without tokens listens on loopback only. ConfigError for tokens that protect nothing, such as
+    With `is_read_only` no page may send commands. Without tokens each page may: `check_bind` lets
+    such a server listen on loopback only. ConfigError for tokens that protect nothing, such as
     equal tokens of operators and viewers.
     """
 
@@ -83,9 +83,10 @@ class Access:
     def allows(self, headers: Headers) -> bool:
         """False for a request that may come from a script of another site.
 
-        A browser runs such scripts, and their requests reach loopback. The origin of such a script
-        differs from the host in the request. A site may also let a host name of its own point to
-        loopback. So without a token any host name other than `localhost` is refused.
+        A browser runs such scripts, and their requests reach loopback. 1. The origin of such a
+        script differs from the host in the request. 2. By DNS rebinding a site lets its own host
+        name point to loopback, so that origin and host agree: without a token only requests to
+        `localhost`, or to a loopback address, are allowed.
         """
         try:
             origin, host = headers.get("Origin"), headers.get("Host", "")

@@ -108,9 +108,10 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send a past moment to the page with the number of its frame, and waiting messages.
+        """Send a past moment to a page that looks back, then the messages that wait.
 
-        A command of the page quotes the number of a frame, and counts as old as that frame.
+        The frame has the number that it had at its time. A command of the page quotes the number of
+        the frame that the user saw, and so counts as old.
         """
         if self._is_sending:
             return

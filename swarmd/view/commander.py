@@ -31,11 +31,11 @@ MAX_STOPS = 16
 class LiveCommander:
     """Carries out commands of pages, each with an operator and a thread of its own.
 
-    `known`: the robots that pages show; a stop of all robots expects a reply of each. `reason`:
-    stored with each emergency stop and reset. An emergency stop is repeated until all robots have
-    acknowledged it, another emergency stop begins, or `end_estop` is called. Requests that wait for
-    answers delay neither a stop nor the end of the program. After `act` is cancelled no further
-    request is sent, except a stop.
+    `known`: the robots that pages show; a stop of all robots expects a reply of each. `reason`: a
+    text that robots store with each emergency stop and reset. An emergency stop is repeated until
+    all robots have acknowledged it, another emergency stop begins, or `end_estop` is called.
+    Requests that wait for answers delay neither a stop nor the end of the program. A task of `act`
+    that is cancelled, such as when the page closes, sends no further request, except a stop.
     """
 
     def __init__(
@@ -136,8 +136,9 @@ class LiveCommander:
         """
         # 1. Parse the texts, before anything is sent.
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
-        run = Run(pattern=str(fields.get("pattern")), params=params)
+        run: Run | None = None
         if verb == "run":
+            run = Run(pattern=str(fields.get("pattern")), params=params)
             run.check()
         added: tuple[str, ...] = ()
         removed: tuple[str, ...] = ()
@@ -159,7 +160,9 @@ class LiveCommander:
             elif verb == "label":
                 outcome = change_labels(targeted, added, removed)
             else:
-                # A run of all robots gets a goal for all, also for robots that join later.
+                assert run is not None
+                # If the page names all robots, the goal names none: it then also targets robots
+                # that join later.
                 is_for_all = targeted.view.expected <= set(names)
                 goal_names = () if is_for_all else names
                 outcome = carry_out(run, targeted, goal_names, opened).outcome

@@ -97,7 +97,8 @@ class FoxgloveServer:
         # `frame`: rows of robot index, x, y (m), yaw (rad).
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
-        # 2. Transforms. A robot that is absent keeps the stamp of its last message.
+        # 2. Transforms. The transform of an absent robot has the stamp of the robot's last message,
+        #    so that Foxglove does not show it as present.
         if self._places.is_read:
             now = time.time()
             stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}

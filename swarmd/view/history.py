@@ -168,7 +168,8 @@ def measured(
     - `clusters`: the number of chains of robots, each within `link` m of the next (single linkage);
       left out if `link` is None.
     - `speed`: the mean over robots in m/s, from their places.
-    - `active`: the share of running robots whose command protection changes.
+    - `active`: the share of running robots whose command protection changes, or that it steers
+      around or away from obstacles.
     - each report and reading, as `report:NAME` or `readings:NAME`: the mean of numbers; of words
       the share of the most frequent word.
     """
@@ -183,6 +184,7 @@ def measured(
     alive = [row for row in rows.values() if row.get("presence", "alive") == "alive"]
     running = [row for row in alive if row.get("state") == "running"]
     if running:
+        # `clear`: protection passes the command unchanged.
         active_count = sum(row.get("protection", "") not in ("", "clear") for row in running)
         values["active"] = active_count / len(running)
     # Reports and readings of all robots; at most MAX_KEYS names.
@@ -192,6 +194,7 @@ def measured(
             for key, value in row.get(kind, {}).items():
                 by_name.setdefault(f"{kind}:{key}", []).append(value)
     for name, robot_values in [*by_name.items()][:MAX_KEYS]:
+        # If any robot reports a word, the words count, and numbers of others are left out.
         words = [value for value in robot_values if isinstance(value, str | bool)]
         if words:
             values[name] = max(Counter(words).values()) / len(words)

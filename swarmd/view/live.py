@@ -67,8 +67,9 @@ class LiveSource:
         self.descriptions: Mapping[str, Mapping[str, Any]] = {}
         self._describe = describe
         self._described: set[str] = set()  # platforms for which `describe` was called
-        self._descriptions = 0  # count of finished descriptions
-        # Events as lines; None: `_marks` must be made anew from `_lines`.
+        self._descriptions = 0  # count of finished descriptions; part of `revision`
+        # Events: lines of single robots, and marks, which join equal lines of several robots for
+        # the page. None: a line has come since the marks were made.
         self._feed = EventFeed(SPAN)
         self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
         self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
@@ -185,7 +186,8 @@ class LiveSource:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
             row["age"] = age
-            row["at"] = round(time.monotonic() - age - status.since)  # when the state began
+            # When the state began, on this machine's clock; whole s, so that the row stays equal.
+            row["at"] = round(time.monotonic() - age - status.since)
             row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:
                 row |= {"presence": member.presence.value, "why": GONE[member.presence]}
@@ -314,8 +316,8 @@ class LiveSource:
     def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
         """Describe the patterns on new platforms: groups, parameters, and reasons against a run.
 
-        Runs in a thread. The defaults of parameters are those on the platform that is described
-        first.
+        Runs in a thread. Defaults of parameters depend on the platform: the page shows those of the
+        platform that was described first.
         """
         for platform in platforms:
             with contextlib.suppress(SwarmError):  # of a platform that is not known on this machine

@@ -1,10 +1,11 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `programs`, `playback`, `plots`, `marks`,
-`notice`, `overload`, `answer` and `estop` as JSON, frames and scans as bytes (see
-`source.pack_frame`). From the page: `ack` (of a frame), `select`, `play`, `seek`, `choose`, `past`
-(a time to look back at) and `act` (a command). The server keeps an emergency stop that not all
-robots have acknowledged, so that a page which opens later shows this stop, too.
+To the page, as JSON: `hello` (robots and patterns), `rows` (statuses by robot), `detail` (of a
+selected robot), `boxes`, `links`, `programs`, `playback`, `plots`, `marks` (events), `notice` and
+`overload` (texts), `answer` (to a command) and `estop`. As bytes: frames (poses) and scans
+(`source.pack_frame`). From the page: `ack` (of a frame), `select` (robots), `play`, `seek` and
+`choose` (of a recorded run), `past` (a time to look back at) and `act` (a command). The server
+keeps an emergency stop that not all robots have acknowledged, for pages that open later.
 """
 
 from __future__ import annotations
@@ -381,11 +382,11 @@ def _refusal(id: str, text: str) -> dict[str, Any]:
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
-    """A class of WebSocket connections that cannot fill the memory of the server.
+    """A class of WebSocket connections with limits, so that clients cannot fill the memory.
 
-    Each connection adds itself to `waiting`; the server removes it once it has a role. Beyond
-    MAX_WAITING the oldest waiting connection is aborted. A client that sends requests without
-    reading the answers is aborted, too, once more than MAX_UNREAD bytes are unread.
+    Each connection adds itself to `waiting`; the server removes it once it has a role (operator or
+    viewer). Beyond MAX_WAITING the oldest waiting connection is aborted. A client that sends
+    requests without reading the answers is aborted, too, once more than MAX_UNREAD bytes wait.
     """
 
     class Limited(ServerConnection):

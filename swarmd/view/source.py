@@ -141,8 +141,9 @@ class Source(Protocol):
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """The details of the robot `name`, as JSON; None if nothing is known.
 
-        `sections`: titles, each with pairs of name and text. `events`: pairs of age and text.
-        `values`: pairs without a title. `why`: one sentence. Each key may be missing.
+        `sections`: a list of (title, pairs of name and text). `values`: pairs of name and text
+        outside any section. `events`: pairs of age and text. `why`: one sentence. Each key may be
+        missing.
         """
 
     def select(self, names: Sequence[str]) -> None:
@@ -150,9 +151,10 @@ class Source(Protocol):
 
 
 def link_of(platforms: Iterable[Platform]) -> float | None:
-    """The distance in m within which robots count as linked: twice the largest threshold.
+    """The distance in m within which robots count as linked, as in the metrics of experiments.
 
-    The threshold is that of protection. The metrics of experiments use the same distance.
+    Twice the largest `threshold` of the platforms (the distance up to which the potential field
+    reacts to obstacles); None if no platform has a threshold.
     """
     thresholds = (one.protection.get("threshold", 0.0) for one in platforms)
     return 2.0 * max(thresholds, default=0.0) or None
@@ -199,10 +201,11 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The values of a status that pages show of a robot, as JSON.
 
-    `why`: the reason in words why the robot does not move. Commands are linear (m/s), angular
-    (rad/s), lateral (m/s). `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the
-    highest speed towards it that protection permits (m/s). `near` (m) and `battery` only if known.
-    `fence`: the corners of its polygons in m, the outer polygon first; missing without a fence.
+    `why`: the reason in words why the robot does not move. `stands`: see `standing_of`. `lost`: why
+    the base takes no commands; empty if it does. Commands are linear (m/s), angular (rad/s),
+    lateral (m/s). `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest
+    speed towards it that protection permits (m/s). `near` (m, the least gap) and `battery` only if
+    known. `fence`: the corners of its polygons in m, the outer polygon first; missing without one.
     """
     decision = status.decision
     protection = protection_word_of(decision)

@@ -59,8 +59,10 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     height_below = body_height - len(scene.order) - 1
     # 2. The table, with the map beside it, below it, or without a map.
     if width_beside >= min_map_width and body_height >= min_map_height + FRAME:
+        # Long names widen the table, from the columns that the map can spare.
         name_width = _name_width(scene, width_beside - min_map_width)
-        map_width = width - (TABLE_WIDTH - NAME_WIDTH + name_width) - MARGIN
+        table_width = TABLE_WIDTH - NAME_WIDTH + name_width
+        map_width = width - table_width - MARGIN
         map_lines = map_of(scene, *map_size(scene.area, map_width, body_height - FRAME))
         body = _side_by_side(table_of(scene, body_height, name_width), map_lines)
     else:
@@ -71,7 +73,8 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     # 3. A low screen has less of the table, then less of the answers; the prompt, the last line,
     #    always stays.
     top_height = max(height - len(bottom), 0)
-    lines = [title, *body][:top_height] + bottom[-max(height, 1) :]
+    bottom_height = max(height, 1)
+    lines = [title, *body][:top_height] + bottom[-bottom_height:]
     for line in lines:
         line.truncate(width, overflow="ellipsis")
     return lines

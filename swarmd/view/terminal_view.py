@@ -173,8 +173,8 @@ class TerminalView:
         controls = self._controls
         shown_before, self._known = self._robots, known
         self._robots = controls.shown(search_texts)
-        controls.follow(self._robots, shown_before)
-        # 3. Their poses on the map.
+        controls.follow(self._robots, shown_before)  # if the robot at the cursor is gone
+        # 3. Their poses on the map, each by the odometry of its robot: there is no shared frame.
         poses, area = self._where()
         shown_poses = {
             name: poses[name] for name in self._robots if name in poses and name in present

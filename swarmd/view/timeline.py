@@ -194,7 +194,8 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     timed = sorted(messages_of_all, key=lambda message: message[0])
     if not timed:
         raise ConfigError(f"{paths[0]}: no messages in this recording")
-    # 2. A track for each robot.
+    # 2. A track for each robot. Times count from the first odometry, since from then on a robot has
+    #    a place; messages before it have negative times.
     odometry_times = (at for at, topic, *_ in timed if topic.endswith("/odometry"))
     start = next(odometry_times, timed[0][0])
     tracks: dict[str, Track] = {}

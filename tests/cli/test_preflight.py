@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_fence,
+    _check_low_battery,
     _platform_text,
     check_daemon,
     check_patterns,
@@ -223,6 +225,24 @@ def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> N
     )
     with pytest.raises(ConfigError, match=r"r\.yaml: fence is too small for platform jackal: its"):
         given(0.6)
+
+
+@pytest.mark.parametrize(
+    ("given", "is_well", "text"),
+    [
+        ({"below": 0.25}, True, "below 0.25 the robot stands, until 0.35"),
+        ({"below": 0.2, "pattern": "drive"}, True, "below 0.2 the robot runs drive, until 0.3"),
+        ({"below": 0.2, "pattern": "driv"}, False, "did you mean 'drive'"),
+    ],
+)
+def test_what_a_low_battery_does_is_told(
+    tmp_path: Path, given: dict[str, object], is_well: bool, text: str
+) -> None:
+    settings = settings_of(tmp_path, json.dumps({"on_low_battery": given}))
+    (finding,) = _check_low_battery(settings)
+    assert finding.is_well is is_well
+    assert text in finding.text
+    assert "on_low_battery: {below: " in effective_config(settings)
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:

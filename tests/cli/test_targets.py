@@ -6,7 +6,7 @@ import click
 import pytest
 
 from swarmd.cli.targets import read_targets
-from swarmd.client.targets import Targets, named, robots_of, stopped, unlabelled
+from swarmd.client.targets import Targets, named, robots_of, stop_targets, unlabelled
 from swarmd.core.errors import RequestError
 from swarmd.core.messages import Presence
 from swarmd.network.operator.exit_codes import NO_TARGET
@@ -39,11 +39,15 @@ def test_a_robot_with_any_of_the_labels_is_a_target(
     targets: Targets, chosen: tuple[str, ...]
 ) -> None:
     assert robots_of(view(), targets) == chosen
-    assert set(stopped(view(), targets).matching(LABELS)) == set(chosen) if targets.labels else True
+    assert (
+        set(stop_targets(view(), targets).matching(LABELS)) == set(chosen)
+        if targets.labels
+        else True
+    )
 
 
 def test_a_label_without_robots_is_refused_with_the_nearest() -> None:
-    for resolve in (named, stopped):
+    for resolve in (named, stop_targets):
         with pytest.raises(RequestError, match="'red'") as found:
             resolve(view(), Targets(labels=("rde",)))
         assert found.value.exit_code == NO_TARGET
@@ -60,15 +64,15 @@ def test_a_robot_without_a_status_may_have_the_label() -> None:
 
 def test_a_stop_by_label_reaches_robots_whose_labels_are_not_known() -> None:
     seen = view("r1")
-    assert stopped(seen, Targets(labels=("fast",))).matching((*LABELS, "new")) == (
+    assert stop_targets(seen, Targets(labels=("fast",))).matching((*LABELS, "new")) == (
         *("new", "r1", "r2", "r3"),
     )
     # r1 may be the robot that has it.
-    assert stopped(seen, Targets(labels=("blue",))).matching(LABELS) == ("r1",)
+    assert stop_targets(seen, Targets(labels=("blue",))).matching(LABELS) == ("r1",)
 
 
 def test_a_stop_by_label_goes_to_all_if_no_robot_was_heard() -> None:
-    assert stopped(MembersView({}), Targets(labels=("red",))).matching(LABELS) == tuple(LABELS)
+    assert stop_targets(MembersView({}), Targets(labels=("red",))).matching(LABELS) == tuple(LABELS)
 
 
 def test_names_alone_do_not_show_labels() -> None:

@@ -287,6 +287,7 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
         ("patterns", ["`opinions`", "`spacing`"]),
         ("comparison", ["`attraction`", "`hop_gradient`", "`voter_model`"]),
         ("platforms", [*(f"`{name}`" for name in platform_names()), "`braking_linear`"]),
+        ("words", ["`run`", "`stop`", "`estop`", "`low battery`", "`lost link, daemon killed`"]),
         ("scenarios", [*(f"`{name}`" for name in scenario_names()), "`neighborhood`"]),
         ("metrics", [f"`{name}`" for name in METRICS]),
         ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),

@@ -348,11 +348,12 @@ def test_a_viewer_asks_and_does_nothing_else(
     assert any(isinstance(one, MemberList) and one.echo == 77 for one in answers)
 
 
+@pytest.mark.parametrize("name", ["bob", "bob by mcp"])
 def test_an_operator_stops_in_its_own_name_only_and_is_no_robot(
-    keyring: Keyring, network: VirtualNetwork
+    keyring: Keyring, network: VirtualNetwork, name: str
 ) -> None:
     bob = signer(keyring, "bob", Role.OPERATOR)
-    stop = Stop(id="s", verb="stop", operator="anna")
+    stop = Stop(id="s", verb="stop", operator=name.replace("bob", "anna"))
     network.inject(bob.sign(pack(TAG, stop)), STRANGER)
     network.inject(bob.sign(pack(TAG, replace(stop, operator="bob", hops=1))), STRANGER)
     network.inject(bob.sign(pack(TAG, GHOST)), STRANGER)
@@ -360,7 +361,7 @@ def test_an_operator_stops_in_its_own_name_only_and_is_no_robot(
     network.run(0.2)
     r1 = network.robots["r1"]
     assert (r1.flaws[Flaw.FORGED], r1.flaws[Flaw.ROLE], r1.stops) == (3, 1, [])
-    network.inject(bob.sign(pack(TAG, replace(stop, operator="bob"))), STRANGER)
+    network.inject(bob.sign(pack(TAG, replace(stop, operator=name))), STRANGER)
     network.run(0.2)
     assert r1.stops
 

@@ -12,12 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, SharedPose, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import Anchor, DecisionContext
 from swarmd.protection.fence import Fence, fence_fault
 from swarmd.protection.fence_settings import FenceSettings, polygon_fault
 from swarmd.protection.protection import Protection
 from swarmd.robot.fence_pose import CONFIRM_TIME, CONFIRMATIONS, FencePose
 from swarmd.settings.platforms import load_platform
+from tests.support.examples import examples
+from tests.support.numpy_fence import NumpyFence
 
 TICK = 0.05
 TIMEOUT = 0.5
@@ -252,6 +254,38 @@ def test_a_limited_command_keeps_what_the_fence_permits(
     x: float, asked: Twist, limited: Twist
 ) -> None:
     assert Fence(SQUARE, BURGER).limit(asked, context_at(x, 0.0, 0.0), Twist()) == limited
+
+
+@settings(max_examples=examples(200), deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_kernel_limits_as_arrays_of_numpy_do(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    platform = load_platform(str(rng.choice(["burger", "waffle_pi", "rosbot_xl", "crazyflie"])))
+    at, side = rng.uniform(-1.5, 1.5, 2), rng.uniform(0.02, 1.0)
+    shape = [(0.0, 0.0), (1.0, 0.1), (0.9, 1.0), (0.4, 0.3)]
+    keep_out = [[(float(at[0] + side * x), float(at[1] + side * y)) for x, y in shape]]
+    made = FenceSettings(
+        frame="w",
+        polygon=polygon(rng, convex=bool(rng.random() < 0.5)),
+        keep_out=keep_out if rng.random() < 0.5 else [],
+    )
+    fence, arrays = Fence(made, platform), NumpyFence(made, platform)
+    places = rng.uniform(-4.0, 4.0, (20, 2))
+    assert fence.clearances(places) == pytest.approx(arrays.clearances(places), abs=1e-12)
+    for _ in range(10):
+        share = platform.limits.linear, platform.limits.angular, platform.limits.lateral
+        asked, command, twist = (
+            Twist(*(float(rng.uniform(-1.0, 1.0) * most) for most in share)) for _ in range(3)
+        )
+        x, y, yaw = rng.uniform(-3.0, 3.0, 3).tolist()
+        anchor = Anchor(Pose(x, y, yaw), Pose(0.1, 0.2, 0.3), 0.02, 0.02, 0.1, 0.2)
+        odometry = Odometry(0.0, Pose(0.15, 0.2, 0.35), twist)
+        context = DecisionContext(0.0, 0.0, odometry, 0.02, anchor=anchor)
+        is_even = bool(rng.random() < 0.5)
+        given = asked, context, command
+        limited = fence.limit(*given, is_even=is_even)
+        assert limited == arrays.limit(*given, is_even=is_even)
+        assert (limited is asked) is (limited == asked)
 
 
 def a_scan() -> Scan:

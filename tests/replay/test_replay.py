@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import CodeInput, HazardsInput, PoseInput
+from swarmd.core.events import CodeInput, HazardsInput, PoseInput, ReadingsInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import State
 from swarmd.core.values import Pose, SharedPose
 from swarmd.mission.mission import mission_class
@@ -68,6 +69,20 @@ def test_a_run_within_a_fence_is_repeated(tmp_path: Path) -> None:
         story.robot.advance(0.1)
         is_fenced.add(story.robot.robot.decision.is_fenced)
     assert is_fenced == {False, True}
+    assert_equal(story.replayed(), 100)
+
+
+def test_a_run_that_a_low_battery_ends_is_repeated(tmp_path: Path) -> None:
+    given = LowBatterySettings(below=0.2, pattern="drive", params={"speed": 0.05})
+    story = Story(tmp_path, on_low_battery=given)
+    story.recorder.begin(story.robot)
+    story.robot.ask("run", pattern="drive", params={"speed": 0.15})
+    for charge in (0.3, *(0.1,) * 20):
+        story.robot.step(ReadingsInput({"battery": charge}))
+        story.robot.advance(0.5)
+    battery = story.robot.status.battery
+    assert battery is not None
+    assert battery.runs
     assert_equal(story.replayed(), 100)
 
 

@@ -106,6 +106,17 @@ PUSH = {"half_width_deg": 20, "speed": 0.1}
             {"fence": {**FENCE, "keep_out": [[[0, 0], [1, 0], [1, 0]]]}},
             ["fence.keep_out[0] has two equal corners: [1, 0]"],
         ),
+        ({"on_low_battery": {}}, ["on_low_battery.below is missing"]),
+        ({"on_low_battery": {"below": 20}}, ["on_low_battery.below is 20"]),
+        (
+            {"on_low_battery": {"below": 0.3, "recovered": 0.3}},
+            ["on_low_battery.recovered is 0.3; expected more than below (0.3)"],
+        ),
+        ({"on_low_battery": {"below": 0.95}}, ["on_low_battery.recovered is 1.05"]),
+        (
+            {"on_low_battery": {"below": 0.3, "pattern": "Go Home"}},
+            ["on_low_battery.pattern is 'Go Home'"],
+        ),
     ],
 )
 def test_a_wrong_value_is_refused_in_one_line(

@@ -19,6 +19,7 @@ RELIABLE = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10))
 _KEPT = Qos(
     Policy.Reliability.Reliable(10**8), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
 )
+_CLIENT = 0x0102030405060708
 _SENSORS = (dds.LaserScan,)
 
 
@@ -28,7 +29,8 @@ class DdsNode:
     It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. With an
     empty name it does not, as a program that knows nothing of ROS. `qos`:
     of topics that have not the usual one. `actions`: full names such as `/dock` of actions that it
-    serves; `goals` publishes the states of an action's goals.
+    serves; `goals` publishes the states of an action's goals. `clients`: full names of services of
+    type std_srvs/Trigger that it calls.
     """
 
     def __init__(
@@ -40,6 +42,7 @@ class DdsNode:
         *,
         qos: Mapping[str, Qos] | None = None,
         actions: Sequence[str] = (),
+        clients: Sequence[str] = (),
         namespace: str = "/",
         latched: Collection[str] = (),
     ) -> None:
@@ -64,6 +67,8 @@ class DdsNode:
             topic: DataReader(self._participant, self._topic(topic, kind))
             for topic, kind in self._subscribed.items()
         }
+        self._clients = {service: self._client(service) for service in clients}
+        self._served += [entity for ends in self._clients.values() for entity in ends]
         self._about: DataWriter[Any] | None = None
         if name:
             kept = dds.ParticipantEntitiesInfo
@@ -93,7 +98,17 @@ class DdsNode:
         found = self._readers[topic].take_iter(timeout=duration(seconds=seconds))
         return next((message for message in found if self._is_whole(topic, message)), None)
 
+    def call(self, service: str, number: int) -> None:
+        """Call a service."""
+        self._clients[service][0].write(dds.TriggerCall(_CLIENT, number))
+
+    def answers(self, service: str) -> dict[int, Any]:
+        """The answers since the last call of this method, by the number of the call."""
+        taken = self._clients[service][1].take(100)
+        return {one.number: one for one in taken if isinstance(one, dds.TriggerAnswer)}
+
     def close(self) -> None:
+        self._clients.clear()
         self._writers.clear()
         self._readers.clear()
         self._served.clear()
@@ -107,6 +122,11 @@ class DdsNode:
         usual = SENSOR if kind in _SENSORS else RELIABLE
         qos = _KEPT if name in self._latched else self._qos.get(name, usual)
         return Topic(self._participant, f"rt{name}", kind, qos)
+
+    def _client(self, service: str) -> tuple[Any, Any]:
+        request = Topic(self._participant, f"rq{service}Request", dds.TriggerCall, RELIABLE)
+        reply = Topic(self._participant, f"rr{service}Reply", dds.TriggerAnswer, RELIABLE)
+        return DataWriter(self._participant, request), DataReader(self._participant, reply)
 
     def _action(self, name: str) -> Iterator[Any]:
         """The services and the feedback of an action, which no test uses; a bridge wants all."""

@@ -15,6 +15,7 @@ from msgspec import structs
 
 from swarmd.core.events import RangesInput
 from swarmd.core.kernels import describe_kernels
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan, Twist
 from swarmd.daemon.recorder import Recorder
@@ -99,6 +100,7 @@ def head_at(robot: RobotHarness) -> RecordingHead:
         latches=robot.robot.latches,
         cleared=tuple(robot.robot.cleared),
         fence=robot.robot.fence,
+        on_low_battery=robot.on_low_battery,
     )
 
 
@@ -112,6 +114,7 @@ class Story:
         *,
         has_ring: bool = False,
         fence: FenceSettings | None = None,
+        on_low_battery: LowBatterySettings | None = None,
         patterns: Mapping[str, type[Pattern[Any]]] = PATTERNS,
     ) -> None:
         self.recorder = FileRecorder(folder)
@@ -124,6 +127,7 @@ class Story:
             take=self.recorder.step,
             latches=record,
             fence=fence,
+            on_low_battery=on_low_battery,
             is_provisional=lambda generation: generation in self.provisional,
         )
         self.robot.scans = self._scan

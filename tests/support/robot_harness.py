@@ -34,6 +34,7 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
+from swarmd.core.low_battery import LowBatterySettings
 from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.core.verbs import (
@@ -80,11 +81,13 @@ class RobotHarness:
         instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
         fence: FenceSettings | None = None,
+        on_low_battery: LowBatterySettings | None = None,
         make: Callable[..., Robot] = Robot,
         take: Callable[[Robot, Input, float], Actions | None] = Robot.step,
         is_provisional: Callable[[int], bool] = lambda generation: False,
     ) -> None:
         self.platform = load_platform(platform)
+        self.on_low_battery = on_low_battery
         self.now = 1000.0
         self.twist = ZERO
         self.commands: list[tuple[float, Twist]] = []
@@ -111,6 +114,7 @@ class RobotHarness:
                 layers=lambda name: (),
                 touch=touch or {},
                 fence=fence,
+                on_low_battery=on_low_battery,
             ),
             seed=1,
             instance=instance,

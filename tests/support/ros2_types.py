@@ -75,6 +75,7 @@ Joy = _message("sensor_msgs/msg/Joy")
 Float32 = _message("std_msgs/msg/Float32")
 Float32MultiArray = _message("std_msgs/msg/Float32MultiArray")
 Bool = _message("std_msgs/msg/Bool")
+Int32 = _message("std_msgs/msg/Int32")
 Byte = _message("std_msgs/msg/Byte")
 ByteMultiArray = _message("std_msgs/msg/ByteMultiArray")
 Char = _message("std_msgs/msg/Char")
@@ -120,6 +121,33 @@ def empty(typename: str) -> Any:
     hints = {"__annotations__": {"unused": uint8}, "unused": 0}
     head = {"typename": typename.replace("::", ".")}
     return dataclass(new_class("Empty", (IdlStruct,), head, lambda own: own.update(hints)))
+
+
+@dataclass
+class TriggerCall(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Request_"):
+    """A call of a std_srvs/Trigger as rmw_cyclonedds writes it, with the header of a request."""
+
+    client: types.uint64 = 0
+    number: types.int64 = 0
+    unused: uint8 = 0
+
+
+@dataclass
+class TriggerAnswer(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Response_"):
+    """The answer to the call with the same header."""
+
+    client: types.uint64 = 0
+    number: types.int64 = 0
+    success: bool = False
+    message: str = ""
+
+
+@dataclass
+class TriggerResponse(IdlStruct, typename="std_srvs.srv.dds_.Trigger_Response_"):
+    """The answer as it is on Zenoh, without a header."""
+
+    success: bool = False
+    message: str = ""
 
 
 def stamped(seconds: float, frame: str = "base_link") -> Any:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import json
 import os
 import threading
 from collections.abc import Mapping
@@ -16,10 +18,14 @@ from mcp.client.stdio import stdio_client
 import swarmd
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
+from swarmd.core.verbs import RunRequest
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.cli.mcp import COMMANDS, Rehearsal, SwarmTools, make_server
 from tests.support.keys import SwarmKeys
-from tests.support.processes import CAP
-from tests.support.swarmctl import SWARMCTL, swarmctl
+from tests.support.processes import CAP, wait_until
+from tests.support.secured_swarm import SecuredSwarm
+from tests.support.swarmctl import SWARMCTL, await_applied, swarmctl
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -178,6 +184,52 @@ def test_a_rehearsal_refuses_a_run_in_which_robots_touch(
     else:
         with pytest.raises(SwarmError, match=r"rehearsal of drive .* robot_contacts 1;"):
             rehearsal.simulate("drive", {"speed": 0.1}, 8.0, threading.Event())
+
+
+@pytest.mark.integration
+def test_the_audit_names_the_agent_of_a_person_with_keys(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as left:
+        swarm = SecuredSwarm(tmp_path, left).start()
+        agent = Operator(swarm.settings, identity=swarm.keys["anna"], program="mcp")
+        left.enter_context(agent)
+
+        def run() -> Outcome:
+            return agent.request(RunRequest, agent.members().epochs(BOTH), pattern="drive")
+
+        await_applied(run, "they run")
+        assert agent.send_stop("stop").exit_code == 0  # the acks are proven for anna
+
+        def entries() -> set[tuple[str, str]]:
+            lines = [
+                json.loads(line)
+                for file in (tmp_path / "state").rglob("audit.jsonl")
+                for line in file.read_text().splitlines()
+            ]
+            return {(one["verb"], one["operator"]) for one in lines}
+
+        wanted = {("run", "anna by mcp"), ("stop", "anna by mcp")}
+        wait_until(lambda: wanted <= entries(), "the audit has both")
+
+
+@pytest.mark.integration
+def test_events_name_robots_that_did_not_answer(swarm: Swarm) -> None:
+    _, silent = [swarm.spawn(robot) for robot in BOTH]
+    for robot in BOTH:
+        swarm.status(robot)
+
+    async def agent() -> None:
+        async with Client(stdio_client(served(swarm))) as client:
+            failed, answer = await called(client, "events")
+            assert (failed, answer["did_not_answer"]) == (False, []), answer
+            silent.freeze()
+            try:
+                failed, answer = await called(client, "events")
+            finally:
+                silent.thaw()
+            assert (failed, answer["did_not_answer"]) == (False, ["r2"]), answer
+            assert answer["exit_code"] != 0
+
+    asyncio.run(asyncio.wait_for(agent(), CAP))
 
 
 def test_a_rehearsal_has_the_parameters_of_the_run(tmp_path: Path) -> None:

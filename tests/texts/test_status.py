@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from swarmd.core.messages import (
+    BatterySummary,
     DecisionSummary,
     DelayFigure,
     FenceSummary,
@@ -154,6 +155,31 @@ def test_the_place_against_the_fence_is_told(changes: dict[str, Any], text: str)
     member = make_member(fence=FenceSummary(frame="mocap", **changes))
     assert member.status is not None
     assert ("fence", text) in dict(sections(member, member.status))["Protection"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"charge": 0.62}, "0.62; below 0.2 the robot stands"),
+        ({"charge": None, "pattern": "home"}, "no fresh reading; below 0.2 the robot runs home"),
+        ({"charge": 0.25, "is_low": True}, "0.25: low, since it was below 0.2"),
+        (
+            {"charge": 0.1, "is_low": True, "pattern": "home", "runs": True},
+            "0.10: low, since it was below 0.2; the robot runs home",
+        ),
+    ],
+)
+def test_the_battery_is_told(changes: dict[str, Any], text: str) -> None:
+    member = make_member(battery=BatterySummary(**{"below": 0.2, "is_low": False, **changes}))
+    assert member.status is not None
+    assert ("battery", text) in dict(sections(member, member.status))["State"]
+
+
+def test_the_words_of_the_platform_are_told() -> None:
+    words = {"stop": "hovers, and lands after land_after", "estop": "lands at once"}
+    member = make_member(words=words)
+    assert member.status is not None
+    assert dict(sections(member, member.status))["Meaning of words"] == [*words.items()]
 
 
 def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.messages import Health, Reason, State
+from swarmd.core.messages import FenceSummary, Health, Reason, State
 from tests.support.chromium import FOUND, Page
 from tests.support.fed_swarm import PATTERNS
 from tests.support.processes import wait_until
@@ -507,6 +507,36 @@ def test_reported_numbers_have_the_units_of_their_patterns(
         assert page.evaluate("swarm.plots.text('report:votes', 2)") == "2 votes"
         assert page.evaluate("swarm.plots.text('speed', 0.1)") == "0.1 m/s"
         assert page.evaluate("swarm.model.unitOf('readings:battery')") == ""
+
+
+@pytest.mark.parametrize(("width", "height"), WIDTHS[:2])
+def test_the_whole_fence_is_on_the_map_and_in_the_legend(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    corners = ((-9.0, -7.0), (9.0, -7.0), (9.0, 7.0), (-9.0, 7.0))
+    inner = ((6.0, 4.0), (8.0, 4.0), (8.0, 6.0))
+    fence = FenceSummary(frame="mocap", polygons=(corners, inner))
+    with shown(3, capsys) as (swarm, (address,)):
+        for name in swarm.names[:2]:  # equal fences are drawn once
+            swarm.change(name, State.RUNNING, fence=fence)
+        page.resize(width, height, is_phone=width < 900)
+        ready(page, address, 3)
+        page.until(f"{ENTRIES}.includes('fence') && {ENTRIES}.includes('keep out')", "the legend")
+        assert page.evaluate("swarm.map.fencesOf().length") == 1
+        page.evaluate("swarm.map.fit()")
+        places = page.evaluate(
+            "swarm.map.fencesOf()[0].flat().map(([x, y]) => swarm.map.toScreen(x, y))"
+            ".map(([x, y]) => [x / swarm.map.ratio, y / swarm.map.ratio])"
+        )
+        for x, y in places:
+            assert 0 < x < page.evaluate("swarm.map.canvas.clientWidth")
+            assert 0 < y < page.evaluate("swarm.map.canvas.clientHeight")
+        pixel = (
+            "(() => { swarm.map.draw(); const [x, y] = swarm.map.toScreen(%f, %f);"
+            " return [...swarm.map.ctx.getImageData(x, y, 1, 1).data]; })()"
+        )
+        assert page.evaluate(pixel % (7.6, 4.5)) != page.evaluate(pixel % (5.6, 4.5))
+        assert page.errors == []
 
 
 def test_after_an_estop_the_page_tells_one_truth(

@@ -156,6 +156,7 @@ class ZenohBus:
         self._has_subscriber = dict.fromkeys(self._publishers, False)
         self._unsure_names = set(self._publishers)
         for name, publisher in self._publishers.items():
+            # indirect=False: on Zenoh's own thread, without a further thread for each callback.
             on_change = Callback(partial(self._on_viewers, name), indirect=False)
             publisher.declare_matching_listener(on_change)
         self._is_closed = False

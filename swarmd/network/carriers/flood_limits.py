@@ -90,7 +90,8 @@ class _Budget:
         if now < self.blocked_until:  # the full queue hid a part of the flood
             self._excess = 0.0
             self.share = max(self.share / 4, MIN_SHARE)
-            return self._window > self.blocked_until - self._block_time
+            block_began = self.blocked_until - self._block_time
+            return self._window > block_began  # a whole second in spite of the kernel's filter
         is_repeated = now - self.blocked_until <= 2 * self._block_time
         self._block_time = min(2 * self._block_time, MAX_BLOCK_TIME) if is_repeated else BLOCK_TIME
         self.blocked_until = now + self._block_time

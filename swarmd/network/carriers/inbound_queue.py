@@ -54,7 +54,8 @@ class DropCounter:
         1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
         2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`
            gets Code.FAILED and the text FAILED, since the handler may have carried out a part.
-        3. `CoreFault`, an error of the robot's core, is not caught: it ends the daemon.
+        3. `CoreFault`, an error of the robot's core, is no Exception and not caught: it ends the
+           daemon.
         """
         try:
             yield
@@ -65,7 +66,7 @@ class DropCounter:
         except Exception:
             code, text = Code.FAILED, FAILED
             self.add(f"{kind}:failed")
-            if self._faults.take(1.0, boottime()):
+            if self._faults.take(1.0, boottime()):  # the limit of the log: FAULT_RATE
                 log.exception("%s: refused, since its handler failed", kind)
         if refuse is not None:
             with self.refusing(kind):  # an error of `refuse` itself is counted, too

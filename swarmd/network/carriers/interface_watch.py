@@ -127,7 +127,8 @@ class InterfaceHistory:
             now = state.ipv4 or state.link_local
             line = f"{self._interface}: address changed: {', '.join(lost)} -> {', '.join(now)}"
         must_rejoin = _event(before) is not InterfaceEvent.UP
-        return InterfaceChange(event, state, line, bool(lost) or is_new, must_rejoin)
+        must_reopen = bool(lost) or is_new
+        return InterfaceChange(event, state, line, must_reopen, must_rejoin)
 
 
 class InterfaceWatch:
@@ -186,6 +187,7 @@ class InterfaceWatch:
                 self._burst_at = now
             if self._timer is not None:
                 self._timer.cancel()
+            # Look once, at the end of a burst of messages.
             end = min(now + QUIET_TIME, self._burst_at + MAX_BURST)
             self._timer = self._loop.call_at(end, self._look)
 

@@ -87,7 +87,7 @@ class LinkFlood:
         open.
         """
         self._look_at = now + LOOK_PERIOD
-        self.waiting = files - self._files
+        self.waiting = files - self._files  # so far with the links of the session
         if self.waiting > MAX_WAITING:
             self.waiting -= links()
         if self.waiting <= MAX_WAITING or now < self._renew_at:

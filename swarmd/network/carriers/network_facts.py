@@ -35,15 +35,14 @@ def measure_network(interface: str) -> NetworkFacts:
     state = read_state(interface)
     folder = Path("/sys/class/net") / interface
     firewall, text = _firewall()
+    flags = _number(folder / "flags")
     return NetworkFacts(
         interface=interface[:64],
         exists=state.exists,
         is_up=state.is_up,
         addresses=state.addresses[:32],
         mtu=_number(folder / "mtu"),
-        has_multicast=None
-        if (flags := _number(folder / "flags")) is None
-        else bool(flags & _MULTICAST),
+        has_multicast=None if flags is None else bool(flags & _MULTICAST),
         is_wireless=(folder / "wireless").exists() or (folder / "phy80211").exists(),
         ports=tuple(port_users(protocol, port) for protocol, port in PORTS),
         firewall=firewall,

@@ -46,6 +46,7 @@ _DROP = 0
 _NEXT_STAGE = -1
 
 Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, operand
+_SOCK_FILTER = struct.Struct("=HBBI")  # an instruction in the kernel's layout
 Test = tuple[int, int, int, int]  # code of the load, its offset, code of the test, its operand
 Block = tuple[int, Sequence[Test]]  # verdict, tests
 
@@ -54,8 +55,9 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     """The BPF program that accepts the datagrams of a swarm within the flood limits `rules`.
 
     `tag`: the 8 bytes in the head that mark the swarm. The program also accepts `Solicit` and
-    `Swarm` with the tag of any swarm. `is_ipv6`: the family of the socket; rules on sources of the
-    other family are left out. Returns an array of struct sock_filter as bytes.
+    `Swarm` with the tag ANY_SWARM (zeros): questions to all swarms, and their answers. `is_ipv6`:
+    the family of the socket; rules on sources of the other family are left out. Returns an array of
+    struct sock_filter as bytes.
 
     The program is a sequence of blocks, each a verdict with tests. A test compares a loaded value
     with an operand. The first block whose tests all hold decides. The first stage (`heads`) tests
@@ -91,7 +93,7 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     limits.append((_DROP if rules.only_known else _ACCEPT, []))
     # Between the stages: store the source's key (a hash of its address) and the kind, for `limits`.
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
-    return b"".join(struct.pack("=HBBI", *instruction) for instruction in program)
+    return b"".join(_SOCK_FILTER.pack(*instruction) for instruction in program)
 
 
 def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
@@ -102,7 +104,7 @@ def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) 
         first = _SOURCE4 if host.version == 4 else _SOURCE6
         tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
         blocks.append((_ACCEPT, tests))
-    return b"".join(struct.pack("=HBBI", *instruction) for instruction in _stage(blocks))
+    return b"".join(_SOCK_FILTER.pack(*instruction) for instruction in _stage(blocks))
 
 
 def attach_filter(sock: socket.socket, program: bytes) -> None:

@@ -60,10 +60,9 @@ class Programs:
     ) -> None:
         """Declare the liveliness token of `robot`, and subscribe to the tokens of programs.
 
-        A program is a Zenoh session that takes part in the swarm and is no robot.
-
-        With `takes_messages`, also subscribe to the messages of programs, and declare the publisher
-        by which `put` learns whether any program subscribes.
+        A program is a Zenoh session that takes part in the swarm and is no robot. With
+        `takes_messages`, also subscribe to the messages of programs, and declare the publisher by
+        which `publish` learns whether any program subscribes.
         """
         self._session = session
         self._swarm = swarm
@@ -73,6 +72,7 @@ class Programs:
         self._lock = threading.Lock()  # guards `_tokens`: Zenoh's threads call `_on_token`
         self._tokens: dict[str, None] = {}  # the names of programs that are alive
         liveliness = session.liveliness()
+        # indirect=False: on Zenoh's own thread. history: also tokens that were declared before.
         on_token = Callback(self._on_token, indirect=False)
         self._declared: list[Any] = [  # to undeclare at the end
             liveliness.declare_token(token(swarm, robot)),

@@ -169,16 +169,17 @@ class Connection:
         buffer = self._received
         at = 0
         while len(buffer) - at >= _HEAD.size:
-            word, length = _HEAD.unpack_from(buffer, at)
-            if length > MAX_PAYLOAD:
+            name_size, payload_size = _HEAD.unpack_from(buffer, at)
+            if payload_size > MAX_PAYLOAD:
                 self.is_open = False
                 break
-            begin = at + _HEAD.size + word
-            if begin + length > len(buffer):
+            begin = at + _HEAD.size + name_size  # of the payload
+            end = begin + payload_size
+            if end > len(buffer):
                 break
             name = buffer[at + _HEAD.size : begin].decode(errors="replace")
-            at = begin + length
-            frames.append(Frame(name, bytes(buffer[begin:at])))
+            frames.append(Frame(name, bytes(buffer[begin:end])))
+            at = end
         del buffer[:at]
         return frames
 
@@ -213,7 +214,7 @@ class RobotServer:
         self._listeners: dict[str, tuple[Connection, ...]] = dict.fromkeys(robots, ())
         self._robots: dict[Connection, str] = {}  # connections whose `Hello` was accepted
         self._connections: dict[int, Connection] = {}  # all connections, by descriptor
-        self._emptied_at = clock()  # the time of the last `receive`
+        self._emptied_at = clock()  # the end of the last `receive`
         family = socket.AF_INET6 if ":" in address.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
         try:
@@ -371,8 +372,9 @@ class RobotClient:
     async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         """Send the hello, and hand frames to `on_frames` until the connection ends; then close it.
 
-        The server's first frame answers the hello. The answer sets `is_known`, and is not handed
-        to `on_frames`. `self._read` lets other methods read at once, without the event loop.
+        The server's first frame answers the hello. The answer sets `is_known`, and is not handed to
+        `on_frames`. `self._read` is set meanwhile: by it `read` hands over what has arrived,
+        without waiting for the event loop.
         """
         ended: asyncio.Future[None] = loop.create_future()
 
@@ -394,7 +396,9 @@ class RobotClient:
         try:
             await ended
         finally:
-            if not ended.done() or ended.cancelled():  # cancelled: `on_readable` removed no reader
+            # `on_readable` has removed the reader only if it saw the end of the connection.
+            has_seen_end = ended.done() and not ended.cancelled()
+            if not has_seen_end:
                 loop.remove_reader(file)
             self._connection = self._read = None
             self.is_known = False

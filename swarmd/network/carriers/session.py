@@ -65,9 +65,10 @@ def open_session(
     """Open the session of a daemon, which listens and opens no connection itself.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once per process. So this function names each late address in
-    the options: for scouting, by which Zenoh programs find the session, and as an endpoint, which
-    these programs then dial. Raises NetworkError in one line if the session cannot be opened.
+    reads the addresses of interfaces once per process, and would not use a late address. So this
+    function names each late address in the options twice: for scouting, by which Zenoh programs
+    find the session, and, without an `identity`, as an endpoint to listen at, which these programs
+    then dial. Raises NetworkError in one line if the session cannot be opened.
     """
     options = session_options(settings, identity)
     if late:
@@ -346,8 +347,9 @@ def _options(
 ) -> dict[str, object]:
     """Zenoh's options of a session, by path; ConfigError for wrong settings.
 
-    `mode`: Zenoh's "peer" or "client". `listen`, `connect`: endpoints, which must be or become TLS
-    endpoints with an `identity`. The session finds nothing itself: scouting and gossip are off.
+    `mode`: Zenoh's "peer" or "client". `listen`, `connect`: endpoints; with an `identity` TCP
+    endpoints become TLS endpoints, and other protocols are refused. The session finds nothing
+    itself: scouting and gossip are off.
     """
     settings.check()
     if identity is not None:
@@ -360,7 +362,8 @@ def _options(
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
         # -1: dial without end. A peer with a timeout of 0 would dial its endpoints one after the
-        # other. A client with a timeout other than 0 would wait for its first router only.
+        # other. A client with another timeout than 0 would dial its first router until that
+        # answers, and never try its further routers.
         "connect/timeout_ms": 0 if mode == "client" else -1,
         "connect/exit_on_failure": False,
         "connect/retry": {

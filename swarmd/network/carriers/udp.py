@@ -181,7 +181,8 @@ class UdpCarrier:
         self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
         self._lost: dict[socket.socket, int] = {}  # datagrams that the kernel had dropped
         self.recipients = Recipients(self._lease, with_group=self._multicast)
-        # Every fifth beacon is a broadcast.
+        # Beacons go out once a second, every fifth also as a broadcast. A way counts as heard for
+        # the time of two such beacons, in s, so that the loss of a single broadcast does not show.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
         self.unsent = 0
         try:
@@ -290,7 +291,7 @@ class UdpCarrier:
             self._is_full = False
             self._turns += 1
             first = self._turns % max(len(self._listeners), 1)
-            budget = BATCH * _COST
+            budget = BATCH * _COST  # the cost of BATCH datagrams that are not dropped
             self._weigh(now)  # in an overload a datagram counts more in the flood limits
             for listener in (*self._listeners[first:], *self._listeners[:first]):
                 budget -= self._take_from(listener, budget // 2, now, received)
@@ -380,7 +381,7 @@ class UdpCarrier:
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
-            # COPY is multicast by IPv6, of a robot that also sends by IPv4.
+            # A copy comes by multicast, too: to the second IPv6 group, from a robot with IPv4.
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)
         if self._is_second_copy(payload, source, way, now):
@@ -527,7 +528,7 @@ class UdpCarrier:
         IPv6, another port is tried.
         """
         tries = 1 if port else 1 + _PORT_TRIES
-        for is_last in (*[False] * (tries - 1), True):
+        for attempt in range(1, tries + 1):
             host = "127.0.0.1" if self._is_dev else "0.0.0.0"
             self._own4 = self._listen(socket.AF_INET, host, port, _Way.UNICAST)
             bound = int(self._own4.getsockname()[1])
@@ -539,7 +540,7 @@ class UdpCarrier:
             except OSError as error:
                 if error.errno != errno.EADDRINUSE:  # there is no IPv6 on this machine
                     break
-                if is_last:
+                if attempt == tries:
                     raise
                 self._listeners.pop().socket.close()
         return bound
@@ -673,9 +674,9 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 def _count_lost(sock: socket.socket) -> int | None:
     """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
-    None unless the socket's queue is nearly full: the count includes datagrams that the packet
-    filter has refused, so that a count without a full queue shows no overload. None also for a
-    kernel without this count.
+    The kernel counts dropped datagrams of a full queue together with datagrams that the packet
+    filter has refused. So the count shows an overload only while the queue is nearly full; None
+    otherwise, and for a kernel without this count.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))

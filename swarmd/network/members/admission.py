@@ -4,7 +4,8 @@ Datagrams come in with verified signatures. A signature shows the role of the si
 accepted if its signer's role may send this kind, the robot in the datagram is on the roster, and
 the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. Fresh are:
 
-- a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon is asked,
+- a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon, which may be
+  replayed, is asked for a new beacon,
 - a message, place or goal from the instance that is the member now,
 - latches from the instance that is the member now, with the digest of its newest beacon,
 - a member list that answers a question of this robot,
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
+from swarmd.core.names import owner_of
 from swarmd.network.datagram import (
     Ack,
     Beacon,
@@ -65,8 +67,9 @@ class Admission:
     """The checks of the robot `own`.
 
     `names`: the robots on the roster. `lease`: s of silence after which a robot has failed.
-    `echoes` returns a number that was never used before. `counters`: the greatest counter of stops
-    by origin, which a file kept from the robot's earlier life (`StopFreshness`).
+    `echoes` returns a number that was never used before. `counters`: by origin (a random mark of an
+    operator's installation) the greatest counter of its stops, which a file kept from the robot's
+    earlier life (`StopFreshness`).
     """
 
     def __init__(
@@ -95,12 +98,12 @@ class Admission:
 
         A flaw is a wrong role, a false author, or a datagram that is no longer fresh (a replay). A
         member list comes back without the robots that the roster lacks. Every other datagram comes
-        back unchanged. `is_claiming`: this robot does not own its id yet, so that beacons of other
-        claimers of the id are checked.
+        back unchanged. `is_claiming`: this robot does not own its id yet. Beacons of other claimers
+        of this id then decide who wins, and must be fresh, too.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
-        is_fresh = True
+        # A case either returns the result itself, or sets `is_fresh` for the test at the end.
         match body:
             case Beacon():
                 return self._beacon(body, now, is_claiming=is_claiming)
@@ -129,7 +132,7 @@ class Admission:
             case GoalReport():
                 is_fresh = membership.is_present(body.robot, body.instance)
             case Ack() | ClockReply():
-                pass  # fresh if this robot waits for the answer, which the caller checks
+                is_fresh = True  # if this robot waits for the answer, which the caller checks
         return body if is_fresh else Flaw.REPEATED
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
@@ -145,4 +148,4 @@ def _may_send_stop(stop: Stop, author: Author) -> bool:
     """True if the author is the operator of the stop, or a robot that relays the stop."""
     if author.role is Role.ROBOT:
         return stop.hops > 0
-    return stop.hops == 0 and stop.operator == author.name
+    return stop.hops == 0 and owner_of(stop.operator) == author.name

@@ -135,13 +135,13 @@ class _Robot(Struct):
 class IndirectMember(Struct, frozen=True):
     """A robot that other robots know."""
 
-    heard: MemberReport  # the newest report of another robot
+    report: MemberReport  # the newest report of another robot
     by: str  # the robot that sent the report
     at: float  # the time at which the report came
 
     def age(self, now: float) -> float:
         """Seconds since any robot heard the reported robot directly; at most MAX_SECONDS."""
-        return min(self.heard.age / 1000.0 + max(now - self.at, 0.0), MAX_SECONDS)
+        return min(self.report.age / 1000.0 + max(now - self.at, 0.0), MAX_SECONDS)
 
 
 class Membership:
@@ -190,7 +190,8 @@ class Membership:
                     return Change.IGNORED
                 robot = self._robots[name] = _Robot(first=now)
             self._indirect.pop(name, None)  # the robot is heard directly from now on
-            life = robot.lives[beacon.instance] = Life(now, now, beacon, address, beacon.version)
+            life = Life(now, now, beacon, address, beacon.version)  # appeared and heard now
+            robot.lives[beacon.instance] = life  # behind the earlier lives: the latest
             for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:  # all but the newest
                 del robot.lives[oldest_instance]
             change = Change.FOUND
@@ -205,7 +206,8 @@ class Membership:
                 change = Change.FOUND
             else:
                 change = Change.REFRESHED
-        # The body is the outline of the base. An earlier life gives it only while no body is known.
+        # The body (outline of the base) comes from the latest life. A beacon of an earlier life,
+        # which may still arrive, gives the body only while no body is known.
         if beacon.body is not None and (robot.body is None or life is robot.latest):
             robot.body = beacon.body
         return change
@@ -306,7 +308,7 @@ class Membership:
     def indirect_address(self, robot: str) -> Address | None:
         """The address at which others hear a robot that is not heard here."""
         indirect = self._indirect.get(robot)
-        return None if indirect is None else (indirect.heard.host, indirect.heard.port)
+        return None if indirect is None else (indirect.report.host, indirect.report.port)
 
     def is_present(self, robot: str, instance: bytes) -> bool:
         """True if this instance is shown as alive."""
@@ -371,7 +373,7 @@ class Membership:
                 )
             )
         for robot, indirect in sorted(self._indirect.items()):
-            report = indirect.heard
+            report = indirect.report
             age = round(indirect.age(now) * 1000)
             reports.append(replace(report, robot=robot, age=age, hops=report.hops + 1))
         return tuple(reports)

@@ -21,7 +21,7 @@ class _Window:
 
     instance: bytes
     highest: int
-    seen: int = 1
+    seen: int = 1  # bit k is set if the message `highest - k` has come
 
     def take(self, sequence: int) -> tuple[bool, int]:
         """Take the sequence number of a message.
@@ -38,9 +38,10 @@ class _Window:
             self.seen = ((self.seen << ahead) | 1) & ((1 << WINDOW) - 1)
             self.highest = sequence
             return True, ahead - 1
-        if -ahead >= WINDOW or self.seen & 1 << -ahead:
+        behind = -ahead  # at most 0 ahead: an earlier message, or the highest again
+        if behind >= WINDOW or self.seen & 1 << behind:
             return False, 0
-        self.seen |= 1 << -ahead
+        self.seen |= 1 << behind
         return True, -1
 
 

@@ -34,7 +34,8 @@ class PeerClocks:
         """
         if now < self._due_at:
             return []
-        is_first = now > self._due_at + FIRST_CLOCK_PERIOD  # nothing was recorded until now
+        # Only recordings call this: after a pause in the calls a new recording has begun.
+        is_first = now > self._due_at + FIRST_CLOCK_PERIOD
         self._pause = FIRST_CLOCK_PERIOD if is_first else min(2 * self._pause, CLOCK_PERIOD)
         self._due_at = now + self._pause
         addresses = dict(alive)

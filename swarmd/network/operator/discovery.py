@@ -94,7 +94,7 @@ class Discovery:
         self._roster = set(roster)
         self._programs: set[str] = set()  # Zenoh programs that robots hear
         self._members = Membership("", FRESH_TIME)  # by the beacons heard here
-        self._trips = RoundTrips()
+        self._trips = RoundTrips()  # from each solicit to the beacons that answer it
         self._reports = MemberReports(is_local=is_local)  # of robots on other robots
         self._statuses = StatusTable()
         self._mentioned: dict[str, float] = {}  # each robot heard or reported, and since when
@@ -111,7 +111,7 @@ class Discovery:
                 self._mentioned[robot] = now
                 self._named[robot] = now if member.by else float("inf")
                 report = PeerReport(member.instance, Presence.FAILED, now - member.age)
-                self._reports.store(robot, "", EARLIER, [report])
+                self._reports.store(robot, reporter="", way=EARLIER, reports=[report])
 
     # Events
 
@@ -218,18 +218,18 @@ class Discovery:
         )
 
     @property
-    def settled(self) -> frozenset[str]:
+    def answered(self) -> frozenset[str]:
         """The robots that have answered: every living instance, if several hold one id."""
-        settled = {
+        answered = {
             robot
             for robot in self._statuses.robots
             if (answers := self._statuses.instances(robot))
             and self.holders(robot) <= answers.keys()
         }
         if not self._needs_status:
-            unsettled = self.heard - settled
-            settled |= {robot for robot in unsettled if self._answered_by_datagram(robot)}
-        return frozenset(settled)
+            unanswered = self.heard - answered
+            answered |= {robot for robot in unanswered if self._answered_by_datagram(robot)}
+        return frozenset(answered)
 
     def _answered_by_datagram(self, robot: str) -> bool:
         """True if the robot has one living instance, which echoed a solicit and sent its list.
@@ -256,11 +256,12 @@ class Discovery:
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        Of the robots that only other robots hear, and that did not answer, at most
-        MAX_INDIRECT_DIALS are included: the robots with the most reporters.
+        These are the robots that are heard here, and those that other robots report as alive. Of
+        the reported robots without an answer at most MAX_INDIRECT_DIALS are included: the robots
+        with the most reporters.
         """
-        direct: dict[tuple[str, str], Address] = {}
-        indirect: dict[tuple[str, str], Address] = {}
+        direct: dict[tuple[str, str], Address] = {}  # heard here, or with an answer
+        indirect: dict[tuple[str, str], Address] = {}  # only reported
         for robot in self._mentioned:
             heard = self._members.lives(robot)
             if heard:
@@ -273,10 +274,13 @@ class Discovery:
                     group = direct if robot in self._statuses.robots else indirect
                     group[robot, best.instance] = address
         heard_here = self.heard
-        most_reported = sorted(
-            indirect, key=lambda pair: -len(self._reports.reporters(pair[0]) & heard_here)
-        )
-        return direct | {pair: indirect[pair] for pair in most_reported[:MAX_INDIRECT_DIALS]}
+
+        def count_reporters(robot_and_instance: tuple[str, str]) -> int:
+            robot, _ = robot_and_instance
+            return len(self._reports.reporters(robot) & heard_here)
+
+        most_reported = sorted(indirect, key=count_reporters, reverse=True)[:MAX_INDIRECT_DIALS]
+        return direct | {pair: indirect[pair] for pair in most_reported}
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that only other robots report, in turns of MAX_COPIES."""
@@ -296,15 +300,15 @@ class Discovery:
 
     def is_complete(self, now: float) -> bool:
         """True once every expected robot answered, and the views agree or the quiet time passed."""
-        settled = self.settled
-        if not settled or not self.heard <= settled:
+        answered = self.answered
+        if not answered or not self.heard <= answered:
             return False
         view = self.result(now)
-        if not view.expected <= settled.intersection(view.alive):
+        if not view.expected <= answered.intersection(view.alive):
             return False
         if not self._needs_status:
             return self.has_all_lists(now)
-        return self._statuses.agree(settled) or now - self._news_at >= self.quiet_time
+        return self._statuses.agree(answered) or now - self._news_at >= self.quiet_time
 
     @property
     def unlisted(self) -> tuple[str, ...]:
@@ -345,12 +349,13 @@ class Discovery:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news_at + self.quiet_time]
-        # A robot that was found late does not prolong the look without an answer or another
-        # robot's report: an attacker may invent robots.
-        prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
-        last_found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
+        # The look waits for a robot that was found late only if it has answered, or if another
+        # robot reports it: an attacker may invent robots.
+        awaited = {robot for robot in self._mentioned if self._prolongs(robot)}
+        last_found_at = max((self._mentioned[robot] for robot in awaited), default=self.started)
         for robot in lacking:
-            if robot in self._mentioned and robot not in prolonging:
+            is_found = robot in self._mentioned  # else only the roster names the robot
+            if is_found and robot not in awaited:
                 continue
             since = self._mentioned.get(robot, self.started)
             report = most_certain(self._all_reports(robot))
@@ -372,7 +377,7 @@ class Discovery:
             return False
         if now - self.started >= LOOK_CAP:
             return True
-        lacking = self.result(now).expected - self.settled
+        lacking = self.result(now).expected - self.answered
         return now >= self.ends_at(now, lacking)
 
     # The result
@@ -393,7 +398,7 @@ class Discovery:
         return MembersView(
             programs=frozenset(self._programs),
             members=seen,
-            answered=frozenset((self.settled & alive) | of_other_version),
+            answered=frozenset((self.answered & alive) | of_other_version),
             roster=frozenset(self._roster),
             duplicates={
                 robot: tuple(sorted(instances))

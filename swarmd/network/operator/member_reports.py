@@ -104,16 +104,16 @@ class MemberReports:
         """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
 
         A list comes in parts, in several datagrams; the `echo` of the solicit marks the parts of
-        one list. Parts older than the last whole list are dropped. Without a whole list, the parts
-        of the last MAX_PARTIAL_LISTS lists are kept.
+        one list. Kept are the last whole list (all its parts have come) and what came after it.
+        Without a whole list, the parts of the last MAX_PARTIAL_LISTS lists are kept.
         """
-        # 1. Keep the part, and drop parts of older lists.
+        # 1. Keep the part, and drop the parts before the first part of the oldest list to keep.
         # `parts` is in the order of arrival. A list is named by its echo.
         parts = self._lists.setdefault(new_part.robot, {})
         parts[new_part.echo, new_part.part] = (new_part, now)
         whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]
-        lists = list(dict.fromkeys(echo for echo, _ in parts))
-        oldest_kept = whole_lists[-1] if whole_lists else lists[-MAX_PARTIAL_LISTS:][0]
+        newest_lists = list(dict.fromkeys(echo for echo, _ in parts))[-MAX_PARTIAL_LISTS:]
+        oldest_kept = whole_lists[-1] if whole_lists else newest_lists[0]
         for echo, number in list(parts):
             if echo == oldest_kept:
                 break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 from swarmd.core import codec
@@ -42,10 +43,12 @@ class MemberSearch:
     ) -> MembersView:
         """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
-        Threads of the carrier and of Zenoh put the answers into `discovery`. The look ends after
-        `timeout` s at the latest. With `timeout` None the look ends once `discovery.is_over`, and
-        after `cap` s at the latest. `needs_status` False: a robot's datagram counts as its answer,
-        so that statuses are asked for only after STATUS_DELAY.
+        Threads of the carrier and of Zenoh put the answers into `discovery`. Complete: all expected
+        robots have answered, and their answers agree or nothing new came for some time. An
+        incomplete look ends after `timeout` s. With `timeout` None it ends once a longer wait is of
+        no use (`discovery.is_over`), and after `cap` s at the latest.
+        `needs_status` False: a robot's datagram counts as its answer, so that statuses are asked
+        for only after STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
@@ -65,9 +68,11 @@ class MemberSearch:
             if is_complete or is_over:
                 # Robots found last may still wait in `dial`, which gathers robots to dial together:
                 # the caller needs links to these robots for its requests.
-                while is_complete and (wait := self._sessions.dial(discovery, now)) < float("inf"):
+                wait = self._sessions.dial(discovery, now) if is_complete else math.inf
+                while wait < math.inf:
                     time.sleep(wait)
                     now = boottime()
+                    wait = self._sessions.dial(discovery, now)
                 with self._arrivals.lock:
                     return discovery.result(now)
 
@@ -94,7 +99,7 @@ class MemberSearch:
         from swarmd.network.carriers.session import MAX_WIRE
 
         with self._arrivals.lock:
-            answered = sorted(discovery.settled)
+            answered = sorted(discovery.answered)
         decode = Decoder(PeerView, MAX_WIRE)
 
         def on_view(robot: str, payload: bytes) -> None:

@@ -28,6 +28,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY
 from swarmd.core.messages import Epoch
+from swarmd.core.names import named_by_program
 from swarmd.core.verbs import AnyRequest
 from swarmd.network.access import may_ask
 from swarmd.network.datagram import (
@@ -94,12 +95,14 @@ class Operator:
         roster: Iterable[str] = (),
         carrier: Carrier | None = None,
         takes_rosters: bool = True,
+        program: str = "",
     ) -> None:
         """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
 
         `name`: of the operator in a swarm without keys; None: the name of this user. `roster`:
         robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
-        tests. `takes_rosters` False: a newer roster that robots show is not taken.
+        tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: of an
+        agent that chooses the requests, for the audit of the robots.
         """
         settings.check()
         self.settings = settings
@@ -107,6 +110,7 @@ class Operator:
         if identity is not None:
             name = identity.name
         self.name = sendable_name(name or operator_name())
+        self._asker = sendable_name(named_by_program(self.name, program))
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
@@ -124,6 +128,7 @@ class Operator:
             settings.interface_name,
             self._arrivals,
             self._take,
+            # The keys, and the checks of robots' datagrams.
             answers=None if identity is None else self._answers_for(identity),
         )
         self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
@@ -175,8 +180,9 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        `notices` gets a line for the user. Raises NetworkError if the new roster lacks the name of
-        this operator.
+        A key is missing if this operator's identity was made before a robot was added: the robot
+        then hands over the key that it shares with the operator. `notices` gets a line for the
+        user. Raises NetworkError if the new roster lacks the name of this operator.
         """
         before = self.identity
         self._rosters.update()
@@ -218,8 +224,9 @@ class Operator:
 
         The look ends after `timeout` s at the latest. With `timeout` None it ends after a time that
         follows from the round trip, and after `cap` s at the latest. `needs_status` False: a
-        robot's datagram is an answer, since its beacon has the epoch for a request. If robots are
-        missing and a robot has shown a newer roster, this method takes the roster and looks again.
+        robot's datagram is an answer, since its beacon has all that a request needs: the epoch, a
+        count of the robot's changes. If robots are missing and a robot has shown a newer roster,
+        this method takes the roster and looks again.
         """
         view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
@@ -323,13 +330,13 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `kind` and `fields`: the request; all repeats have one id. `targets`: the epoch of each
-        robot that the operator has seen. A robot whose epoch has changed since refuses the request.
-        None: no check. Returns once all robots have replied or `is_ended` returns True, and after
-        `timeout` s at the latest. `timeout` None: `least` s, longer by the round trip and the loss
-        of datagrams. A robot that is unreachable or gone counts as missing, and the request does
-        not wait for it. Raises ConfigError if the role of the own identity does not permit the
-        request: robots would refuse the request silently.
+        `kind` and `fields`: the request; all repeats have one id. `targets`: of each robot the
+        epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
+        since refuses the request. None: no check. Returns once all robots have replied or
+        `is_ended` returns True, and after `timeout` s at the latest. `timeout` None: `least` s,
+        longer by the round trip and the loss of datagrams. A robot that is unreachable or gone
+        counts as missing, and the request does not wait for it. Raises ConfigError if the role of
+        the own identity does not permit the request: robots would refuse the request silently.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -394,7 +401,7 @@ class Operator:
         stop = Stop(
             id=os.urandom(6).hex(),
             verb=verb,
-            operator=self.name,
+            operator=self._asker,
             scope="swarm" if select is None else "robots",
             reason=stop_reason(reason) if verb == "estop" else "",
         )
@@ -417,7 +424,7 @@ class Operator:
             on_progress=on_progress,
             is_ended=is_ended,
         )
-        with self._arrivals.lock:
+        with self._arrivals.lock:  # the warning: robots whose acks this identity cannot verify
             return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
 
     # Parts
@@ -468,7 +475,7 @@ class Operator:
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:
             fields["reason"] = request_reason(fields["reason"])
-        return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
+        return kind(id=os.urandom(6).hex(), operator=self._asker, **fields)
 
     def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT

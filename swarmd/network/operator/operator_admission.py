@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from swarmd.core.bounds import keep_newest
 from swarmd.network.datagram import (
     Ack,
     Address,
@@ -89,9 +90,9 @@ class OperatorAdmission:
                 robot_address = None if body.via else source
                 if not self._has_key(body.robot, robot_address, now):
                     return None
-                return body if self._trust.verifier.is_proven(body) else None
+                return body if self._trust.verifier.is_proven(body) else None  # by `Ack.proof`
             case Beacon() if body.robot in self._names:
-                self.outdated.pop(body.robot, None)
+                self.outdated.pop(body.robot, None)  # its signature is of the present roster
                 if not self._has_key(body.robot, source, now):
                     return None
                 return body if self._is_fresh(body, payload, now) else None
@@ -129,10 +130,7 @@ class OperatorAdmission:
         if source is not None:
             self.unproven[robot] = source
             if now - self._key_asked_at.get((robot, source), -1e9) >= HINT_PERIOD:
-                self._key_asked_at.pop((robot, source), None)
-                self._key_asked_at[robot, source] = now
-                if len(self._key_asked_at) > MAX_MISSING_KEYS:
-                    del self._key_asked_at[next(iter(self._key_asked_at))]
+                keep_newest(self._key_asked_at, (robot, source), now, MAX_MISSING_KEYS)
                 self._on_missing_key(robot, source)
         return False
 

@@ -34,13 +34,14 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
         id=os.urandom(6).hex(),
         **fields,
     )
-    return resigned(operator, goal)
+    return signed_again(operator, goal)
 
 
 def next_generation(operator: Operator, view: MembersView) -> int:
     """The generation for a new goal: the greatest generation of the goals in `view`, plus 1.
 
-    In a secured swarm a generation above MAX_UNSIGNED counts only if the goal is signed: a robot
+    In a secured swarm robots take an unsigned goal only if it stops robots, up to the generation
+    MAX_UNSIGNED (`GoalCheck`). So a generation above counts only if its goal is signed: a robot
     that was taken over may show any generation. Raises ConfigError beyond MAX_GENERATION.
     """
     greatest = view.goal_generation
@@ -49,7 +50,7 @@ def next_generation(operator: Operator, view: MembersView) -> int:
         statuses = [member.status for member in members if member.status is not None]
         goals = [status.goal.held for status in statuses if status.goal is not None]
         signed = (held.goal.generation for held in goals if held is not None)
-        greatest = max(MAX_UNSIGNED, *signed)
+        greatest = max((MAX_UNSIGNED, *signed))  # a tuple: there may be no signed goal
     if greatest >= MAX_GENERATION:
         raise ConfigError(
             f"a robot shows a goal of the last generation, {MAX_GENERATION}; no goal can follow"
@@ -59,7 +60,7 @@ def next_generation(operator: Operator, view: MembersView) -> int:
     return greatest + 1
 
 
-def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
+def signed_again(operator: Operator, goal: Goal, **changes: Any) -> Goal:
     """The goal with changes, signed again in a secured swarm. Raises ConfigError as `next_goal`.
 
     The goal keeps its id, so that `undo` takes both versions as one goal.

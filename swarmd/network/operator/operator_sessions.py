@@ -104,9 +104,14 @@ class OperatorSessions:
         # 1. The robots to dial: new robots, robots with a new address, and robots without answer.
         with self._arrivals.lock:
             reachable = discovery.to_dial(now)
-            if only is not None:
-                reachable = {key: address for key, address in reachable.items() if key[0] in only}
-            answered = discovery.settled if only is None else frozenset[str]()
+            answered = discovery.answered
+            if only is not None:  # robots without a link: an earlier answer does not count
+                answered = frozenset()
+                reachable = {
+                    (robot, instance): address
+                    for (robot, instance), address in reachable.items()
+                    if robot in only
+                }
             round_trip = discovery.round_trip
         redial_after = REDIAL_WAIT + REDIAL_TRIPS * round_trip
         to_dial: dict[tuple[str, str], Address] = {}
@@ -136,7 +141,7 @@ class OperatorSessions:
             to_dial = dict(reachable)
         interface = self._settings.interface_name
         endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
-        opened = self._open_to(endpoints)
+        opened = self._open_to(endpoints)  # mostly one session
         self._opened += opened
         for session in opened:
             for name, robot in self._watched:
@@ -165,7 +170,7 @@ class OperatorSessions:
     # Queries
 
     def question_links(self, name: str) -> QueryLinks:
-        """The links by which a query `control/<name>` of this operator arrives; to be closed."""
+        """Shows which robots a query `control/<name>` of this operator reaches; to be closed."""
         return QueryLinks(build(self._settings.swarm, ANY, CONTROL, name, self._asker))
 
     def get(
@@ -202,7 +207,7 @@ class OperatorSessions:
             with contextlib.suppress(zenoh.ZError):
                 session.get(
                     build(self._settings.swarm, robot, plane, name, asker),
-                    Callback(on_reply, indirect=False),
+                    Callback(on_reply, indirect=False),  # on Zenoh's own thread
                     target=zenoh.QueryTarget.ALL,
                     consolidation=zenoh.ConsolidationMode.NONE,
                     congestion_control=zenoh.CongestionControl.DROP,

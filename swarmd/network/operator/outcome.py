@@ -17,6 +17,7 @@ from swarmd.network.operator.exit_codes import MISTAKES, code_of_outcome
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
 _CODES = frozenset(Code)
+_REFUSALS = {str(refusal): refusal for refusal in Refusal}
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
@@ -147,8 +148,7 @@ class Acks:
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
         if code is not Code.APPLIED:
-            known_refusals = [known for known in Refusal if known == ack.refusal]
-            refusal = known_refusals[0] if known_refusals else Refusal.OTHER_VERSION
+            refusal = _REFUSALS.get(ack.refusal or "", Refusal.OTHER_VERSION)
         reply = Reply(
             id=ack.id,
             robot=ack.robot,
@@ -200,13 +200,14 @@ class Acks:
 
         `expected`: the robots that must reply; such a robot without a reply counts as missing. A
         robot that replied without being expected counts as targeted. `silent`: robots that count as
-        missing even if one of their instances has replied. `seconds`: the duration of the request.
-        `reached`: the number of robots that were heard. `unlisted`: robots whose member list did
-        not come.
+        missing even if one of their instances has replied, since two daemons hold the id and both
+        must reply. `seconds`: the duration of the request. `reached`: the number of robots that
+        were heard. `unlisted`: robots whose member list did not come.
         """
         worst_replies: dict[str, Reply] = {}
         for robot in sorted(self._replies.keys() - set(silent)):
-            # Of the instances that replied for one robot id, the most severe reply counts.
+            # Of the instances that replied for one robot id, the most severe reply counts. The
+            # reply of a base that still moves counts as failed.
             replies = [_settled(reply) for reply in self._replies[robot].values()]
             worst_replies[robot] = max(replies, key=lambda reply: _SEVERITY[reply.code])
         # Replies of two instances with one robot id come from two daemons.

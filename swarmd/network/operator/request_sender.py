@@ -84,22 +84,22 @@ class RequestSender:
         other_version_timeout = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
         other_version_timeout = min(timeout, other_version_timeout)
         started = now = boottime()
-        links = self._sessions.question_links(request.verb)
+        links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
         repeat_at = now
         while missing and (time_left := started + timeout - now) > 0:
             # 1. Send to all missing robots if a repeat is due, else only to newly linked robots.
-            new_links = self._sessions.linked(links, unlinked)
-            unlinked -= new_links
+            newly_linked = self._sessions.linked(links, unlinked)
+            unlinked -= newly_linked
             is_repeat_due = now >= repeat_at
-            receivers = set(missing) - unlinked if is_repeat_due else new_links
+            receivers = set(missing) - unlinked if is_repeat_due else newly_linked
             if is_repeat_due:
                 repeat_at = now + REPEAT_PERIOD
-            if is_repeat_due or new_links:
+            if is_repeat_due or newly_linked:
                 # The age of the request at its arrival, so that a robot can refuse it as too old.
                 payload = encode(aged(request, now - started + view.round_trip))
-                # One query to all robots replaces many queries.
+                # One query to all robots replaces many: a robot that it does not name ignores it.
                 for robot in (ANY,) if len(receivers) == len(asked) else sorted(receivers):
                     self._sessions.get(
                         robot, CONTROL, request.verb, payload, time_left, _collect(acks)
@@ -138,7 +138,7 @@ class RequestSender:
         until = boottime() + timeout
         while len(answers) < len(asked) and (time_left := until - boottime()) > 0:
             for robot in asked:
-                if robot not in answers:
+                if robot not in answers:  # `setdefault`: the first answer of a robot counts
                     self._sessions.get(robot, CONTROL, name, payload, time_left, answers.setdefault)
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(

@@ -89,8 +89,8 @@ class RosterFollower:
     def _take(self) -> None:
         newer = self.shown
         if newer is not None and not self._is_known(newer[0]):
-            newer = None
-        elif newer is not None:
+            newer = None  # no link could prove the name of that robot
+        if newer is not None:
             self.shown = None
         missing = set()
         while self._missing:  # the carrier's thread may add to it

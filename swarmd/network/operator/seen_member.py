@@ -70,9 +70,10 @@ def silent_member(
 ) -> SeenMember | None:
     """The member `robot`, whose beacons do not arrive at this operator now.
 
-    `heard`: the last life (start to end of a daemon) that this operator heard. `answer`: the last
-    answer to a query of the robot's status. `report`: the most certain report of other robots on
-    the robot. Returns None for a robot that was neither heard nor reported.
+    `heard`: the last life (start to end of a daemon) that this operator heard, and that did not
+    leave. `answer`: the last answer to a query of the robot's status. `report`: the most certain
+    report on the robot, by other robots or by its own farewell. Returns None for a robot that was
+    neither heard nor reported.
 
     1. If this operator's last beacon of the robot is newer than the report, the robot has failed.
     2. If another robot heard the robot within INDIRECT_TIME, the robot is alive and unreachable.
@@ -82,14 +83,17 @@ def silent_member(
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)
     if report is None:
         return None
-    is_alive = report.presence is Presence.ALIVE and now - report.at <= INDIRECT_TIME
-    presence = Presence.FAILED if report.presence is Presence.ALIVE else report.presence
+    presence, contact = report.presence, Contact.GONE
+    if presence is Presence.ALIVE:
+        is_recent = now - report.at <= INDIRECT_TIME
+        presence = Presence.ALIVE if is_recent else Presence.FAILED
+        contact = Contact.UNREACHABLE if is_recent else Contact.GONE
     return SeenMember(
         robot=robot,
         instance=report.instance,
-        presence=Presence.ALIVE if is_alive else presence,
+        presence=presence,
         age=max(now - report.at, 0.0),
         status=answer.status if answer and isinstance(answer.status, Status) else None,
-        contact=Contact.UNREACHABLE if is_alive else Contact.GONE,
+        contact=contact,
         by=report.by,
     )

@@ -38,8 +38,8 @@ class PendingStop:
     - `select` picks the targets from the names known so far. None: all robots are targets, and
       the stop needs no list of names.
     - `names`: targets from the start, whether or not they are known.
-    - `renew` returns a new origin and counter, for the case that a robot refuses the stop as
-      replayed.
+    - `renew` returns a new origin and counter: by these a robot of a secured swarm detects replayed
+      stops. The stop is repeated with new numbers if a robot refuses it as replayed.
 
     Every repeat has the same id.
     """
@@ -73,6 +73,8 @@ class PendingStop:
         Without a known target no such datagram is due, since it would stop nobody. `names`: only
         for these targets; None: all targets.
         """
+        # `age`: of this copy. `repeated`: the age at which the operator itself sent it, now. A
+        # robot that relays the copy raises only `age`.
         age_ms = round((now - self._started) * 1000)
         stop = replace(self._stop, age=age_ms, repeated=age_ms)
         lacking = set(self.lacking(now))

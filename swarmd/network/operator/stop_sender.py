@@ -76,8 +76,8 @@ class StopSender:
                     # 2. The datagrams to send: to all if a repeat is due, else only to robots that
                     # were just found.
                     targets_before, targets = targets, pending.selected()
-                    lacking = pending.lacking(now)
-                    silent = lacking if now >= rest_time else pending.silent(now)
+                    lacking = pending.lacking(now)  # without an ack, or its base still moves
+                    silent = lacking if now >= rest_time else pending.silent(now)  # without an ack
                     is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
                     stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:
@@ -91,8 +91,8 @@ class StopSender:
                 # All robots may have acked while some bases still move. An empty `silent` is
                 # reported only once all bases rest.
                 is_reportable = bool(silent) or not lacking
-                is_change = silent != reported and is_reportable
-                if until_all and is_change and progress_timer.is_due(now):
+                is_new = silent != reported
+                if until_all and is_new and is_reportable and progress_timer.is_due(now):
                     reported = silent
                     on_progress(silent)
 

@@ -123,8 +123,8 @@ class GoalSync:
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
         """True if a robot shows a goal that may be greater than this robot's goal.
 
-        `digest`: of the shown goal. `own`: of this robot's goal. The robot must then be asked for
-        its goal. False once it has answered for this digest.
+        `digest`: of the shown goal. `own`: of this robot's goal. If True, this robot must ask for
+        the goal. False for a digest for which the other robot has answered already.
         """
         return may_replace(digest, own) and not self._asks.knows(instance, digest)
 

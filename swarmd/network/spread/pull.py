@@ -224,7 +224,7 @@ async def _piece(session: zenoh.Session, key: str, query: PullQuery) -> PullRepl
     try:
         session.get(
             key,
-            zenoh.handlers.Callback(on_reply, indirect=False),
+            zenoh.handlers.Callback(on_reply, indirect=False),  # on Zenoh's own thread
             congestion_control=zenoh.CongestionControl.DROP,
             timeout=PIECE_TIMEOUT,
             payload=encode(query),

@@ -1,7 +1,8 @@
 """Detection of replayed stops without a shared clock. Pure.
 
 A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
-the operator's clock, and at least the counter of the last stop plus 1. A robot accepts
+the operator's clock, and at least the counter of the last stop plus 1. A file in the folder of the
+operator's identity keeps both. A robot accepts
 
 - a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
   the robot first heard the stop. So a copy ends no run that began later, and does not renew an
@@ -16,18 +17,18 @@ used. An attacker can only replay datagrams, and cannot make a new origin. The c
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
-a copied home, its clock behind  refused, and taken with the next repeat (0.1 s), under a new origin
+a copied folder, clock behind    refused, and taken with the next repeat (0.1 s), under a new origin
 the operator's clock is set back the file keeps the counter, which goes on from the last
 the file is lost or damaged      a new origin
 the file cannot be written       a random origin for each command
-the file was restored from       refused if the clock is behind, too, and then as for a copied home
+the file is a restored backup    refused if the clock is behind, too, and then as a copied folder
 several commands at one time     the file is locked, and any order of counters within SLACK is taken
 a robot restarts                 it keeps the greatest counters on disk, and a stop that is still
                                  repeated gets a new origin. Without its file the robot takes
                                  replayed stops
 relayed copies                   are known by their ids, or come within SLACK. Robots relay for a
                                  minute, and take over the origin of the operator's newest copy
-a stolen robot forges counters   as for a copied home
+a stolen robot forges counters   as a copied folder
 ===============================  ===================================================================
 
 Not covered: a robot that has heard neither the stop nor a later stop of its origin accepts a

@@ -111,9 +111,10 @@ class StopRelay:
             )
 
         # 2. Update the ages. Copies by several ways have different ages, and the greatest age
-        # counts. An age may be forged: a stop that looks older than the present run would not end
-        # that run. So later copies add at most MAX_AGE_SHIFT. `repeated` is the greatest age at
-        # which the operator itself has sent a copy.
+        # counts: the earliest `issued`. An age may be forged: a stop that looks older than the
+        # present run would not end that run. So later copies move `issued` back by at most
+        # MAX_AGE_SHIFT. `repeated` is the greatest age at which the operator itself has sent a
+        # copy, at most the present age of the stop.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
         repeated = min(stop.repeated / 1000.0, now - relayed.issued)
         relayed.repeated = max(relayed.repeated, repeated)
@@ -134,7 +135,7 @@ class StopRelay:
             if is_from_operator and len(relayed.sources) >= MAX_SOURCES:
                 del relayed.sources[next(iter(relayed.sources))]
             if len(relayed.sources) < MAX_SOURCES:
-                relayed.sources[source] = _NEVER
+                relayed.sources[source] = _NEVER  # no ack has gone to this sender
         if is_from_operator and source in relayed.sources:  # a repeat: the operator may lack acks
             return self._acks_again(relayed, source, now)
         return []
@@ -168,10 +169,10 @@ class StopRelay:
         """Take another robot's ack of a relayed stop; returns copies of it to hand on.
 
         The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. Each ack is handed on to each receiver once, except a refusal as
-        replayed that comes from the refusing robot itself. A stop with many targets is relayed in
-        parts, all with one id. An ack that the base rests is not replaced by an ack that the base
-        moves.
+        names this robot as `via`. Each ack is handed on to each receiver once. The exception is an
+        ack that refuses the stop as replayed and comes from the refusing robot itself: it is handed
+        on whenever it comes. A stop with many targets is relayed in parts, all with one id. An ack
+        that the base rests is not replaced by an ack that the base moves.
         """
         parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
         sends: list[Send] = []
@@ -180,7 +181,7 @@ class StopRelay:
                 continue
             handed = replace(ack, via=self._own)
             receivers = [address for address in relayed.sources if address != source]
-            origin: bytes | None = None
+            origin: bytes | None = None  # only of a refusal as replayed: it counts for this origin
             if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
                 # A refusal that comes from the robot itself is always handed on. A refusal by way
                 # of a third robot could travel in circles: it is handed on once for each origin.
@@ -230,6 +231,7 @@ class StopRelay:
             # still moves after a new stop.
             if now >= relayed.interval_ends:
                 doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
+                # Later an ack "moving" does not count: a forged ack would keep the interval short.
                 is_new = now - relayed.heard < TRUSTLESS_TIME
                 is_moving = is_new and any(ack.is_moving for ack in relayed.acks.values())
                 relayed.interval = FIRST_INTERVAL if is_moving else doubled

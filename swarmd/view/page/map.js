@@ -9,6 +9,7 @@ const MANY = 60; // robots from which on only some trails are drawn
 const NAMED = 15; // robots in view up to which all have names
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
+const KEEP_OUT = 'rgba(213, 94, 0, 0.22)'; // areas of a fence that robots do not enter
 const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
@@ -90,6 +91,9 @@ export class SwarmMap {
     mark(CONTACT, 'in contact', 'ring', heard.filter((one) => one.row.touches));
     mark('transparent', 'silent', 'dashed', silent);
     if (this.chosen().some((one) => (one.row.rows || []).length)) found.push({ colour: LIMIT, text: 'limits it', line: 'arc' });
+    const fences = this.fencesOf();
+    if (fences.length) found.push({ colour: 'transparent', text: 'fence', line: 'fence' });
+    if (fences.some((polygons) => polygons.length > 1)) found.push({ colour: KEEP_OUT, text: 'keep out', line: 'fence' });
     if (this.fieldPicture && this.colouring.key !== `readings:${this.field}`) {
       const [low, high] = rangeOf(this.model.arena.fields[this.field]);
       found.push({ colour: scale(0), text: `${this.field} ${low.toPrecision(3)}` }, { colour: scale(1), text: `${this.field} ${high.toPrecision(3)}` });
@@ -131,6 +135,7 @@ export class SwarmMap {
     };
     for (const robot of this.model.robots.values()) if (robot.x === robot.x) take(robot.x, robot.y);
     const arena = this.model.arena;
+    for (const [outer] of this.fencesOf()) for (const [x, y] of outer) take(x, y);
     if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
     if (left > right) return;
     const { clientWidth: w, clientHeight: h } = this.canvas, [above, under, before, after] = this.insets, below = under + ABOVE_SCALE;
@@ -255,22 +260,27 @@ export class SwarmMap {
     }
   }
 
-  // The fences of robots, dashed; equal fences are drawn once.
+  // The different fences of robots, each a list of polygons, the outer one first.
+  fencesOf() {
+    const all = [...this.model.robots.values()].map((one) => one.row.fence).filter((one) => one);
+    return [...new Map(all.map((one) => [JSON.stringify(one), one])).values()];
+  }
+
+  // The fences: dashed, the areas to keep out of filled.
   fences(text, zoom) {
-    const { ctx } = this, drawn = new Set();
+    const { ctx } = this;
     ctx.strokeStyle = text;
+    ctx.fillStyle = KEEP_OUT;
     ctx.lineWidth = 2 * this.ratio / zoom;
     ctx.setLineDash([8 * this.ratio / zoom, 6 * this.ratio / zoom]);
-    for (const robot of this.model.robots.values()) {
-      const polygons = robot.row.fence, key = polygons && JSON.stringify(polygons);
-      if (!key || drawn.has(key)) continue;
-      drawn.add(key);
-      for (const points of polygons) {
+    for (const polygons of this.fencesOf()) {
+      polygons.forEach((points, number) => {
         ctx.beginPath();
         points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
         ctx.closePath();
+        if (number) ctx.fill();
         ctx.stroke();
-      }
+      });
     }
     ctx.setLineDash([]);
   }

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.events import OdometryInput, ScanInput
+from swarmd.core.events import OdometryInput, ReadingsInput, ScanInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist, Value
@@ -174,6 +174,27 @@ def test_a_drone_beside_an_obstacle_does_not_take_off() -> None:
     play(drone, story)
 
 
+def test_a_drone_that_is_not_armed_stays_on_the_ground_and_says_so() -> None:
+    drone = Drone()
+    firmware = drone.robots.firmware("cf")
+    firmware.is_armed = False
+
+    async def story(harness: DriverHarness) -> None:
+        harness.driver.send(ZERO, 1, 1)
+        harness.driver.send(ZERO, 1, 1)
+
+        def is_told() -> bool:
+            harness.driver.send(TWIST, 1, 1)
+            assert not firmware.has_motors_on
+            return "not armed" in harness.sink.states[-1][1]
+
+        await harness.until(is_told, publishing=True)
+        firmware.is_armed = True  # by hand
+        await flying(harness, drone)
+
+    play(drone, story)
+
+
 def test_a_drone_flies_on_over_a_link_that_loses_and_delays() -> None:
     drone = Drone()
 
@@ -206,6 +227,10 @@ def test_the_driver_hands_over_what_the_drone_measures() -> None:
         assert (pose.x, pose.y, pose.yaw) == pytest.approx((0.1, 0.2, 0.3), abs=1e-5)
         assert (twist.linear, twist.angular, twist.lateral) == pytest.approx((0.1, 0.2, 0.05))
         assert sink.taken["readings"][-1]["battery"] == pytest.approx(1.0 / 1.2)
+        drone.robots.publish("cf", ReadingsInput({"battery": 0.25}))  # of the simulated world
+        await harness.until(
+            lambda: sink.taken["readings"][-1]["battery"] == pytest.approx(0.25), publishing=True
+        )
         shared = sink.taken["pose"][-1]
         assert (shared.frame, shared.error) == ("hall", 0.05)
 

@@ -13,7 +13,7 @@ from swarmd.drivers.crazyflie.firmware import (
     OFF_TIMEOUT,
     Firmware,
 )
-from swarmd.drivers.crazyflie.link import CAN_FLY, IS_FLYING, IS_LOCKED
+from swarmd.drivers.crazyflie.link import CAN_FLY, IS_ARMED, IS_FLYING, IS_LOCKED
 
 TICK = 0.02
 
@@ -74,7 +74,7 @@ def test_a_stop_and_a_thrust_of_zero_stop_the_motors_in_the_air(packet: bytes) -
 
 def test_a_locked_drone_obeys_no_setpoint_and_says_so() -> None:
     drone = Flown()
-    assert info(drone.firmware) == CAN_FLY | IS_FLYING
+    assert info(drone.firmware) == CAN_FLY | IS_ARMED | IS_FLYING
     drone.firmware.faults = IS_LOCKED
     drone.pass_time(1.0)
     assert info(drone.firmware) == IS_LOCKED

@@ -95,6 +95,7 @@ def test_these_land_a_flying_drone_at_once(wish: Wish, seen: dict[str, Any], cau
         ({"is_clear": False}, "range is not clear"),
         ({"may_fly": False}, "not ready"),
         ({"is_battery_low": True}, "battery"),
+        ({"is_unarmed": True, "may_fly": False}, "not armed"),
     ],
 )
 def test_these_keep_a_drone_on_the_ground(seen: dict[str, Any], cause: str) -> None:

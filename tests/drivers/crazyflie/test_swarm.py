@@ -1,9 +1,13 @@
-"""Seven emulated drones with daemons: the unchanged patterns, a killed daemon, and the landing."""
+"""Seven emulated drones with daemons: patterns, a lost link, a killed daemon, and the landing."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import select
 import signal
+import socket
+import threading
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
@@ -32,6 +36,43 @@ DISTANCE = 1.3  # m
 CAP = 120.0  # s
 
 
+class Relay:
+    """A link over UDP, which `is_cut` ends in both directions: a radio between driver and drone."""
+
+    def __init__(self, uri: str) -> None:
+        """`uri`: the address of the drone; `self.uri`: that for the driver."""
+        host, _, port = uri.removeprefix("udp://").rpartition(":")
+        self.is_cut = False
+        self._ground, self._air = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in "ga")
+        self._ground.bind(("127.0.0.1", 0))
+        self._air.connect((host, int(port)))
+        self.uri = f"udp://127.0.0.1:{self._ground.getsockname()[1]}"
+        self._is_over = threading.Event()
+        self._thread = threading.Thread(target=self._carry, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Relay:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._is_over.set()
+        self._thread.join()
+        self._ground.close()
+        self._air.close()
+
+    def _carry(self) -> None:
+        peer = None
+        while not self._is_over.is_set():
+            for link in select.select([self._ground, self._air], [], [], 0.05)[0]:
+                with contextlib.suppress(OSError):  # a side that has closed its port
+                    data, sender = link.recvfrom(2048)
+                    peer = sender if link is self._ground else peer
+                    if not self.is_cut and link is self._ground:
+                        self._air.send(data)
+                    elif not self.is_cut and peer is not None:
+                        self._ground.sendto(data, peer)
+
+
 def stop(operator: Operator, robots: Collection[str]) -> None:
     """Stop these robots."""
     outcome = operator.send_stop("stop", select=lambda known: frozenset(robots), names=robots)
@@ -39,8 +80,8 @@ def stop(operator: Operator, robots: Collection[str]) -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.timeout(600)
-def test_seven_drones_disperse_vote_survive_a_killed_daemon_and_land(tmp_path: Path) -> None:
+@pytest.mark.timeout(900)
+def test_seven_drones_survive_a_lost_link_and_a_killed_daemon_and_land(tmp_path: Path) -> None:
     platform = tmp_path / "posed.yaml"
     platform.write_text(yaml.safe_dump(POSED))
     robots = robot_ids("crazyflie", 7)
@@ -53,14 +94,22 @@ def test_seven_drones_disperse_vote_survive_a_killed_daemon_and_land(tmp_path: P
         lidar_visibility="real",
         shared_frame=True,
         emulator="crazyflie",
+        absent=frozenset(robots[:1]),
     )
+    victim, *others = robots
     pids = set[int]()
     with (
         Operator(NetworkSettings(swarm=spec.swarm)) as operator,
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as view,
+        Relay(fleet.ready.driver_options["uri"][victim]) as relay,
     ):
         watch = WorldWatcher(view)
+        config = spec.folder / f"{victim}.yaml"
+        told = yaml.safe_load(config.read_text())
+        told["driver_options"]["uri"] = relay.uri
+        config.write_text(yaml.safe_dump(told))
+        fleet.start_daemon(victim)
 
         def statuses() -> Mapping[str, Status]:
             return statuses_of(operator.members())
@@ -80,6 +129,13 @@ def test_seven_drones_disperse_vote_survive_a_killed_daemon_and_land(tmp_path: P
                 stop(operator, again)
                 run("dispersion", again, distance=DISTANCE)
             return len(told) == len(robots) and all(": flies" in text for text in told.values())
+
+        def have_landed(chosen: Collection[str]) -> bool:
+            present = [statuses()[robot] for robot in chosen]
+            return all(
+                one.state is State.STOPPED and ": on the ground" in one.health.driver
+                for one in present
+            )
 
         def nearest() -> float:
             places = np.array(watch.wait().poses)[:, :2]
@@ -102,20 +158,32 @@ def test_seven_drones_disperse_vote_survive_a_killed_daemon_and_land(tmp_path: P
         )
         # A drone whose reports a stall of the machine held back for 1 s lands: not all need to fly.
         assert any(": flies" in one.health.driver for one in statuses().values())
-        # 3. A daemon is killed. Its drone falls, unseen and without a told place: the runs of the
+        # 3. A link is lost. The firmware levels the drone and lets it fall; its daemon says so. The
+        # others do not hear its place, and land. With the link they fly again.
+        relay.is_cut = True
+        wait_until(
+            lambda: (
+                statuses()[victim].reason is Reason.DRIVER_LOST
+                and statuses()[victim].state is State.STOPPED
+            ),
+            "the lost link is told",
+            CAP,
+        )
+        assert victim in {found.robot for one in others for found in statuses()[one].peers}
+        wait_until(lambda: not np.any(np.abs(watch.wait().twists[0]) > 0.02), "it stands", CAP)
+        wait_until(lambda: have_landed(others), "the others have landed", CAP)
+        relay.is_cut = False
+        wait_until(lambda: statuses()[victim].health.driver_up, "the link is back", CAP)
+        assert "in the air" not in statuses()[victim].health.driver  # it fell
+        stop(operator, robots)
+        run("dispersion", distance=DISTANCE)
+        wait_until(do_all_fly, "all fly again", CAP)
+        # 4. A daemon is killed. Its drone falls, unseen and without a told place: the runs of the
         # others end, and these drones land.
-        victim, *others = robots
         os.kill(fleet.pids[victim], signal.SIGKILL)
         wait_until(lambda: not is_running(fleet.pids[victim]), "the daemon is dead", CAP)
         wait_until(lambda: not np.any(np.abs(watch.wait().twists[0]) > 0.02), "it stands", CAP)
-        wait_until(
-            lambda: all(
-                one.state is State.STOPPED and ": on the ground" in one.health.driver
-                for one in (statuses()[robot] for robot in others)
-            ),
-            "the others have landed",
-            CAP,
-        )
+        wait_until(lambda: have_landed(others), "the others have landed", CAP)
         reasons = {statuses()[robot].reason for robot in others}
         assert Reason.INCOMPATIBLE_PEER in reasons
         stop(operator, others)

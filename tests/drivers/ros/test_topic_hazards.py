@@ -195,13 +195,14 @@ def test_a_number_that_is_not_finite_is_no_news() -> None:
         ({"above": 0.5}, "-inf", ()),
         ({"below": 0.5}, "-inf", (BUMP,)),
         ({"below": 0.5}, "inf", ()),
+        ({"above": 0.0, "below": 0.0}, "inf", (BUMP,)),
     ],
 )
 def test_an_infinite_range_is_beyond_a_limit(
     limit: dict[str, Value], value: str, wanted: tuple[Hazard, ...]
 ) -> None:
     heard = Heard(options({"bumper": {**BUMPER, "type": "std_msgs/Float32", **limit}}))
-    within = dds.Float32(data=0.6 if "below" in limit else 0.4)
+    within = dds.Float32(data=0.0 if len(limit) == 2 else 0.6 if "below" in limit else 0.4)
     assert heard.tell("bumper", within, 0.0) == ()
     assert heard.tell("bumper", dds.Float32(data=float(value)), 0.1) == wanted
 

@@ -6,11 +6,15 @@ import asyncio
 import itertools
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import zenoh
 
-from swarmd.core.values import ZERO, Twist
+from swarmd.core.messages import Code, Reply
+from swarmd.core.values import ZERO, Twist, Value
+from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
+from swarmd.driver_api.opinion_link import HeardOpinion, opinion_link
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.driver import RosDriver
@@ -207,3 +211,87 @@ async def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge(
     await harness.until(lambda: docked(harness) == 0.0, publishing=True)
     session.close()
     dock.close()
+
+
+SERVICES: dict[str, Value] = {"operator": "ros", "runs": {"go": {"pattern": "drive"}}}
+STOP, GO = "/swarmd/stop", "/swarmd/run/go"
+
+
+@story(DdsRobot, services=SERVICES)
+async def test_services_are_called_over_dds_and_not_late(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    """A call that waited in a frozen bridge has no known age, so that the daemon refuses a run."""
+    commands: list[DriverCommand] = []
+
+    def take(command: DriverCommand, answer: Answer) -> None:
+        commands.append(command)
+        answer(Reply(id="i", robot="r", code=Code.APPLIED, text=f"{command.verb} done"))
+
+    source = command_source(harness.driver)
+    assert source is not None
+    source.serve(take)
+    caller = DdsNode(robot.domain, "caller", clients=[STOP, GO])
+    answers: dict[int, Any] = {}
+    count = itertools.count(1)
+
+    def is_served(service: str) -> bool:
+        """A call before the bridge has its route is lost."""
+        caller.call(service, next(count))
+        answers.update(caller.answers(service))
+        return bool(answers)
+
+    await harness.until(lambda: is_served(STOP), publishing=True)
+    answer = answers.popitem()[1]
+    assert (answer.success, answer.message, commands[-1].verb) == (True, "stop done", "stop")
+
+    async def settle() -> None:
+        while not (commands and commands[-1].age is not None):
+            await harness.until(lambda: is_served(GO), publishing=True)
+            answers.clear()
+            await asyncio.sleep(0.2)
+
+    commands.clear()
+    await settle()
+    assert commands[-1].verb == "run"
+
+    robot.bridge.freeze()
+    await asyncio.sleep(0.2)
+    caller.call(GO, 10**6)
+    await asyncio.sleep(2.0)
+    commands.clear()
+    robot.bridge.thaw()
+    await harness.until(lambda: 10**6 in caller.answers(GO), publishing=True)
+    assert {command.age for command in commands} == {None}
+    commands.clear()
+    await settle()
+    caller.close()
+
+
+@story(DdsRobot, opinions={"publish": True, "unknown": True, "robots": ["tb4_07"]})
+async def test_opinions_pass_the_bridge_in_both_directions(
+    harness: DriverHarness, robot: DdsRobot
+) -> None:
+    link, heard = opinion_link(harness.driver), list[HeardOpinion]()
+    assert link is not None
+    link.hear(heard.append)
+    voters = [f"/{name}/opinion" for name in ("tb4_07", "tb4_08")]
+    other = DdsNode(
+        robot.domain, "other", dict.fromkeys(voters, dds.Int32), {"/swarmd/opinion": dds.Int32}
+    )
+    taken: list[int] = []
+
+    def is_exchanged() -> bool:
+        link.publish(2)
+        for topic in voters:
+            other.publish(topic, dds.Int32(data=1))
+        taken.extend(message.data for message in other.take("/swarmd/opinion"))
+        return bool(taken) and len({one.name for one in heard}) == 2
+
+    await harness.until(is_exchanged, publishing=True)
+    assert set(taken) == {2}
+    assert {(one.name, one.opinion, one.is_declared) for one in heard} == {
+        ("tb4_07", 1, True),
+        ("tb4_08", 1, False),
+    }
+    other.close()

@@ -12,7 +12,12 @@ from msgspec.structs import replace
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import MAX_UNSIGNED, GoalState, GoalStatus, signed_part
 from swarmd.network.operator.members_view import MembersView
-from swarmd.network.operator.operator_goals import MAX_GENERATION, next_goal, resigned, signed_goals
+from swarmd.network.operator.operator_goals import (
+    MAX_GENERATION,
+    next_goal,
+    signed_again,
+    signed_goals,
+)
 from swarmd.security.authority import Authority
 from swarmd.security.content_signature import Purpose, is_signed_by
 from swarmd.security.identity import load_identity
@@ -54,7 +59,7 @@ def test_where_keys_are_in_force_the_operator_signs_each_goal(tmp_path: Path) ->
     authority.issue("anna").write(tmp_path / "identity")
     me = operator(load_identity(tmp_path / "identity"))
     goal = next_goal(me, seen(1), pattern="drive")
-    again = resigned(me, goal, generation=5)
+    again = signed_again(me, goal, generation=5)
     assert again.id == goal.id
     for one in (goal, again):
         assert is_signed_by(roster.operators["anna"], Purpose.GOAL, signed_part(one), one.signature)
@@ -74,6 +79,8 @@ def test_a_robot_that_was_taken_over_cannot_use_up_the_generations(tmp_path: Pat
     )
     view = replace(view, goal_generation=MAX_GENERATION)
     assert next_goal(me, view, pattern="drive").generation == good.generation + 1
+    alone = replace(view_of(member_with("r2", goal_status(false))), goal_generation=MAX_GENERATION)
+    assert next_goal(me, alone, pattern="drive").generation == MAX_UNSIGNED + 1  # no signed goal
     shown = signed_goals(view, keys["anna"])
     of_r1, of_r2 = (one.status.goal for one in shown.members.values() if one.status is not None)
     assert of_r1 == goal_status(good)

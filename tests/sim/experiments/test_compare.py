@@ -199,6 +199,13 @@ def test_times_that_some_runs_never_reached_count_up_to_the_end() -> None:
     assert found.conclusion.endswith("up to 60 s; never: 1 of 3, 0 of 3")
 
 
+def test_runs_that_never_reached_an_event_are_counted_among_the_compared_runs() -> None:
+    never: dict[int, float | None] = {0: 10.0, 1: None, 2: None}
+    b = side(of(np.array([9.0, 8.0, 7.0])), "gather_time", lost=(2,))
+    found = only(side(never, "gather_time"), b)
+    assert (found.n_a, found.never_a) == (2, 1)
+
+
 def test_an_event_that_no_run_reached_shows_no_difference() -> None:
     never: dict[int, float | None] = {0: None, 1: None, 2: None}
     found = only(side(never, "gather_time"), side(never, "gather_time"))

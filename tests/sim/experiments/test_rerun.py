@@ -67,6 +67,16 @@ def test_each_other_bit_is_reported_even_without_the_scenario(
     assert stamps(results.folder) == before
 
 
+def test_the_new_results_show_the_metrics_that_the_old_ones_show(
+    results: Results, tmp_path: Path
+) -> None:
+    path = results.folder / "manifest.json"
+    manifest = json.loads(path.read_bytes()) | {"shown": ["minimum_gap"]}
+    path.write_text(json.dumps(manifest))
+    again(results, tmp_path)
+    assert json.loads((tmp_path / "y" / "manifest.json").read_bytes())["shown"] == ["minimum_gap"]
+
+
 def test_a_run_that_fails_now_is_reported(duo: Path, tmp_path: Path) -> None:
     results = simulate(duo, seeds=1, set={"duration": 0.6}, out=tmp_path / "x")
     plugin = duo.parent / "plugins" / "moody.py"

@@ -201,7 +201,7 @@ def test_the_claim_names_the_seeds_without_a_value(duo: Path, tmp_path: Path) ->
     found = tuned(duo, tmp_path / "t", Fragile())
     assert found.gain is not None
     assert found.gain.n_a == 4
-    assert "16 seeds more have no value on both sides" in " ".join(
+    assert "16 further seeds lack a value on a side" in " ".join(
         line.lstrip("# ") for line in found.document.splitlines()
     )
 
@@ -332,6 +332,18 @@ def test_the_document_is_a_scenario(whole: tuple[Path, Tuning, Bench], duo: Path
     body = yaml.safe_load(whole[1].document)
     assert body["extends"] == str(duo)
     assert body["parameters"]["moody"] == whole[1].best.values
+
+
+def test_the_document_has_no_values_of_candidates_that_are_not_the_best(tmp_path: Path) -> None:
+    """A list of the scenario stands in the document in full if one of its items is set."""
+    duo = write_duo(tmp_path)
+    text = "\nevents:\n  - {at: 1.0, stop: all}\n  - {at: 1.5, stop: all}\n"
+    duo.write_text(duo.read_text() + text)
+    found = tuned(
+        duo, tmp_path / "t", Even(), param=["events.0.at=0.1..0.9"], set={"events.1.at": 1.6}
+    )
+    assert found.best.number == 0
+    assert [event["at"] for event in yaml.safe_load(found.document)["events"]] == [1.0, 1.6]
 
 
 def test_pseudo_reality_has_the_same_draws_for_both_sides(duo: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,7 @@ from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.metrics.catalog import measure
-from swarmd.sim.report.recording_report import trace_of
+from swarmd.sim.report.recording_report import stops_of, trace_of
 from swarmd.view.timeline import read_timeline
 from tests.support.statuses import status
 
@@ -86,6 +87,20 @@ def test_the_trace_of_a_recording(merged: Path) -> None:
     held = trace.t[trace.active[:, 1]]
     assert (held[0], held[-1]) == pytest.approx((HELD[0], HELD[1] - 0.1), abs=0.11)
     assert set(np.unique(trace.reason[:, 1])) == {"", "protection"}
+
+
+def test_the_reason_of_a_stop_is_the_earliest_of_the_most_frequent(merged: Path) -> None:
+    """Not any of them, which would differ between processes by the hashes of texts."""
+    trace = trace_of(read_timeline([merged]), merged)
+    assert trace.reason is not None
+    reason = trace.reason.copy()
+    stopped = np.flatnonzero(reason[:, 1] == "protection")
+    words = ["stale_scan", "no_scan", "driver_lost", "frozen_scan", "invalid_scan"]
+    reason[stopped, 1] = np.resize(np.array(words), len(stopped) // 5 * 5).tolist() + [""] * (
+        len(stopped) % 5
+    )
+    ((_, robot, _, why),) = stops_of(replace(trace, reason=reason))
+    assert (robot, why) == ("b", "stale scan")
 
 
 def test_the_trace_of_a_recording_has_the_reports_and_readings_of_statuses(merged: Path) -> None:

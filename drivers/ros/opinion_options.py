@@ -1,0 +1,69 @@
+"""The option `opinions`: opinions of voting patterns as topics, in both directions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from swarmd.drivers.ros.cdr import STORE
+
+PUBLISHED = "swarmd/opinion"
+"""The topic of the own opinion, of type std_msgs/Int32."""
+MAX_ROBOTS = 64
+
+_BROADCAST = "communication_interfaces/msg/OpinionMessage"
+_BROADCAST_FIELDS = "int64 id\nint64 opinion\n"
+_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,49}")
+_TOPIC = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
+Text = Annotated[str, Meta(min_length=1, max_length=200)]
+Number = Annotated[int, Meta(ge=0, lt=2**31)]
+
+
+class OpinionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The opinions that this robot publishes and hears.
+
+    - `publish`: publish the own opinion on `swarmd/opinion`, a std_msgs/Int32.
+    - `topic`: the topic in the namespace of another robot with that robot's opinion.
+    - `robots`: the namespaces of the other robots; their topics are std_msgs/Int32.
+    - `broadcast`: one topic for all robots, as in ROS2swarm: `OpinionMessage` with `id` and
+      `opinion`. The own opinion is published there, too, if `publish` is set.
+    - `ids`: the ids of the robots that `broadcast` hears.
+    - `unknown`: also hear robots that `robots` and `ids` do not name.
+    """
+
+    publish: bool = False
+    topic: Text = "opinion"
+    robots: Annotated[tuple[Text, ...], Meta(max_length=MAX_ROBOTS)] = ()
+    broadcast: Text | None = None
+    ids: Annotated[tuple[Number, ...], Meta(max_length=MAX_ROBOTS)] = ()
+    unknown: bool = False
+
+    def faults(self) -> Iterator[str]:
+        """The texts of the faults of names."""
+        if _TOPIC.fullmatch(self.topic) is None or self.topic == PUBLISHED:
+            yield (
+                f"opinions.topic is {self.topic!r}; expected the name of a topic in a robot's"
+                f" namespace, such as opinion, and not {PUBLISHED}"
+            )
+        for robot in self.robots:
+            if _NAME.fullmatch(robot) is None:
+                yield f"opinions.robots has {robot!r}; expected a namespace such as tb4_07"
+        if self.broadcast is not None and _TOPIC.fullmatch(self.broadcast.strip("/")) is None:
+            yield f"opinions.broadcast is {self.broadcast!r}; expected a topic such as /votes"
+        if self.ids and self.broadcast is None:
+            yield "opinions.ids is given without opinions.broadcast; expected both"
+
+
+@cache
+def broadcast_type() -> type[Any]:
+    """The message class of ROS2swarm's opinions; the first call takes some tens of milliseconds."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(_BROADCAST_FIELDS, _BROADCAST))
+    kind: type[Any] = store.types[_BROADCAST]
+    setattr(kind, STORE, store)
+    return kind

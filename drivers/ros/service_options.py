@@ -1,0 +1,58 @@
+"""The option `services`: the services by which ROS commands this robot."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Id, ParamValues, Word
+from swarmd.driver_api.command_source import DeclaredRun
+
+MAX_RUNS = 32
+STOP, ESTOP, RESET, RUN = "swarmd/stop", "swarmd/estop", "swarmd/reset", "swarmd/run"
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+class RunOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run that a service starts; `seconds`: its duration, `until`: conditions of its end."""
+
+    pattern: Id
+    params: ParamValues = {}
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    until: tuple[Word, ...] = ()
+
+    def declared(self) -> DeclaredRun:
+        """The run as the daemon takes it."""
+        return DeclaredRun(self.pattern, self.params, self.seconds, self.until)
+
+
+class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The services, each of type std_srvs/Trigger.
+
+    - `operator`: the name in whose name every caller commands; the audit log has this name.
+    - `role`: `viewer` refuses every command. In a secured swarm the roster's role counts, too.
+    - `runs`: the runs by name of their service.
+    - `reset`: `own` clears emergency stops of this operator alone.
+    """
+
+    operator: Id
+    role: Literal["operator", "viewer"] = "operator"
+    runs: Annotated[dict[str, RunOptions], Meta(max_length=MAX_RUNS)] = {}
+    reset: Literal["own", "all"] = "own"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of the services in the robot's namespace."""
+        return (STOP, ESTOP, RESET, *(f"{RUN}/{name}" for name in self.runs))
+
+    def faults(self) -> Iterator[str]:
+        """The texts of the faults of the names of runs."""
+        for name in self.runs:
+            if _NAME.fullmatch(name) is None:
+                yield (
+                    f"services.runs has {name!r}; expected a name such as gather_all (letters,"
+                    " digits and _, a letter first)"
+                )

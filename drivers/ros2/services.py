@@ -1,0 +1,195 @@
+"""The ROS services that run and stop this robot, by the driver's session; option `services`.
+
+Each service has the type std_srvs/Trigger, whose request is empty. A middleware's client calls a
+service by a Zenoh query. Anyone on the robot's ROS graph may call.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Literal
+
+import zenoh
+from zenoh.handlers import Callback
+
+from swarmd.core.errors import CodecError
+from swarmd.core.finding import Finding
+from swarmd.core.messages import Code, Reply
+from swarmd.core.threads import hand_over
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.driver_api.command_source import DriverCommand, TakeCommand
+from swarmd.drivers.ros.options import RosOptions
+from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
+from swarmd.drivers.ros2.key_scheme import KeyScheme
+from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
+from swarmd.drivers.ros2.session import ask_hub
+
+CALL_RATE, CALL_BURST = 10.0, 10.0
+"""Calls per second of one service, and at once; further calls get no answer."""
+MAX_MESSAGE = 500
+"""Characters of the field `message`."""
+
+_HEADER = b"\0\1\0\0"  # CDR, little-endian
+_MAX_REQUEST = 8  # bytes of an empty request: the header, a byte that stands for no field, padding
+_VERBS: dict[str, Literal["stop", "estop", "reset"]] = {
+    STOP: "stop",
+    ESTOP: "estop",
+    RESET: "reset",
+}
+_DOUBT = (
+    "the age of this call is unknown: the hub did not answer all the time in the last"
+    f" {SETTLE_TIME:g} s; call again"
+)
+
+
+class CommandServices:
+    """Serves the services of one robot; does nothing without the option `services`."""
+
+    def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
+        """Not open yet."""
+        self._scheme, self._options = scheme, options.services
+        self._names = {
+            name: options.topic(name)
+            for name in (() if self._options is None else self._options.names)
+        }
+        self._take: TakeCommand | None = None
+        self._lock = (
+            threading.Lock()
+        )  # guards `_limits` and `_refused`: Zenoh's threads call `on_query`
+        self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
+        self._refused = 0
+        self._session: zenoh.Session | None = None
+        self._declared: list[object] = []
+        self._age = RequestAge()
+
+    @property
+    def is_on(self) -> bool:
+        """True with the option `services`."""
+        return self._options is not None
+
+    def findings(self) -> tuple[Finding, ...]:
+        """The finding of `swarmd --check` on option `services`."""
+        if self._options is None:
+            return ()
+        role = f"{self._options.operator}, {self._options.role}"
+        return (Finding("services", True, f"serves {', '.join(self._names.values())} ({role})"),)
+
+    def serve(self, take: TakeCommand) -> None:
+        """Hand the commands to `take`; without it calls get no answer."""
+        self._take = take
+
+    def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
+        """Declare the services on a new session."""
+        self._session, self._age = session, RequestAge()
+        for name, service in self._names.items():
+            on_query = Callback(partial(self._on_query, loop, name), indirect=False)
+            key = self._scheme.service_key(service)
+            self._declared.append(session.declare_queryable(key, on_query, complete=True))
+        tokens = self._scheme.service_tokens(str(session.info.zid()), tuple(self._names.values()))
+        self._declared += map(session.liveliness().declare_token, tokens)
+
+    def advance(self, dropped: Callable[[str], None]) -> None:
+        """Probe the hub, and count refused calls; the driver's task calls this."""
+        loop = asyncio.get_running_loop()
+        if self._session is None or not self.is_on:
+            return
+        if self._age.probes(now := loop.time()):
+            age = self._age  # of this session: a late answer must not count for the next session
+            ask_hub(
+                self._session,
+                partial(hand_over, loop, lambda: age.answered(now, loop.time())),
+            )
+        with self._lock:
+            refused, self._refused = self._refused, 0
+        if refused:
+            dropped("services:refused")
+
+    def close(self) -> None:
+        """Forget the session."""
+        self._session, self._age = None, RequestAge()
+        self._declared.clear()
+
+    def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
+        """Check a call on a thread of Zenoh, and hand it to the loop."""
+        with self._lock:
+            if not self._limits[name].take(1.0, time.monotonic()):
+                self._refused += 1
+                query.drop()
+                return
+        attachment = None if query.attachment is None else query.attachment.to_bytes()
+        payload = b"" if query.payload is None else query.payload.to_bytes()
+        try:
+            _check_empty(payload)
+            stamp = self._scheme.call_stamp(str(query.key_expr), attachment)
+        except CodecError:  # such as a query of another program for many keys
+            with self._lock:
+                self._refused += 1
+            query.drop()
+            return
+        hand_over(loop, self._on_call, name, query, attachment, stamp)
+
+    def _on_call(
+        self, name: str, query: zenoh.Query, attachment: bytes | None, stamp: float | None
+    ) -> None:
+        take, options = self._take, self._options
+        if take is None or options is None or self._session is None:
+            query.drop()
+            return
+        age, doubt = self._age_of(stamp)
+        run = options.runs.get(name.removeprefix(f"{RUN}/"))
+        command = DriverCommand(
+            verb=_VERBS.get(name, "run"),
+            operator=options.operator,
+            is_viewer=options.role == "viewer",
+            source=f"ROS service {self._names[name]}",
+            run=None if run is None or name in _VERBS else run.declared(),
+            resets_others=options.reset == "all",
+            age=age,
+            doubt=doubt,
+        )
+        take(command, partial(self._answer, query, attachment))
+
+    def _age_of(self, stamp: float | None) -> tuple[float | None, str]:
+        """The greatest age of a call that has just arrived, or None and the reason."""
+        age = self._age.bound(asyncio.get_running_loop().time())
+        if age is None:
+            return None, _DOUBT
+        if stamp is None:
+            return age, ""
+        stamp_age = by_stamp(stamp, wall := time.time())
+        if stamp_age is None:
+            text = (
+                f"by its stamp this call was sent {wall - stamp:.1f} s ago; at most"
+                f" {MAX_STAMP_AGE:g} s count: call again, or set the clocks of both computers"
+            )
+            return None, text
+        return max(age, stamp_age), ""
+
+    def _answer(self, query: zenoh.Query, attachment: bytes | None, reply: Reply) -> None:
+        is_applied = reply.code is Code.APPLIED
+        text = reply.text if is_applied else f"{reply.refusal}: {reply.text}"
+        with suppress(zenoh.ZError):  # the caller or the session has gone
+            query.reply(
+                str(query.key_expr),
+                trigger_response(is_applied, text),
+                attachment=self._scheme.reply_attachment(attachment),
+            )
+        query.drop()
+
+
+def trigger_response(is_success: bool, message: str) -> bytes:
+    """The bytes of a std_srvs/Trigger_Response."""
+    text = message[:MAX_MESSAGE].encode(errors="replace") + b"\0"
+    return _HEADER + struct.pack("<?3xI", is_success, len(text)) + text
+
+
+def _check_empty(payload: bytes) -> None:
+    """CodecError unless the bytes are a request without fields."""
+    if not 4 <= len(payload) <= _MAX_REQUEST or payload[0] or any(payload[4:]):
+        raise CodecError("no empty request")

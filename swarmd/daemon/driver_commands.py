@@ -1,0 +1,165 @@
+"""Carries out the commands that the driver receives from the robot's own system, such as ROS.
+
+A command becomes the request of an operator for this one robot: with an id, an audit entry, and the
+epoch that the robot had when the command was issued.
+
+1. The robot refuses a run or reset if its epoch has changed since the command was issued.
+2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.
+3. A stop or emergency stop has no limit of age. It is repeated until the base rests.
+4. Only operators command: in a secured swarm the name must be an operator of the roster.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections import deque
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Protocol
+
+from swarmd.core import verbs
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, Epoch, Latch, Refusal, Reply
+from swarmd.daemon.requests import RequestServer
+from swarmd.driver_api.command_source import Answer, DriverCommand
+from swarmd.security.identity import Identity
+from swarmd.security.roster import Role
+
+MAX_COMMAND_AGE = 2.5
+"""Seconds after which a run or reset is refused."""
+REPEAT_PERIOD = 0.1
+"""Seconds between two copies of a stop whose base still moves. After 2 s the stop fails."""
+
+
+class CommandedRobot(Protocol):
+    """The parts of a robot that its commands need."""
+
+    @property
+    def id(self) -> str:
+        """The name of the robot."""
+
+    @property
+    def epoch(self) -> Epoch:
+        """The present epoch."""
+
+    @property
+    def latches(self) -> Mapping[str, Latch]:
+        """The emergency stops that hold the robot, by id."""
+
+
+class DriverCommands:
+    """Makes requests of the commands of a driver, and hands them to the request server.
+
+    `identity` returns the present identity; None: a swarm without keys, in which anyone commands.
+    """
+
+    def __init__(
+        self,
+        robot: CommandedRobot,
+        requests: RequestServer,
+        identity: Callable[[], Identity | None],
+        *,
+        clock: Callable[[], float] = boottime,
+    ) -> None:
+        """Keep the present epoch; call `note_epoch` at each tick. `clock`: in s."""
+        self._robot, self._requests, self._identity = robot, requests, identity
+        self._clock = clock
+        # Since when (s) the robot has had each epoch, oldest first.
+        self._epochs: deque[tuple[float, Epoch]] = deque()
+        self.note_epoch(clock())
+
+    def note_epoch(self, now: float) -> None:
+        """Keep a changed epoch. Epochs that ended before the greatest age are forgotten."""
+        epochs = self._epochs
+        if not epochs or epochs[-1][1] != self._robot.epoch:
+            epochs.append((now, self._robot.epoch))
+        while len(epochs) > 1 and epochs[1][0] <= now - MAX_COMMAND_AGE:
+            epochs.popleft()
+
+    def take(self, command: DriverCommand, answer: Answer) -> None:
+        """Carry out or refuse a command; `answer` gets the reply, also later."""
+        now = self._clock()
+        self.note_epoch(now)
+        request = self._request_of(command, now)
+        refusal = self._refusal_of(command)
+        if refusal is not None:
+            self._requests.refuse(request, command.source, answer, *refusal)
+        elif isinstance(request, verbs.StopRequest | verbs.EstopRequest):
+            self._stop(request, command.source, answer)
+        else:
+            self._requests.take(request, command.source, answer)
+
+    def _stop(
+        self, request: verbs.StopRequest | verbs.EstopRequest, source: str, answer: Answer
+    ) -> None:
+        """Carry a stop out again and again, until the base rests or the robot reports a failure."""
+
+        def on_reply(reply: Reply) -> None:
+            if reply.code is Code.APPLIED and reply.is_moving:
+                loop = asyncio.get_running_loop()
+                loop.call_later(REPEAT_PERIOD, partial(self._stop, request, source, answer))
+            else:
+                answer(reply)
+
+        self._requests.take(request, source, on_reply)
+
+    def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
+        """The request of a command, with the epoch that the robot had at its issue."""
+        robot, id, operator = self._robot.id, secrets.token_hex(8), command.operator
+        targets: dict[str, Epoch | None] = {robot: self._epoch_at(now - (command.age or 0.0))}
+        match command.verb:
+            case "stop":
+                return verbs.StopRequest(id=id, operator=operator, targets=targets)
+            case "estop":
+                reason = command.source
+                return verbs.EstopRequest(
+                    id=id, operator=operator, targets=targets, scope="robots", reason=reason
+                )
+            case "reset":
+                latches = self._robot.latches.items()
+                own = tuple(
+                    latch
+                    for latch, held in latches
+                    if command.resets_others or held.issuer == operator
+                )
+                return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=own)
+            case "run":
+                run = command.run
+                assert run is not None
+                return verbs.RunRequest(
+                    id=id,
+                    operator=operator,
+                    targets=targets,
+                    pattern=run.pattern,
+                    params=dict(run.params),
+                    seconds=run.seconds,
+                    until=run.until,
+                    age=command.age or 0.0,
+                )
+
+    def _epoch_at(self, at: float) -> Epoch:
+        """The epoch at the time `at`, or the oldest epoch that is known."""
+        epoch = self._epochs[0][1]
+        for since, later in self._epochs:
+            if since <= at:
+                epoch = later
+        return epoch
+
+    def _refusal_of(self, command: DriverCommand) -> tuple[Refusal, str] | None:
+        """Why the command is refused for its operator or its age; None if it is accepted."""
+        operator, identity = command.operator, self._identity()
+        if command.is_viewer:
+            return Refusal.NOT_PERMITTED, f"{operator} is a viewer: viewers command nothing"
+        if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
+            generation = identity.roster.generation
+            text = f"{operator} is no operator of roster {generation}"
+            return Refusal.NOT_PERMITTED, text
+        if command.verb in ("stop", "estop"):
+            return None
+        if command.age is None:
+            return Refusal.TOO_LATE, command.doubt
+        if command.age > MAX_COMMAND_AGE:
+            text = f"issued up to {command.age:.1f} s ago; at most {MAX_COMMAND_AGE:g} s count"
+            return Refusal.TOO_LATE, text
+        return None

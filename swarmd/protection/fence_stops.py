@@ -1,0 +1,314 @@
+"""The distance to the fence, and stops inside the fence: the arithmetic of fence.py.
+
+A kernel (see `core/kernels.py`). An edge of the fence is a row x, y of its start, x, y of its end,
+and the number of its polygon: 0 the outer polygon, then those to keep out of, in order. Units: m,
+s, rad, in the shared frame.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.clock import TICK
+from swarmd.core.values import Array
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, copysign, cos, fabs, hypot, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import INFINITY, copysign, cos, fabs, hypot, sin, sqrt
+
+_STEPS = cython.declare(cython.Py_ssize_t, 8)  # of a simulated stop
+_IDEAL_BRAKING = cython.declare(cython.double, 1e9)  # m/s2 or rad/s2: stops at once
+_ROUNDING = cython.declare(cython.double, 1e-9)  # m
+_TICK = cython.declare(cython.double, TICK)
+
+
+def _view(values: Array):
+    """`values` (n, m) as the kernel reads them: in CPython as numbers of Python."""
+    table = np.ascontiguousarray(values, np.float64)
+    return table if cython.compiled else memoryview(table)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _squared_distance(
+    edges: cython.double[:, ::1], i: cython.Py_ssize_t, x: cython.double, y: cython.double
+) -> cython.double:
+    """The squared distance of a place to edge `i`."""
+    along_x: cython.double = edges[i, 2] - edges[i, 0]
+    along_y: cython.double = edges[i, 3] - edges[i, 1]
+    dx: cython.double = x - edges[i, 0]
+    dy: cython.double = y - edges[i, 1]
+    part: cython.double = (dx * along_x + dy * along_y) / (along_x * along_x + along_y * along_y)
+    part = 0.0 if part < 0.0 else (1.0 if part > 1.0 else part)
+    dx -= part * along_x
+    dy -= part * along_y
+    return dx * dx + dy * dy
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _permits(edges: cython.double[:, ::1], x: cython.double, y: cython.double) -> cython.bint:
+    """True within the outer polygon and outside all others: even-odd rule."""
+    i: cython.Py_ssize_t
+    polygon: cython.double = 0.0
+    is_within: cython.bint = False
+    for i in range(len(edges)):
+        if edges[i, 4] != polygon:
+            if is_within != (polygon == 0.0):
+                return False
+            polygon, is_within = edges[i, 4], False
+        if (edges[i, 1] > y) != (edges[i, 3] > y):
+            at = edges[i, 0] + (y - edges[i, 1]) * (edges[i, 2] - edges[i, 0]) / (
+                edges[i, 3] - edges[i, 1]
+            )
+            if x < at:
+                is_within = not is_within
+    return is_within == (polygon == 0.0)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _clearance(
+    edges: cython.double[:, ::1],
+    near: cython.double[:, ::1],
+    count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    radius: cython.double,
+) -> cython.double:
+    """The distance of a place to the first `count` edges of `near`, less `radius`.
+
+    Outside: minus the distance, less `radius`.
+    """
+    i: cython.Py_ssize_t
+    least: cython.double = INFINITY
+    for i in range(count):
+        squared: cython.double = _squared_distance(near, i, x, y)
+        if squared < least:
+            least = squared
+    away: cython.double = sqrt(least)
+    return (away if _permits(edges, x, y) else -away) - radius
+
+
+def clearances(edges: Array, places: Array, radius: cython.double) -> Array:
+    """(n,) m from the circles of `radius` around `places` (n, 2) to the fence; negative outside."""
+    table: cython.double[:, ::1] = _view(edges)
+    given: cython.double[:, ::1] = _view(places)
+    i: cython.Py_ssize_t
+    found = np.empty(len(places))
+    for i in range(len(given)):
+        found[i] = _clearance(table, table, len(table), given[i, 0], given[i, 1], radius)
+    return found
+
+
+def clearance(edges: Array, x: cython.double, y: cython.double, radius: cython.double) -> float:
+    """The clearance of one place."""
+    table: cython.double[:, ::1] = _view(edges)
+    return _clearance(table, table, len(table), x, y, radius)
+
+
+@cython.cfunc
+def _nearby(edges: cython.double[:, ::1], x: cython.double, y: cython.double, way: cython.double):
+    """The edges that may be the nearest of a place within `way` of (x, y), and their number."""
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    count: cython.Py_ssize_t = 0
+    least: cython.double = INFINITY
+    found = np.empty((len(edges), 5))
+    near: cython.double[:, ::1] = _view(found)
+    for i in range(len(edges)):
+        least = min(least, _squared_distance(edges, i, x, y))
+    most: cython.double = sqrt(least) + 2.0 * way + _ROUNDING
+    for i in range(len(edges)):
+        if _squared_distance(edges, i, x, y) <= most * most:
+            for j in range(5):
+                near[count, j] = edges[i, j]
+            count += 1
+    return near, count
+
+
+@cython.final
+@cython.auto_pickle(False)
+@cython.cclass
+class _Stops:
+    """Simulated stops of one robot, from one pose."""
+
+    edges: cython.double[:, ::1]
+    near: cython.double[:, ::1]
+    count: cython.Py_ssize_t
+    radius: cython.double
+    x: cython.double
+    y: cython.double
+    yaw: cython.double
+    present: cython.double
+    need: cython.double
+    turn_error: cython.double
+    speed_ahead: cython.double  # of the base
+    speed_left: cython.double
+    speed_turn: cython.double
+    braking: cython.double
+    turning: cython.double
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def permits(
+        self, ahead: cython.double, left: cython.double, turn: cython.double
+    ) -> cython.bint:
+        """True if all stops from a command are inside.
+
+        The stops: from the command with both brakes as weak as assumed, and with either brake
+        ideal, since the path bends otherwise if a brake is stronger; and from the speeds of the
+        base, which need not have reached the command.
+        """
+        b: cython.double = self.braking
+        t: cython.double = self.turning
+        return (
+            self.is_inside(ahead, left, turn, ahead, left, turn, b, t)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, _IDEAL_BRAKING, t)
+            and self.is_inside(ahead, left, turn, ahead, left, turn, b, _IDEAL_BRAKING)
+            and self.is_inside(
+                self.speed_ahead, self.speed_left, self.speed_turn, ahead, left, turn, b, t
+            )
+        )
+
+    @cython.cfunc
+    @cython.exceptval(check=False)
+    def is_inside(
+        self,
+        ahead: cython.double,
+        left: cython.double,
+        turn: cython.double,
+        to_ahead: cython.double,
+        to_left: cython.double,
+        to_turn: cython.double,
+        braking: cython.double,
+        turning: cython.double,
+    ) -> cython.bint:
+        """True if the circle stays clear, or comes inwards, in a stop.
+
+        The base begins at the speeds `ahead`, `left` and `turn`. It changes them towards `to_ahead`
+        and so on (not beyond) for TICK, and then towards zero, at `braking` in m/s2 and `turning`
+        in rad/s2. Inwards: the clearance never falls, and rises by at least what an error of the
+        direction can feign. Between two steps the axle moves by half of a step away from the
+        nearer step.
+        """
+        linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
+        fastest: cython.double = max(fabs(turn), fabs(to_turn))
+        step: cython.double = (_TICK + max(linear / braking, fastest / turning)) / _STEPS
+        way: cython.double = 0.0
+        east: cython.double = 0.0
+        north: cython.double = 0.0
+        turned: cython.double = 0.0
+        before: cython.double = self.present
+        i: cython.Py_ssize_t
+        for i in range(_STEPS):
+            until: cython.double = step * (i + 0.5)  # the middle of the step
+            driven: cython.double = min(until, _TICK)
+            braked: cython.double = max(until - _TICK, 0.0)
+            along: cython.double = _slowed(ahead, to_ahead, driven, braked, braking) * step
+            aside: cython.double = _slowed(left, to_left, driven, braked, braking) * step
+            arc: cython.double = _slowed(turn, to_turn, driven, braked, turning) * step
+            turned += arc
+            middle: cython.double = self.yaw + turned - 0.5 * arc
+            c: cython.double = cos(middle)
+            s: cython.double = sin(middle)
+            east += c * along - s * aside
+            north += s * along + c * aside
+            moved: cython.double = hypot(along, aside)
+            way += moved
+            room: cython.double = _clearance(
+                self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
+            )
+            off: cython.double = self.turn_error * way
+            is_clear: cython.bint = room >= self.need + off + 0.5 * moved
+            if not is_clear and (
+                room < self.present + off - _ROUNDING or room < before - _ROUNDING
+            ):
+                return False
+            before = room
+        return True
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _slowed(
+    start: cython.double,
+    wanted: cython.double,
+    driven: cython.double,
+    braked: cython.double,
+    rate: cython.double,
+) -> cython.double:
+    """The speed after `driven` s towards `wanted` and `braked` s towards zero, at `rate`."""
+    most: cython.double = driven * rate
+    change: cython.double = wanted - start
+    change = -most if change < -most else (most if change > most else change)
+    speed: cython.double = start + change
+    left: cython.double = fabs(speed) - braked * rate
+    return copysign(left, speed) if left > 0.0 else 0.0
+
+
+def nearest_permitted(
+    edges: Array,
+    shares: Array,
+    request: tuple[float, float, float],
+    offs: tuple[float, float],
+    pose: tuple[float, float, float],
+    speeds: tuple[float, float, float],
+    brakings: tuple[float, float],
+    room: tuple[float, float, float, float],
+) -> int:
+    """The index of the permitted share of the request that is nearest to the request.
+
+    len(shares): the request itself is permitted. -1: no share is permitted.
+
+    Args:
+        edges: (k, 5) of the fence.
+        shares: (n, 2) of the linear speeds and of the turn; of equally near ones the first counts.
+        request: speeds ahead, left, and turn.
+        offs: the distance of a share of 0 from the request, by linear speeds and by the turn.
+        pose: at which the command takes effect.
+        speeds: of the base then.
+        brakings: m/s2 and rad/s2.
+        room: the radius around the axle, the clearance at the pose, the clearance that errors and
+            margin need, and the rad by which the direction of the simulated motion may be wrong.
+    """
+    table: cython.double[:, ::1] = _view(edges)
+    given: cython.double[:, ::1] = _view(shares)
+    ahead: cython.double
+    left: cython.double
+    turn: cython.double
+    linear_off: cython.double
+    turn_off: cython.double
+    stops: _Stops = _Stops()
+    ahead, left, turn = request
+    linear_off, turn_off = offs
+    stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
+    stops.braking, stops.turning = brakings
+    stops.edges = table
+    stops.x, stops.y, stops.yaw = pose
+    stops.radius, stops.present, stops.need, stops.turn_error = room
+    linear: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
+    fastest: cython.double = max(fabs(turn), fabs(stops.speed_turn))
+    longest: cython.double = max(linear / stops.braking, fastest / stops.turning)
+    way: cython.double = linear * (_TICK + longest)
+    stops.near, stops.count = _nearby(table, stops.x, stops.y, way)
+    best: cython.Py_ssize_t = -1
+    least: cython.double = INFINITY
+    i: cython.Py_ssize_t
+    if stops.permits(ahead, left, turn):
+        return len(given)
+    for i in range(len(given)):
+        far: cython.double = hypot((1.0 - given[i, 0]) * linear_off, (1.0 - given[i, 1]) * turn_off)
+        if far < least and stops.permits(
+            ahead * given[i, 0], left * given[i, 0], turn * given[i, 1]
+        ):
+            best, least = i, far
+    return best
