@@ -42,6 +42,7 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.barrier_assumptions",
         "swarmd.protection.outline",
         "swarmd.protection.dead_reckoning",
+        "swarmd.protection.straight_runs",
         "swarmd.protection.standing_walls",
         "swarmd.protection.obstacles",
         "swarmd.protection.touch_zone",

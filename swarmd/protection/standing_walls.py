@@ -4,17 +4,13 @@ An operator may declare that long, straight surfaces which have stood still do n
 (`walls_stand`). This file decides with each scan which returns are on such a surface. All other
 returns are charged `others_speed`, as without the declaration.
 
-1. Returns of this turn within _REACH m of the lidar form chains. A chain ends where neighbouring
-   returns lie farther apart than _SPACING, or where a ray passes through.
-2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
-   line by total least squares. Parts on one line are joined again over returns that are off the
-   line, unless a ray passes through between the parts. The result is a run.
-3. A run of at least `length` m is compared with the walls of the scan before. A wall is a line in
+1. straight_runs.py makes the straight runs of the returns near the lidar.
+2. A run of at least `length` m is compared with the walls of the scan before. A wall is a line in
    the odometry frame with bins along it. The run continues a wall if the run is where the wall was
    `seconds` ago: within STILL m and the error of odometry since then. Each bin that the run covers
    keeps the time since which the bin has been covered in each scan; each other bin of the wall
    loses this time.
-4. A return of the run stands if its bin, or the next one, has been covered for `seconds`.
+3. A return of the run stands if its bin, or the next one, has been covered for `seconds`.
 
 So a surface that is new, hidden, shorter than `length`, curved, nearer or farther than expected, or
 seen through wrong odometry has lost the status in that very scan.
@@ -32,58 +28,42 @@ from swarmd.protection.buffers import doubles, indices
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import ODOMETRY_SHARE, STILL, WallsStand
+from swarmd.protection.straight_runs import (
+    REACH,
+    RUN_FIELDS,
+    RUN_FROM,
+    RUN_IS_LONG,
+    RUN_LENGTH,
+    RUN_TAKEN,
+    RUN_TO,
+    RUN_UX,
+    RUN_UY,
+    RUN_X,
+    RUN_Y,
+    SPACING,
+    StraightRuns,
+)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, NAN, cos, fabs, floor, hypot, sin, sqrt
+    from cython.cimports.libc.math import INFINITY, cos, fabs, floor, hypot, sin
 else:
-    from swarmd.core.cython_shadow import INFINITY, NAN, cos, fabs, floor, hypot, sin, sqrt
+    from swarmd.core.cython_shadow import INFINITY, cos, fabs, floor, hypot, sin
 
 _odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
 _still = cython.declare(cython.double, STILL)
-_REACH = cython.declare(cython.double, 1.5)  # m from the lidar within which returns count
-# m between neighbouring returns of a surface: narrower than any robot.
-_SPACING = cython.declare(cython.double, 0.12)
-# m between the end of a wall and the face that begins there: less than robots leave free.
-_CORNER = cython.declare(cython.double, 0.04)
 _NEAR = cython.declare(cython.double, 0.5)  # m from the lidar, within which `ripe_at` counts
-_STRAIGHT = cython.declare(cython.double, 0.05)  # m by which a return may be off its chord
-_ROUGH = cython.declare(cython.double, 0.025)  # m, root mean square of the residuals of a run
-_ON_LINE = cython.declare(cython.double, 0.035)  # m by which a return that stands may be off
-_THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray passed through it
-_FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
 _LATE_TURN = cython.declare(cython.double, 1.6)  # periods between two scans: more is a lost turn
-# Periods: an older ray is of an earlier turn. If the robot turns against the lidar, the newest ray
-# of some directions is older than a period.
-_LATE_RAY = cython.declare(cython.double, 1.5)
 _BIN = cython.declare(cython.double, 0.04)  # m along a wall
 _BINS = cython.declare(cython.Py_ssize_t, 128)  # of a wall
 _WALLS = cython.declare(cython.Py_ssize_t, 16)  # the most walls
-_RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
-_STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
 _PARALLEL = cython.declare(cython.double, 0.3)  # sine of the angle by which a wall may have turned
 _FASTEST_WALL = cython.declare(cython.double, 1.0)  # m/s at which a moving wall is recognised
 _SHOWN_TWICE = cython.declare(cython.double, 2.0)  # scans in a row that show a wall elsewhere
 _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
-
-# The fields of a run in `_runs`: its first return, and how many returns follow it up to the last
-# one, as whole numbers; count and sums of x, y, xx, xy, yy; the place and the direction of its
-# line; the places of its ends along the line in m; 1 once it belongs to a wall; 1 for a long run.
-_R_FIRST = cython.declare(cython.Py_ssize_t, 0)
-_R_LENGTH = cython.declare(cython.Py_ssize_t, 1)
-_R_SUMS = cython.declare(cython.Py_ssize_t, 2)
-_R_X = cython.declare(cython.Py_ssize_t, 8)
-_R_Y = cython.declare(cython.Py_ssize_t, 9)
-_R_UX = cython.declare(cython.Py_ssize_t, 10)
-_R_UY = cython.declare(cython.Py_ssize_t, 11)
-_R_FROM = cython.declare(cython.Py_ssize_t, 12)
-_R_TO = cython.declare(cython.Py_ssize_t, 13)
-_R_TAKEN = cython.declare(cython.Py_ssize_t, 14)
-_R_IS_LONG = cython.declare(cython.Py_ssize_t, 15)
-_R_FIELDS = cython.declare(cython.Py_ssize_t, 16)
 
 # The fields of a wall in `_walls`: the middle of its bins and its direction in the odometry frame;
 # the same in the base frame of the present scan; time, and way and turn by odometry, at which its
@@ -127,18 +107,7 @@ class StandingWalls:
     _length: cython.double
     _seconds: cython.double
     _period: cython.double  # s of a turn of the lidar
-    _lidar_x: cython.double
-    _lidar_y: cython.double
-    # The returns of a scan: places, rays, 1 if a ray before passes through, and running sums.
-    _count: cython.Py_ssize_t
-    _x: cython.double[::1]
-    _y: cython.double[::1]
-    _sums: cython.double[::1]
-    _ray: cython.longlong[::1]
-    _is_cut: cython.longlong[::1]
-    _runs: cython.double[::1]
-    _run_count: cython.Py_ssize_t
-    _stack: cython.longlong[::1]
+    _runs: StraightRuns  # of the last scan
     _walls: cython.double[::1]
     _wall_count: cython.Py_ssize_t
     # For each bin of each wall: since when it is covered, and the same after this scan; inf: not.
@@ -153,28 +122,20 @@ class StandingWalls:
     def __init__(self, platform: Platform, walls_stand: WallsStand) -> None:
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
         self.patience = 1.5 * walls_stand.seconds
-        self._period, self.reach = 1.0 / platform.scan.rate, _REACH
-        self._lidar_x, self._lidar_y = platform.scan.offset
+        self._period, self.reach = 1.0 / platform.scan.rate, REACH
         self.moved, self._resets, self.is_trusted = None, 0, True
         self.ripe_at = -INFINITY
-        self._allocate(len(platform.scan.bearings))
-        self._runs, self._walls = doubles(_R_FIELDS * _RUNS), doubles(_W_FIELDS * _WALLS)
+        self._runs = StraightRuns(platform, walls_stand.length)
+        self.standing = indices(len(platform.scan.bearings))
+        self._walls = doubles(_W_FIELDS * _WALLS)
         self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
-        self._stack, self._ends = indices(_STACK), doubles(4)
+        self._ends = doubles(4)
         self.forget()
 
     def check_indices(self) -> None:
         """ValueError unless the counts are within the arrays."""
-        counts = self._count, self._run_count, self._wall_count
-        if min(counts) < 0 or self._count > len(self._x):
-            raise ValueError(f"{counts[0]} returns in {len(self._x)}")
-        if self._run_count > _RUNS or self._wall_count > _WALLS:
-            raise ValueError(f"{counts[1]} runs and {counts[2]} walls")
-
-    def _allocate(self, rays):
-        """Make the arrays of a scan anew, for so many rays."""
-        self.standing, self._ray, self._is_cut = indices(rays), indices(rays), indices(rays)
-        self._x, self._y, self._sums = doubles(rays), doubles(rays), doubles(6 * (rays + 1))
+        if not 0 <= self._wall_count <= _WALLS:
+            raise ValueError(f"{self._wall_count} walls")
 
     def forget(self) -> None:
         """Forget all walls: each must stand anew."""
@@ -199,7 +160,7 @@ class StandingWalls:
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
         if len(self.standing) < count:
-            self._allocate(count)
+            self.standing = indices(count)
         for i in range(count):
             self.standing[i] = 0
         self.has_standing, self.moved = False, None
@@ -209,253 +170,10 @@ class StandingWalls:
         if self._resets != motion.resets or not motion.seconds <= _LATE_TURN * self._period:
             self.forget()
         self._resets = motion.resets
-        self._place(ranges, directions, ages)
-        self._find_runs()
-        self._join_runs()
+        self._runs.find(ranges, directions, ages)
         self._compare(motion)
         if not self.is_trusted:
             self.has_standing = False
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _place(
-        self,
-        ranges: cython.const[cython.double][::1],
-        directions: cython.double[::1],
-        ages: cython.const[cython.double][::1],
-    ) -> cython.int:
-        """Place the returns of this turn within reach, with running sums of their coordinates."""
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t = 0
-        has_ages: cython.bint = len(ages) > 0
-        oldest: cython.double = _LATE_RAY * self._period
-        is_cut: cython.bint = False
-        sums: cython.double[::1] = self._sums
-        for i in range(6):
-            sums[i] = 0.0
-        for i in range(len(ranges)):
-            if has_ages and not ages[i] <= oldest:
-                continue
-            distance: cython.double = ranges[i]
-            if not distance <= self.reach:
-                is_cut = True
-                continue
-            if not distance > 0.0:
-                continue
-            x: cython.double = self._lidar_x + distance * directions[2 * i]
-            y: cython.double = self._lidar_y + distance * directions[2 * i + 1]
-            self._x[k], self._y[k] = x, y
-            self._ray[k], self._is_cut[k] = i, is_cut
-            sums[6 * k + 6] = sums[6 * k] + 1.0
-            sums[6 * k + 7], sums[6 * k + 8] = sums[6 * k + 1] + x, sums[6 * k + 2] + y
-            sums[6 * k + 9] = sums[6 * k + 3] + x * x
-            sums[6 * k + 10] = sums[6 * k + 4] + x * y
-            sums[6 * k + 11] = sums[6 * k + 5] + y * y
-            is_cut = False
-            k += 1
-        self._count = k
-        if k and is_cut:  # behind the last return, which the first one follows
-            self._is_cut[0] = True
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _find_runs(self) -> cython.int:
-        """Split the returns into chains, and these into straight runs."""
-        k: cython.Py_ssize_t
-        begin: cython.Py_ssize_t = 0
-        count: cython.Py_ssize_t = self._count
-        self._run_count = 0
-        for k in range(1, count + 1):
-            if k < count and not self._is_cut[k] and self._are_within(_SPACING, k - 1, k):
-                continue
-            if k - begin >= _FEWEST:
-                self._split(begin, k - 1)
-            begin = k
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _are_within(
-        self, distance: cython.double, a: cython.Py_ssize_t, b: cython.Py_ssize_t
-    ) -> cython.int:
-        """1 if two returns are at most `distance` m apart."""
-        dx: cython.double = self._x[b] - self._x[a]
-        dy: cython.double = self._y[b] - self._y[a]
-        return dx * dx + dy * dy <= distance * distance
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _split(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
-        """Add the straight runs of the chain from return `begin` to return `end`, in their order.
-
-        A part whose farthest return from the chord is more than _STRAIGHT m off is split there.
-        """
-        k: cython.Py_ssize_t
-        stack: cython.longlong[::1] = self._stack
-        top: cython.Py_ssize_t = 2
-        stack[0], stack[1] = begin, end
-        while top > 0:
-            top -= 2
-            first: cython.Py_ssize_t = stack[top]
-            last: cython.Py_ssize_t = stack[top + 1]
-            if last - first + 1 < _FEWEST:
-                continue
-            # 1. The return that is farthest from the chord.
-            x: cython.double = self._x[first]
-            y: cython.double = self._y[first]
-            dx: cython.double = self._x[last] - x
-            dy: cython.double = self._y[last] - y
-            length: cython.double = hypot(dx, dy)
-            farthest: cython.Py_ssize_t = first
-            most: cython.double = 0.0
-            for k in range(first + 1, last):
-                off: cython.double = fabs(dx * (self._y[k] - y) - dy * (self._x[k] - x))
-                if off > most:
-                    most, farthest = off, k
-            # 2. Splits there, the later part first on the stack; or adds a run.
-            if most > _STRAIGHT * length and farthest > first:
-                if top + 4 > _STACK:
-                    return 0  # a chain of pure noise: no runs
-                stack[top], stack[top + 1] = farthest, last
-                stack[top + 2], stack[top + 3] = first, farthest
-                top += 4
-            elif self._run_count < _RUNS:
-                self._add_run(first, last)
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _add_run(self, first: cython.Py_ssize_t, last: cython.Py_ssize_t) -> cython.int:
-        """Add the run from return `first` to return `last`, if it is smooth."""
-        j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs
-        run: cython.Py_ssize_t = _R_FIELDS * self._run_count
-        runs[run + _R_FIRST], runs[run + _R_LENGTH] = first, last - first
-        for j in range(6):
-            runs[run + _R_SUMS + j] = self._sums[6 * (last + 1) + j] - self._sums[6 * first + j]
-        if self._fit(run):
-            self._run_count += 1
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _fit(self, run: cython.Py_ssize_t) -> cython.int:
-        """Set the line of the run at index `run` of `_runs` by its sums; 0 if it is rough.
-
-        The line is that of total least squares. Its direction is that from the first return to
-        the last one.
-        """
-        runs: cython.double[::1] = self._runs
-        n: cython.double = runs[run + _R_SUMS]
-        x: cython.double = runs[run + _R_SUMS + 1] / n
-        y: cython.double = runs[run + _R_SUMS + 2] / n
-        xx: cython.double = runs[run + _R_SUMS + 3] / n - x * x
-        xy: cython.double = runs[run + _R_SUMS + 4] / n - x * y
-        yy: cython.double = runs[run + _R_SUMS + 5] / n - y * y
-        half: cython.double = 0.5 * (xx - yy)
-        root: cython.double = sqrt(half * half + xy * xy)
-        if not 0.5 * (xx + yy) - root <= _ROUGH * _ROUGH:
-            return 0
-        ux: cython.double = half + root if half >= 0.0 else xy
-        uy: cython.double = xy if half >= 0.0 else root - half
-        length: cython.double = hypot(ux, uy)
-        if not length > 0.0:
-            return 0
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + _R_FIRST])
-        last: cython.Py_ssize_t = self._return_of(run, runs[run + _R_LENGTH])
-        along: cython.double = ux * (self._x[last] - self._x[first])
-        along += uy * (self._y[last] - self._y[first])
-        if along < 0.0:
-            length = -length
-        ux, uy = ux / length, uy / length
-        runs[run + _R_X], runs[run + _R_Y] = x, y
-        runs[run + _R_UX], runs[run + _R_UY] = ux, uy
-        runs[run + _R_FROM] = ux * (self._x[first] - x) + uy * (self._y[first] - y)
-        runs[run + _R_TO] = ux * (self._x[last] - x) + uy * (self._y[last] - y)
-        return 1
-
-    @cython.cfunc
-    @cython.exceptval(-2)
-    def _return_of(self, run: cython.Py_ssize_t, number: cython.double) -> cython.Py_ssize_t:
-        """The index of a return of a run: `number` returns behind its first one."""
-        place: cython.Py_ssize_t = cython.cast(
-            cython.Py_ssize_t, self._runs[run + _R_FIRST] + number
-        )
-        return place - self._count if place >= self._count else place
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _join_runs(self) -> cython.int:
-        """Join runs that follow each other on one line; the first run follows the last one."""
-        i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs
-        kept: cython.Py_ssize_t = 0
-        for i in range(self._run_count):
-            if kept and self._join(_R_FIELDS * (kept - 1), _R_FIELDS * i):
-                continue
-            for j in range(_R_FIELDS):
-                runs[_R_FIELDS * kept + j] = runs[_R_FIELDS * i + j]
-            kept += 1
-        if kept > 1 and self._join(_R_FIELDS * (kept - 1), 0):
-            kept -= 1
-            for j in range(_R_FIELDS):
-                runs[j] = runs[_R_FIELDS * kept + j]
-        self._run_count = kept
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
-        """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
-
-        Between both, no place for a robot may lie, and no ray may pass through.
-        """
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs
-        last: cython.Py_ssize_t = self._return_of(run, runs[run + _R_LENGTH])
-        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + _R_FIRST])
-        # 1. Between both is no place for a robot. If the robot turns with the lidar, the first run
-        # and the last one overlap.
-        dx: cython.double = self._x[first] - self._x[last]
-        dy: cython.double = self._y[first] - self._y[last]
-        along: cython.double = runs[run + _R_UX] * dx + runs[run + _R_UY] * dy
-        across: cython.double = runs[run + _R_UX] * dy - runs[run + _R_UY] * dx
-        overlap: cython.double = runs[run + _R_FROM] - runs[run + _R_TO]
-        if not (overlap <= along <= _SPACING and fabs(across) <= 2.0 * _STRAIGHT):
-            return 0
-        # 2. No ray between both passes through the line.
-        x: cython.double = runs[run + _R_X]
-        y: cython.double = runs[run + _R_Y]
-        nx: cython.double = -runs[run + _R_UY]
-        ny: cython.double = runs[run + _R_UX]
-        side: cython.double = nx * (self._lidar_x - x) + ny * (self._lidar_y - y)
-        sign_of_side: cython.double = 1.0 if side >= 0.0 else -1.0
-        between: cython.Py_ssize_t = first - last
-        if between <= 0:
-            between += self._count
-        for k in range(1, between + 1):
-            place: cython.Py_ssize_t = last + k
-            place = place - self._count if place >= self._count else place
-            if self._is_cut[place]:
-                return 0
-            off: cython.double = nx * (self._x[place] - x) + ny * (self._y[place] - y)
-            if off * sign_of_side < -_THROUGH:
-                return 0
-        # 3. Both have one line.
-        kept: cython.double = runs[run + _R_LENGTH]
-        for j in range(6):
-            runs[run + _R_SUMS + j] += runs[after + _R_SUMS + j]
-        runs[run + _R_LENGTH] = kept + between + runs[after + _R_LENGTH]
-        if runs[run + _R_LENGTH] < self._count and self._fit(run):
-            return 1
-        for j in range(6):
-            runs[run + _R_SUMS + j] -= runs[after + _R_SUMS + j]
-        runs[run + _R_LENGTH] = kept
-        self._fit(run)
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -464,65 +182,40 @@ class StandingWalls:
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         part: cython.Py_ssize_t
         known: cython.Py_ssize_t = self._wall_count
         self._place_walls(motion)
-        for j in range(self._run_count):
-            run: cython.Py_ssize_t = _R_FIELDS * j
-            runs[run + _R_TAKEN] = 0.0
-            is_long: cython.bint = runs[run + _R_TO] - runs[run + _R_FROM] >= self._length
-            runs[run + _R_IS_LONG] = 1.0 if is_long else 0.0
         # 1. Runs that continue a wall: long ones, then the faces at their ends.
         for part in range(2):
-            for j in range(self._run_count):
-                run = _R_FIELDS * j
-                if part == 0 and runs[run + _R_IS_LONG] == 0.0:
+            for j in range(self._runs.count):
+                run = RUN_FIELDS * j
+                if part == 0 and runs[run + RUN_IS_LONG] == 0.0:
                     continue
                 corner: cython.Py_ssize_t = -1
                 if part == 1:
-                    if runs[run + _R_IS_LONG] > 0.0:
+                    if runs[run + RUN_IS_LONG] > 0.0:
                         continue
-                    corner = self._corner_of(j)
+                    corner = self._runs.corner_of(j)
                     if corner < 0:
                         continue
-                is_on_wall: cython.bint = part == 0 or self.standing[self._ray[corner]] == 1
+                is_on_wall: cython.bint = part == 0 or self.standing[self._runs.ray[corner]] == 1
                 for i in range(known):
                     if walls[_W_FIELDS * i + _W_MOVES] == 0.0 and self._is_still(i, run):
                         self._continue(i, run, is_on_wall, motion)
-                        runs[run + _R_TAKEN] = 1.0
+                        runs[run + RUN_TAKEN] = 1.0
                         break
         # 2. Walls that are elsewhere now; walls that no run continues are dropped.
         self._find_moved(motion)
         self._drop_walls()
         # 3. New walls.
-        for j in range(self._run_count):
-            run = _R_FIELDS * j
-            if runs[run + _R_TAKEN] > 0.0 or self._wall_count == _WALLS:
+        for j in range(self._runs.count):
+            run = RUN_FIELDS * j
+            if runs[run + RUN_TAKEN] > 0.0 or self._wall_count == _WALLS:
                 continue
-            if runs[run + _R_IS_LONG] > 0.0 or self._corner_of(j) >= 0:
+            if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
                 self._add_wall(run, motion)
         return 0
-
-    @cython.cfunc
-    @cython.exceptval(-2)
-    def _corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The return of a long run that meets run `number` at a corner; -1: there is none."""
-        k: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs
-        run: cython.Py_ssize_t = _R_FIELDS * number
-        for k in range(2):
-            beside: cython.Py_ssize_t = number - 1 if k == 0 else number + 1
-            beside = beside + self._run_count if beside < 0 else beside
-            beside = beside - self._run_count if beside >= self._run_count else beside
-            other: cython.Py_ssize_t = _R_FIELDS * beside
-            if runs[other + _R_IS_LONG] == 0.0:
-                continue
-            near: cython.Py_ssize_t = self._return_of(other, 0.0 if k else runs[other + _R_LENGTH])
-            own: cython.Py_ssize_t = self._return_of(run, runs[run + _R_LENGTH] if k else 0.0)
-            if self._are_within(_CORNER, near, own):
-                return near
-        return -1
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -571,25 +264,25 @@ class StandingWalls:
         wall at each end in m.
         """
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         ux: cython.double = walls[at + _W_HERE_UX]
         uy: cython.double = walls[at + _W_HERE_UY]
-        cosine: cython.double = ux * runs[run + _R_UX] + uy * runs[run + _R_UY]
-        sine: cython.double = ux * runs[run + _R_UY] - uy * runs[run + _R_UX]
+        cosine: cython.double = ux * runs[run + RUN_UX] + uy * runs[run + RUN_UY]
+        sine: cython.double = ux * runs[run + RUN_UY] - uy * runs[run + RUN_UX]
         if not fabs(sine) <= _PARALLEL:
             return 0
         # 1. The ends of the covered bins along the run, from the middle of the run.
-        dx: cython.double = walls[at + _W_HERE_X] - runs[run + _R_X]
-        dy: cython.double = walls[at + _W_HERE_Y] - runs[run + _R_Y]
-        middle: cython.double = dx * runs[run + _R_UX] + dy * runs[run + _R_UY]
+        dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
+        dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
+        middle: cython.double = dx * runs[run + RUN_UX] + dy * runs[run + RUN_UY]
         direction: cython.double = 1.0 if cosine >= 0.0 else -1.0
         low: cython.double = _BIN * (walls[at + _W_LOW] - 0.5 * _BINS)
         high: cython.double = _BIN * (walls[at + _W_HIGH] + 1.0 - 0.5 * _BINS)
         first: cython.double = middle + direction * (low if direction > 0.0 else high)
         last: cython.double = middle + direction * (high if direction > 0.0 else low)
-        first = first if first > runs[run + _R_FROM] else runs[run + _R_FROM]
-        last = last if last < runs[run + _R_TO] else runs[run + _R_TO]
+        first = first if first > runs[run + RUN_FROM] else runs[run + RUN_FROM]
+        last = last if last < runs[run + RUN_TO] else runs[run + RUN_TO]
         if not last > first:
             return 0
         # 2. How far the run is from the line: its middle, and the turn of its direction.
@@ -607,7 +300,7 @@ class StandingWalls:
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         ends: cython.double[::1] = self._ends
         at: cython.Py_ssize_t = _W_FIELDS * wall
         if not self._overlap(wall, run):
@@ -615,8 +308,8 @@ class StandingWalls:
         way: cython.double = self._way - walls[at + _W_WAY]
         turn: cython.double = self._turn - walls[at + _W_TURN]
         for k in range(2):
-            x: cython.double = runs[run + _R_X] + ends[k] * runs[run + _R_UX]
-            y: cython.double = runs[run + _R_Y] + ends[k] * runs[run + _R_UY]
+            x: cython.double = runs[run + RUN_X] + ends[k] * runs[run + RUN_UX]
+            y: cython.double = runs[run + RUN_Y] + ends[k] * runs[run + RUN_UY]
             error: cython.double = _odometry_share * (way + turn * hypot(x, y))
             if not fabs(ends[2 + k]) <= _still + error:
                 return 0
@@ -637,28 +330,28 @@ class StandingWalls:
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
         # 1. Covers the bins between returns on the line, unless a robot fits between these.
         first: cython.Py_ssize_t = _BINS * wall
-        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + _R_LENGTH]) + 1
+        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
         before: cython.double = -INFINITY
         for k in range(count):
-            along: cython.double = self._along(run, k)
+            along: cython.double = self._runs.along(run, k)
             if along == along:  # else off the line
-                near: cython.bint = fabs(along - before) <= _SPACING
+                near: cython.bint = fabs(along - before) <= SPACING
                 self._cover(first, at, run, before if near else along, along, now)
                 before = along
         # 2. Marks the returns on the line, in a bin that has stood or beside such a bin.
         for k in range(count if is_on_wall else 0):
-            along = self._along(run, k)
+            along = self._runs.along(run, k)
             if along != along:
                 continue
-            place: cython.Py_ssize_t = self._return_of(run, k)
+            place: cython.Py_ssize_t = self._runs.return_of(run, k)
             bin_of_wall: cython.Py_ssize_t = self._bin_at(at, run, along)
             if self._has_stood(first, bin_of_wall, now):
-                self.standing[self._ray[place]] = 1
+                self.standing[self._runs.ray[place]] = 1
                 self.has_standing = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
@@ -667,28 +360,16 @@ class StandingWalls:
         walls[at + _W_OFF] = 0.5 * (self._ends[2] + self._ends[3]) if is_known else 0.0
         walls[at + _W_SEEN], walls[at + _W_CONFIRMED] = 1.0, now
         if now - walls[at + _W_AT] >= self._seconds:
-            dx: cython.double = walls[at + _W_HERE_X] - runs[run + _R_X]
-            dy: cython.double = walls[at + _W_HERE_Y] - runs[run + _R_Y]
-            along = runs[run + _R_UX] * dx + runs[run + _R_UY] * dy
+            dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
+            dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
+            along = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
             cosine: cython.double = (
-                walls[at + _W_HERE_UX] * runs[run + _R_UX]
-                + walls[at + _W_HERE_UY] * runs[run + _R_UY]
+                walls[at + _W_HERE_UX] * runs[run + RUN_UX]
+                + walls[at + _W_HERE_UY] * runs[run + RUN_UY]
             )
             self._set_line(at, run, along, 1.0 if cosine >= 0.0 else -1.0, motion)
             walls[at + _W_OFF] = 0.0
         return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _along(self, run: cython.Py_ssize_t, number: cython.Py_ssize_t) -> cython.double:
-        """m along a run of its return `number`; NaN for a return that is not on the line."""
-        runs: cython.double[::1] = self._runs
-        place: cython.Py_ssize_t = self._return_of(run, number)
-        dx: cython.double = self._x[place] - runs[run + _R_X]
-        dy: cython.double = self._y[place] - runs[run + _R_Y]
-        if not fabs(runs[run + _R_UX] * dy - runs[run + _R_UY] * dx) <= _ON_LINE:
-            return NAN
-        return runs[run + _R_UX] * dx + runs[run + _R_UY] * dy
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -706,7 +387,7 @@ class StandingWalls:
         Args:
             first: the index of the first bin of the wall.
             at: the index of the wall in `_walls`.
-            run: the index of the run in `_runs`.
+            run: the index of the run in `StraightRuns.fields`.
             begin, end: m along the run.
             now: s.
         """
@@ -724,8 +405,8 @@ class StandingWalls:
     @cython.exceptval(-1)
     def _ripen(self, place: cython.Py_ssize_t, since: cython.double) -> cython.int:
         """Note that a return will have stood `_seconds` after `since`, if it is near."""
-        dx: cython.double = self._x[place] - self._lidar_x
-        dy: cython.double = self._y[place] - self._lidar_y
+        dx: cython.double = self._runs.x[place] - self._runs.lidar_x
+        dy: cython.double = self._runs.y[place] - self._runs.lidar_y
         is_later: cython.bint = self.ripe_at < since + self._seconds < INFINITY
         if is_later and dx * dx + dy * dy <= _NEAR * _NEAR:
             self.ripe_at = since + self._seconds
@@ -738,9 +419,9 @@ class StandingWalls:
     ) -> cython.Py_ssize_t:
         """The bin of the wall at index `at` beside the place `along` m on a run; -2: outside."""
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
-        dx: cython.double = runs[run + _R_X] + along * runs[run + _R_UX] - walls[at + _W_HERE_X]
-        dy: cython.double = runs[run + _R_Y] + along * runs[run + _R_UY] - walls[at + _W_HERE_Y]
+        runs: cython.double[::1] = self._runs.fields
+        dx: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX] - walls[at + _W_HERE_X]
+        dy: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY] - walls[at + _W_HERE_Y]
         place: cython.double = walls[at + _W_HERE_UX] * dx + walls[at + _W_HERE_UY] * dy
         place = place / _BIN + 0.5 * _BINS
         if place >= _BINS:
@@ -779,13 +460,13 @@ class StandingWalls:
         the run.
         """
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         c: cython.double = cos(motion.pose.yaw)
         s: cython.double = sin(motion.pose.yaw)
-        ux: cython.double = runs[run + _R_UX]
-        uy: cython.double = runs[run + _R_UY]
-        x: cython.double = runs[run + _R_X] + along * ux
-        y: cython.double = runs[run + _R_Y] + along * uy
+        ux: cython.double = runs[run + RUN_UX]
+        uy: cython.double = runs[run + RUN_UY]
+        x: cython.double = runs[run + RUN_X] + along * ux
+        y: cython.double = runs[run + RUN_Y] + along * uy
         walls[at + _W_X] = motion.pose.x + c * x - s * y
         walls[at + _W_Y] = motion.pose.y + s * x + c * y
         walls[at + _W_UX] = direction * (c * ux - s * uy)
@@ -830,13 +511,13 @@ class StandingWalls:
         """Add a wall whose bins have been covered since this scan."""
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * self._wall_count
-        half: cython.double = 0.5 * (runs[run + _R_TO] - runs[run + _R_FROM])
+        half: cython.double = 0.5 * (runs[run + RUN_TO] - runs[run + RUN_FROM])
         bins: cython.double = floor(half / _BIN) + 1.0
         if not bins <= 0.5 * _BINS:
             bins = 0.5 * _BINS
-        self._set_line(at, run, runs[run + _R_FROM] + half, 1.0, motion)
+        self._set_line(at, run, runs[run + RUN_FROM] + half, 1.0, motion)
         walls[at + _W_SINCE] = walls[at + _W_CONFIRMED] = motion.measured_at
         walls[at + _W_SEEN], walls[at + _W_OFF], walls[at + _W_MOVES] = 1.0, 0.0, 0.0
         walls[at + _W_LOW], walls[at + _W_HIGH] = 0.5 * _BINS - bins, 0.5 * _BINS + bins - 1.0
@@ -845,8 +526,8 @@ class StandingWalls:
             self._since[_BINS * self._wall_count + k] = (
                 motion.measured_at if is_covered else INFINITY
             )
-        for k in range(cython.cast(cython.Py_ssize_t, runs[run + _R_LENGTH]) + 1):
-            self._ripen(self._return_of(run, k), motion.measured_at)
+        for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
+            self._ripen(self._runs.return_of(run, k), motion.measured_at)
         self._wall_count += 1
         return 0
 
@@ -861,7 +542,7 @@ class StandingWalls:
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs
+        runs: cython.double[::1] = self._runs.fields
         now: cython.double = motion.measured_at
         has_stood: cython.bint = self.has_standing
         for i in range(self._wall_count):
@@ -882,9 +563,9 @@ class StandingWalls:
                 continue
             nearest: cython.double = _still + _FASTEST_WALL * seconds
             least: cython.double = nearest
-            for j in range(self._run_count):
-                run: cython.Py_ssize_t = _R_FIELDS * j
-                if moves == 0.0 and runs[run + _R_TAKEN] > 0.0:
+            for j in range(self._runs.count):
+                run: cython.Py_ssize_t = RUN_FIELDS * j
+                if moves == 0.0 and runs[run + RUN_TAKEN] > 0.0:
                     continue
                 if not self._overlap(i, run) or self._is_still(i, run):
                     continue

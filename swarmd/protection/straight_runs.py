@@ -1,0 +1,391 @@
+"""The straight runs of a scan: what standing_walls.py compares with the walls of the scan before.
+
+1. Returns of this turn within REACH m of the lidar form chains. A chain ends where neighbouring
+   returns lie farther apart than SPACING, or where a ray passes through.
+2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
+   line by total least squares. Parts on one line are joined again over returns that are off the
+   line, unless a ray passes through between the parts. The result is a run.
+
+Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from swarmd.core.values import Platform
+from swarmd.protection.buffers import doubles, indices
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import NAN, fabs, hypot, sqrt
+else:
+    from swarmd.core.cython_shadow import NAN, fabs, hypot, sqrt
+
+REACH = cython.declare(cython.double, 1.5)  # m from the lidar within which returns count
+# m between neighbouring returns of a surface: narrower than any robot.
+SPACING = cython.declare(cython.double, 0.12)
+# m between the end of a wall and the face that begins there: less than robots leave free.
+_CORNER = cython.declare(cython.double, 0.04)
+_STRAIGHT = cython.declare(cython.double, 0.05)  # m by which a return may be off its chord
+_ROUGH = cython.declare(cython.double, 0.025)  # m, root mean square of the residuals of a run
+_ON_LINE = cython.declare(cython.double, 0.035)  # m by which a return that stands may be off
+_THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray passed through it
+_FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
+# Periods: an older ray is of an earlier turn. If the robot turns against the lidar, the newest ray
+# of some directions is older than a period.
+_LATE_RAY = cython.declare(cython.double, 1.5)
+_RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
+_STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
+
+# The fields of a run: its first return, and how many returns follow it up to the last one, as whole
+# numbers; count and sums of x, y, xx, xy, yy; the place and the direction of its line; the places
+# of its ends along the line in m; 1 once it belongs to a wall; 1 for a run of `length` m or more.
+RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)
+RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)
+RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)
+RUN_X = cython.declare(cython.Py_ssize_t, 8)
+RUN_Y = cython.declare(cython.Py_ssize_t, 9)
+RUN_UX = cython.declare(cython.Py_ssize_t, 10)
+RUN_UY = cython.declare(cython.Py_ssize_t, 11)
+RUN_FROM = cython.declare(cython.Py_ssize_t, 12)
+RUN_TO = cython.declare(cython.Py_ssize_t, 13)
+RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)
+RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)
+RUN_FIELDS = cython.declare(cython.Py_ssize_t, 16)
+
+
+@cython.final
+@cython.cclass
+class StraightRuns:
+    """The returns of a scan near the lidar, and the straight runs of them."""
+
+    fields: cython.double[::1]  # RUN_FIELDS of each run
+    count: cython.Py_ssize_t  # of the runs
+    x: cython.double[::1]  # of each return
+    y: cython.double[::1]
+    ray: cython.longlong[::1]  # of each return
+    lidar_x: cython.double
+    lidar_y: cython.double
+    _length: cython.double  # m of a long run
+    _oldest: cython.double  # s, the age of a ray of this turn
+    _returns: cython.Py_ssize_t
+    _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
+    _sums: cython.double[::1]  # running sums over the returns
+    _stack: cython.longlong[::1]
+
+    def __init__(self, platform: Platform, length: float) -> None:
+        self._length, self._oldest = length, _LATE_RAY * (1.0 / platform.scan.rate)
+        self.lidar_x, self.lidar_y = platform.scan.offset
+        self.fields, self._stack = doubles(RUN_FIELDS * _RUNS), indices(_STACK)
+        self._allocate(len(platform.scan.bearings))
+
+    def check_indices(self) -> None:
+        """ValueError unless the counts are within the arrays."""
+        if not 0 <= self._returns <= len(self.x):
+            raise ValueError(f"{self._returns} returns in {len(self.x)}")
+        if not 0 <= self.count <= _RUNS:
+            raise ValueError(f"{self.count} runs")
+
+    def _allocate(self, rays):
+        """Make the arrays of a scan anew, for so many rays."""
+        self.ray, self._is_cut = indices(rays), indices(rays)
+        self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(6 * (rays + 1))
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def find(
+        self,
+        ranges: cython.const[cython.double][::1],
+        directions: cython.double[::1],
+        ages: cython.const[cython.double][::1],
+    ) -> cython.int:
+        """Find the runs of a scan, as StandingWalls.observe gives it."""
+        j: cython.Py_ssize_t
+        if len(self.ray) < len(ranges):
+            self._allocate(len(ranges))
+        self._place(ranges, directions, ages)
+        self._find_runs()
+        self._join_runs()
+        runs: cython.double[::1] = self.fields
+        for j in range(self.count):
+            run: cython.Py_ssize_t = RUN_FIELDS * j
+            runs[run + RUN_TAKEN] = 0.0
+            is_long: cython.bint = runs[run + RUN_TO] - runs[run + RUN_FROM] >= self._length
+            runs[run + RUN_IS_LONG] = 1.0 if is_long else 0.0
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place(
+        self,
+        ranges: cython.const[cython.double][::1],
+        directions: cython.double[::1],
+        ages: cython.const[cython.double][::1],
+    ) -> cython.int:
+        """Place the returns of this turn within reach, with running sums of their coordinates."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t = 0
+        has_ages: cython.bint = len(ages) > 0
+        is_cut: cython.bint = False
+        sums: cython.double[::1] = self._sums
+        for i in range(6):
+            sums[i] = 0.0
+        for i in range(len(ranges)):
+            if has_ages and not ages[i] <= self._oldest:
+                continue
+            distance: cython.double = ranges[i]
+            if not distance <= REACH:
+                is_cut = True
+                continue
+            if not distance > 0.0:
+                continue
+            x: cython.double = self.lidar_x + distance * directions[2 * i]
+            y: cython.double = self.lidar_y + distance * directions[2 * i + 1]
+            self.x[k], self.y[k] = x, y
+            self.ray[k], self._is_cut[k] = i, is_cut
+            sums[6 * k + 6] = sums[6 * k] + 1.0
+            sums[6 * k + 7], sums[6 * k + 8] = sums[6 * k + 1] + x, sums[6 * k + 2] + y
+            sums[6 * k + 9] = sums[6 * k + 3] + x * x
+            sums[6 * k + 10] = sums[6 * k + 4] + x * y
+            sums[6 * k + 11] = sums[6 * k + 5] + y * y
+            is_cut = False
+            k += 1
+        self._returns = k
+        if k and is_cut:  # behind the last return, which the first one follows
+            self._is_cut[0] = True
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_runs(self) -> cython.int:
+        """Split the returns into chains, and these into straight runs."""
+        k: cython.Py_ssize_t
+        begin: cython.Py_ssize_t = 0
+        count: cython.Py_ssize_t = self._returns
+        self.count = 0
+        for k in range(1, count + 1):
+            if k < count and not self._is_cut[k] and self._are_within(SPACING, k - 1, k):
+                continue
+            if k - begin >= _FEWEST:
+                self._split(begin, k - 1)
+            begin = k
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _are_within(
+        self, distance: cython.double, a: cython.Py_ssize_t, b: cython.Py_ssize_t
+    ) -> cython.int:
+        """1 if two returns are at most `distance` m apart."""
+        dx: cython.double = self.x[b] - self.x[a]
+        dy: cython.double = self.y[b] - self.y[a]
+        return dx * dx + dy * dy <= distance * distance
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _split(self, begin: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+        """Add the straight runs of the chain from return `begin` to return `end`, in their order.
+
+        A part whose farthest return from the chord is more than _STRAIGHT m off is split there.
+        """
+        k: cython.Py_ssize_t
+        stack: cython.longlong[::1] = self._stack
+        top: cython.Py_ssize_t = 2
+        stack[0], stack[1] = begin, end
+        while top > 0:
+            top -= 2
+            first: cython.Py_ssize_t = stack[top]
+            last: cython.Py_ssize_t = stack[top + 1]
+            if last - first + 1 < _FEWEST:
+                continue
+            # 1. The return that is farthest from the chord.
+            x: cython.double = self.x[first]
+            y: cython.double = self.y[first]
+            dx: cython.double = self.x[last] - x
+            dy: cython.double = self.y[last] - y
+            length: cython.double = hypot(dx, dy)
+            farthest: cython.Py_ssize_t = first
+            most: cython.double = 0.0
+            for k in range(first + 1, last):
+                off: cython.double = fabs(dx * (self.y[k] - y) - dy * (self.x[k] - x))
+                if off > most:
+                    most, farthest = off, k
+            # 2. Splits there, the later part first on the stack; or adds a run.
+            if most > _STRAIGHT * length and farthest > first:
+                if top + 4 > _STACK:
+                    return 0  # a chain of pure noise: no runs
+                stack[top], stack[top + 1] = farthest, last
+                stack[top + 2], stack[top + 3] = first, farthest
+                top += 4
+            elif self.count < _RUNS:
+                self._add_run(first, last)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_run(self, first: cython.Py_ssize_t, last: cython.Py_ssize_t) -> cython.int:
+        """Add the run from return `first` to return `last`, if it is smooth."""
+        j: cython.Py_ssize_t
+        runs: cython.double[::1] = self.fields
+        run: cython.Py_ssize_t = RUN_FIELDS * self.count
+        runs[run + RUN_FIRST], runs[run + RUN_LENGTH] = first, last - first
+        for j in range(6):
+            runs[run + RUN_SUMS + j] = self._sums[6 * (last + 1) + j] - self._sums[6 * first + j]
+        if self._fit(run):
+            self.count += 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _fit(self, run: cython.Py_ssize_t) -> cython.int:
+        """Set the line of the run at index `run` of `fields` by its sums; 0 if it is rough.
+
+        The line is that of total least squares. Its direction is that from the first return to
+        the last one.
+        """
+        runs: cython.double[::1] = self.fields
+        n: cython.double = runs[run + RUN_SUMS]
+        x: cython.double = runs[run + RUN_SUMS + 1] / n
+        y: cython.double = runs[run + RUN_SUMS + 2] / n
+        xx: cython.double = runs[run + RUN_SUMS + 3] / n - x * x
+        xy: cython.double = runs[run + RUN_SUMS + 4] / n - x * y
+        yy: cython.double = runs[run + RUN_SUMS + 5] / n - y * y
+        half: cython.double = 0.5 * (xx - yy)
+        root: cython.double = sqrt(half * half + xy * xy)
+        if not 0.5 * (xx + yy) - root <= _ROUGH * _ROUGH:
+            return 0
+        ux: cython.double = half + root if half >= 0.0 else xy
+        uy: cython.double = xy if half >= 0.0 else root - half
+        length: cython.double = hypot(ux, uy)
+        if not length > 0.0:
+            return 0
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_FIRST])
+        last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
+        along: cython.double = ux * (self.x[last] - self.x[first])
+        along += uy * (self.y[last] - self.y[first])
+        if along < 0.0:
+            length = -length
+        ux, uy = ux / length, uy / length
+        runs[run + RUN_X], runs[run + RUN_Y] = x, y
+        runs[run + RUN_UX], runs[run + RUN_UY] = ux, uy
+        runs[run + RUN_FROM] = ux * (self.x[first] - x) + uy * (self.y[first] - y)
+        runs[run + RUN_TO] = ux * (self.x[last] - x) + uy * (self.y[last] - y)
+        return 1
+
+    @cython.cfunc
+    @cython.exceptval(-2)
+    def return_of(self, run: cython.Py_ssize_t, number: cython.double) -> cython.Py_ssize_t:
+        """The index of a return of a run: `number` returns behind its first one."""
+        place: cython.Py_ssize_t = cython.cast(
+            cython.Py_ssize_t, self.fields[run + RUN_FIRST] + number
+        )
+        return place - self._returns if place >= self._returns else place
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _join_runs(self) -> cython.int:
+        """Join runs that follow each other on one line; the first run follows the last one."""
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        runs: cython.double[::1] = self.fields
+        kept: cython.Py_ssize_t = 0
+        for i in range(self.count):
+            if kept and self._join(RUN_FIELDS * (kept - 1), RUN_FIELDS * i):
+                continue
+            for j in range(RUN_FIELDS):
+                runs[RUN_FIELDS * kept + j] = runs[RUN_FIELDS * i + j]
+            kept += 1
+        if kept > 1 and self._join(RUN_FIELDS * (kept - 1), 0):
+            kept -= 1
+            for j in range(RUN_FIELDS):
+                runs[j] = runs[RUN_FIELDS * kept + j]
+        self.count = kept
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
+        """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
+
+        Between both, no place for a robot may lie, and no ray may pass through.
+        """
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        runs: cython.double[::1] = self.fields
+        last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + RUN_FIRST])
+        # 1. Between both is no place for a robot. If the robot turns with the lidar, the first run
+        # and the last one overlap.
+        dx: cython.double = self.x[first] - self.x[last]
+        dy: cython.double = self.y[first] - self.y[last]
+        along: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
+        across: cython.double = runs[run + RUN_UX] * dy - runs[run + RUN_UY] * dx
+        overlap: cython.double = runs[run + RUN_FROM] - runs[run + RUN_TO]
+        if not (overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
+            return 0
+        # 2. No ray between both passes through the line.
+        x: cython.double = runs[run + RUN_X]
+        y: cython.double = runs[run + RUN_Y]
+        nx: cython.double = -runs[run + RUN_UY]
+        ny: cython.double = runs[run + RUN_UX]
+        side: cython.double = nx * (self.lidar_x - x) + ny * (self.lidar_y - y)
+        sign_of_side: cython.double = 1.0 if side >= 0.0 else -1.0
+        between: cython.Py_ssize_t = first - last
+        if between <= 0:
+            between += self._returns
+        for k in range(1, between + 1):
+            place: cython.Py_ssize_t = last + k
+            place = place - self._returns if place >= self._returns else place
+            if self._is_cut[place]:
+                return 0
+            off: cython.double = nx * (self.x[place] - x) + ny * (self.y[place] - y)
+            if off * sign_of_side < -_THROUGH:
+                return 0
+        # 3. Both have one line.
+        kept: cython.double = runs[run + RUN_LENGTH]
+        for j in range(6):
+            runs[run + RUN_SUMS + j] += runs[after + RUN_SUMS + j]
+        runs[run + RUN_LENGTH] = kept + between + runs[after + RUN_LENGTH]
+        if runs[run + RUN_LENGTH] < self._returns and self._fit(run):
+            return 1
+        for j in range(6):
+            runs[run + RUN_SUMS + j] -= runs[after + RUN_SUMS + j]
+        runs[run + RUN_LENGTH] = kept
+        self._fit(run)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-2)
+    def corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
+        """The return of a long run that meets run `number` at a corner; -1: there is none."""
+        k: cython.Py_ssize_t
+        runs: cython.double[::1] = self.fields
+        run: cython.Py_ssize_t = RUN_FIELDS * number
+        for k in range(2):
+            beside: cython.Py_ssize_t = number - 1 if k == 0 else number + 1
+            beside = beside + self.count if beside < 0 else beside
+            beside = beside - self.count if beside >= self.count else beside
+            other: cython.Py_ssize_t = RUN_FIELDS * beside
+            if runs[other + RUN_IS_LONG] == 0.0:
+                continue
+            near: cython.Py_ssize_t = self.return_of(other, 0.0 if k else runs[other + RUN_LENGTH])
+            own: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH] if k else 0.0)
+            if self._are_within(_CORNER, near, own):
+                return near
+        return -1
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def along(self, run: cython.Py_ssize_t, number: cython.Py_ssize_t) -> cython.double:
+        """m along a run of its return `number`; NaN for a return that is not on the line."""
+        runs: cython.double[::1] = self.fields
+        place: cython.Py_ssize_t = self.return_of(run, number)
+        dx: cython.double = self.x[place] - runs[run + RUN_X]
+        dy: cython.double = self.y[place] - runs[run + RUN_Y]
+        if not fabs(runs[run + RUN_UX] * dy - runs[run + RUN_UY] * dx) <= _ON_LINE:
+            return NAN
+        return runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
