@@ -60,7 +60,7 @@ class RobotShell:
     def sense(self, input: SensorInput, now: float) -> None:
         """Hand a measurement to the robot, except repeated inputs without a value.
 
-        OPTION_INPUTS are the kinds of input, such as detections, that depend on a driver's options.
+        OPTION_INPUTS are the kinds of input, such as seen tags, that depend on a driver's options.
         If inputs of such a kind have no value several times in a row, the robot gets only the
         first of these inputs.
         """

@@ -131,7 +131,7 @@ def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform, which also provides `reading:<name>` of each field, and of its sensors.
 
     The reading of sensor i of a field is `reading:<name>_<i>`. The platform also provides each of
-    OPTION_INPUTS (such as detections) for which it has sensors.
+    OPTION_INPUTS (such as seen tags) for which it has sensors.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

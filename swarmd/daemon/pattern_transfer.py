@@ -175,11 +175,11 @@ class PatternIntake:
     async def _take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None
     ) -> None:
-        """Check, write and try one pushed pattern, or carry out a removal; reply to the push.
+        """Check, write and try one pushed pattern, or carry out a removal. Reply to the push.
 
-        `entry`: the signed manifest. `code`: its bytes; unused if the robot has the code already.
-        `source`: where the code came from, in words. `request`: the push that the reply answers;
-        None: the code was pulled from a peer.
+        `entry`: the signed manifest. `code`: its bytes, unused if the robot has the code already.
+        `source`: where the code came from, in words. `request`: the push that the reply answers,
+        None if the code was pulled from a peer.
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from swarmd.core.bounds import BoundedScalar
+from swarmd.core.host_messages import ParamSources
 from swarmd.core.messages import (
     BatterySummary,
     DecisionSummary,
@@ -70,9 +71,6 @@ def make_status(
         detail = sensors.fence_text(now)[:MAX_VALUE]
     elif reason is Reason.HAZARD and lifecycle.is_running:
         detail = sensors.hazard_text(now)[:MAX_VALUE]
-    # By parameter: its value, and the source of the value, such as `platform` or `request`.
-    param_values = {} if running is None else running.values
-    params = {name: Param(value=value, source=src) for name, (value, src) in param_values.items()}
     dropped_messages = {
         "msg:inbox_full": sensors.overflowed,
         "msg:not_a_neighbor": sensors.rejected,
@@ -97,7 +95,7 @@ def make_status(
         changed_by=lifecycle.changed_by,
         latches=dict(lifecycle.latches.held),
         labels=lifecycle.goals.labels,
-        params=params,
+        params={} if running is None else _params(running.values),
         report=_clean(lifecycle.report),
         decision=decision_summary(decision, duty, sensors, now),
         health=Health(
@@ -158,6 +156,11 @@ def _fence(
         holds=fence.without_pose == "hold",
         text=sensors.fence_text(now)[:MAX_VALUE],
     )
+
+
+def _params(values: ParamSources) -> dict[str, Param]:
+    """By parameter: its value, and the source of the value, such as `platform` or `request`."""
+    return {name: Param(value=value, source=source) for name, (value, source) in values.items()}
 
 
 def _battery(lifecycle: Lifecycle) -> BatterySummary | None:

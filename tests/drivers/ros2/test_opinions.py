@@ -197,7 +197,8 @@ def test_a_voting_pattern_adopts_the_opinion_of_ros_robots_and_publishes_its_own
     robot = BridgedRobot()
     samples: list[zenoh.Sample] = []
     robot.hub.declare_subscriber(PUBLISHED, samples.append)
-    opinions: dict[str, Value] = {"publish": True, "robots": ["tb4_07", "tb4_08"]}
+    robots = ["tb4_07", "tb4_08"]
+    opinions: dict[str, Value] = {"publish": True, "robots": list[Value](robots)}
     options: dict[str, Any] = {
         "driver": "ros2dds",
         "driver_options": {**robot.options({"opinions": opinions}), "command_timeout": "base"},
@@ -207,7 +208,7 @@ def test_a_voting_pattern_adopts_the_opinion_of_ros_robots_and_publishes_its_own
     def turn() -> None:
         count[0] += 1
         robot.put("scan", scan(100.0 + 0.1 * count[0]))
-        for name in opinions["robots"]:  # type: ignore[union-attr]  # a list of names
+        for name in robots:
             robot.hub.put(f"{name}/opinion", int32(2))
 
     daemon = DaemonProcess(

@@ -17,7 +17,7 @@ import pytest
 import zenoh
 
 from swarmd.core.messages import Code, Reply
-from swarmd.core.values import Twist, Value
+from swarmd.core.values import Twist
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
 from swarmd.driver_api.opinion_link import HeardOpinion, opinion_link
 from swarmd.testing.driver_contract import DriverHarness
@@ -36,7 +36,7 @@ pytestmark = [pytest.mark.integration, pytest.mark.timeout(600)]  # compiling ta
 
 RAYS = 360
 DOMAIN = 5
-OPTIONS: dict[str, Value] = {
+OPTIONS: dict[str, Any] = {
     "services": {"operator": "ros", "runs": {"go": {"pattern": "drive"}}},
     "opinions": {"publish": True, "robots": ["tb4_07"]},
 }
