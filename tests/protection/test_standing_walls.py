@@ -129,6 +129,12 @@ def row(gap: float) -> list[Segment]:
     return boxes
 
 
+def bend(angle: float) -> list[Segment]:
+    """Two faces of 30 cm ahead that meet at an angle."""
+    x, y = 0.2 + 0.3 * math.sin(0.5 * angle), 0.3 * math.cos(0.5 * angle)
+    return [(0.2, 0.0, x, y), (0.2, 0.0, x, -y)]
+
+
 def after(seconds: float, before: Sequence[Segment], then: Sequence[Segment]) -> Scene:
     return lambda t: before if t < seconds - 1e-6 else then
 
@@ -149,6 +155,7 @@ CHARGED: dict[str, tuple[Scene, float]] = {
     "it has not stood for the time": (still(AHEAD), 1.8),
     "it is shorter": (still((0.2, -0.22, 0.2, 0.22)), 3.0),
     "it is curved": (still(*arc(0.35)), 3.0),
+    "it has a bulge of 45 mm": (still(AHEAD, (0.155, -0.03, 0.155, 0.03)), 3.0),
     "a row of bodies": (still(*row(0.05)), 3.0),
     "it appears": (after(3.0, [BESIDE], [AHEAD, BESIDE]), 3.0),
     "it is nearer than expected": (after(3.0, [moved(0.06)], [AHEAD]), 3.0),
@@ -177,6 +184,12 @@ def test_all_else_is_charged_as_before(kernel: Any, name: str) -> None:
     scene, seconds = CHARGED[name]
     robot = watch(kernel, scene, seconds)
     assert robot.speed() == watch(kernel, scene, seconds, walls_stand=None).speed() < FAST
+
+
+@pytest.mark.parametrize("surface", [arc(0.25), arc(0.35), bend(0.7), bend(1.05)])
+def test_no_part_of_a_curved_surface_stands(surface: list[Segment]) -> None:
+    robot = watch(FORMS[0], still(*surface))
+    assert not any(robot.barrier._walls.standing)
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -226,6 +239,21 @@ def test_odometry_or_a_scan_that_contradicts_takes_the_status(
     assert robot.speed() > FAST
     robot.see(robot.now + gap * PERIOD / 0.2 * (1.0 if gap == PERIOD else 0.2), [AHEAD], told=told)
     assert robot.speed() < FAST
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("step", [(0.06, 0.0), (0.0, 0.06)], ids=["way", "turn"])
+@pytest.mark.parametrize(("scale", "stands"), [(1.06, True), (1.16, False), (0.84, False)])
+def test_odometry_of_a_wrong_scale_takes_the_status(
+    kernel: Any, step: tuple[float, float], scale: float, stands: bool
+) -> None:
+    """The wall is 0.6 m or 0.6 rad nearer each 2 s. Odometry may err by 2 cm and 5 % of that."""
+    robot = Robot(kernel)
+    for k in range(-20, 1):
+        x, yaw = step[0] * k, step[1] * k
+        told = Pose(scale * x, 0.0, scale * yaw)
+        robot.see(1.0 + PERIOD * (k + 20), [AHEAD], Pose(x, 0.0, yaw), told=told)
+    assert (robot.speed() > FAST) == stands
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
