@@ -226,15 +226,14 @@ class CrazyflieDriver:
         ]
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
-        text = ", ".join(one.text for one in _hazards(supervisor))
-        is_well, remedy = (
-            not text and bool(supervisor & CAN_FLY),
-            "turn the drone upright, restart it",
-        )
-        if not text:
-            text = "ready to fly" if is_well else "not ready to fly"
-            text = NOT_ARMED if _is_unarmed(supervisor) else text
-        found.append(Finding("supervisor", is_well, text, remedy))
+        hazards = ", ".join(one.text for one in _hazards(supervisor))
+        is_well = not hazards and bool(supervisor & CAN_FLY)
+        if _is_unarmed(supervisor):  # an unarmed drone is well: it only does not take off
+            readiness = NOT_ARMED
+        else:
+            readiness = "ready to fly" if is_well else "not ready to fly"
+        remedy = "turn the drone upright, restart it"
+        found.append(Finding("supervisor", is_well, hazards or readiness, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)

@@ -688,8 +688,8 @@ class DriverCheck:
             return Finding("last_word", False, text)
         nodes = {end.node for end in self.graph.subscribers(command_topic)}
         multiplexer = listed(sorted(node for node in nodes if "mux" in node))
-        mux_text = f"{multiplexer} takes {command_topic}: give swarmd the highest priority there"
-        mux_text = f"{mux_text} ({LAST_WORD})" if multiplexer else ""
+        priority = f"give swarmd the highest priority there ({LAST_WORD})"
+        mux_text = f"{multiplexer} takes {command_topic}: {priority}" if multiplexer else ""
         # Other publishers of commands that are silent now, by topic; `topics[0]` is the own topic.
         silent = {command_topic: publishers}
         silent |= {topic: self._owners(topic) for topic in self.foreign.topics[1:]}

@@ -79,9 +79,9 @@ class Namespaces:
 
         1. With the option `namespace`: the topics in this namespace. While no topic of this
            namespace is announced: all announced namespaces, too, since the option may be wrong.
-        2. Without the option: the topics that may be this robot's. If they are in several
-           namespaces, or in one while several other robots are announced: no topics, but all of
-           these namespaces.
+        2. Without the option: the topics that may be this robot's. If these topics are in several
+           namespaces, the proposals are these namespaces, without topics. Likewise if the topics
+           are in one namespace while several other robots are announced.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

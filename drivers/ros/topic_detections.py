@@ -195,7 +195,8 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
+    An entry of option `readings` may have several readers, so all options return tuples. `full`:
+    returns
     the full name of a topic. `types`: the known message types. ConfigError names the key that is
     wrong.
     """

@@ -102,7 +102,7 @@ def manifest_of(
         known = metric_of(metric.name, report_units=units) if is_reported else metric
         custom.append(known)
         entry = msgspec.convert(known, OwnMetric, from_attributes=True)
-        # `metric_of` finds a metric without a file by its name.
+        # A metric without a file has no origin: `metric_of` finds such a metric by its name.
         entries.append(msgspec.structs.replace(entry, origin=entry.origin or entry.name))
     names = [metric.name for metric in entries]
     if (repeated := next((name for name in names if names.count(name) > 1), None)) is not None:

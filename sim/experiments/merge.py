@@ -151,7 +151,8 @@ def _missing_runs(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[s
             lines.append(f"{name}: {count}: {_listed(missing_of_part)}")
     unplanned = [run.id for run in missing if run.id not in planned]
     if unplanned:
-        # Absent parts can be named, as 3/40, only if all parts are of the same number of parts.
+        # An absent part can be named, such as 3/40, only if the number behind the slash is the same
+        # for all given parts.
         counts = {part.shard.of if part.shard else 1 for part in parts.values()}
         absent_parts = ""
         if len(counts) == 1:

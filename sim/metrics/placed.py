@@ -109,7 +109,7 @@ def box_progress(trace: Trace, x: float, y: float) -> Array | None:
 
 
 def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
-    """(T,) how far the floor is from robots, in m, on average over the floor outside the areas.
+    """(T,) mean distance in m from the floor to the nearest robot, outside the areas in the name.
 
     The floor is a grid of squares of CELL m. Each square outside the areas has a distance: from its
     middle to the nearest robot outside the areas. Without such a robot the distance is the arena's

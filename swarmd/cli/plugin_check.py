@@ -137,9 +137,9 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
     """Yields the points (rules of the contract) of a pattern's file, each as soon as it is known.
 
     A child process checks the points, each within `timeout` s. If the plugin's code ends the child
-    in a point, another child checks the remaining points. Exceptions: after the first point (the
-    import of the file) and after a point that hangs, no further point is checked. Raises
-    PluginError if the child fails before the first point.
+    in a point, another child checks the remaining points. No further point is checked if the child
+    ends in the first point (the import of the file), or if a point hangs. Raises PluginError if
+    the child fails before the first point.
     """
     checked_names: list[str] = []  # of points
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated

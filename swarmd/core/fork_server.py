@@ -104,9 +104,9 @@ def fork_main(
 ) -> ForkedProcess:
     """Run `main()` of a module in a fork of the started server.
 
-    `ps` and `pgrep -x` show the process as `name`, with the command line of the server. The process
-    has a session of its own, and the current folder and environment of this process. Imported
-    modules may have read the environment of the server instead. The process gets `arguments`, then
+    `ps` and `pgrep -x` show the fork as `name`, with the command line of the server. The fork has a
+    session of its own, and the current folder and environment of the caller. Modules that the
+    server imported may have read the server's environment instead. The fork gets `arguments`, then
     `--die-with-parent` with the id of the server. Its standard input is empty; its output is
     appended to the files `stdout` (None: dropped) and `stderr`.
     """

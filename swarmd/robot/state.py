@@ -479,10 +479,10 @@ class Lifecycle:
     ) -> None:
         """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        A load of the next run ends, too, unless an operator requested it, and either `keeps_load`
-        is True or the trigger concerns the run alone (`_ENDS_RUN_ALONE`, such as the end of its
-        time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or trial
-        ends is refused as `overtaken`.
+        A load of the next run ends, too. Two cases keep a load that an operator requested:
+        `keeps_load`, and a trigger that concerns the run alone (`_ENDS_RUN_ALONE`, such as the end
+        of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or
+        trial ends is refused as `overtaken`.
         """
         # 1. The run and the load.
         loading = self.pattern_run.loading
