@@ -154,6 +154,12 @@ class PlacedPoints:
     def __init__(self) -> None:
         self._allocate(96)
 
+    def check_indices(self) -> None:
+        """ValueError unless the counts of points are within the arrays."""
+        counts = self.contacts, self.seen, self.discs
+        if min(counts) < 0 or self.seen + self.discs > len(self.x):
+            raise ValueError(f"contacts, seen points and discs are {counts}, in {len(self.x)}")
+
     @cython.cfunc
     @cython.exceptval(-1)
     def reserve(self, room: cython.Py_ssize_t) -> cython.int:
@@ -242,14 +248,10 @@ class Constraints:
         self.axes.angular_limit = assumptions.angular_limit
 
     def check_indices(self) -> None:
-        """ValueError unless the counts of rows and of points are within the arrays."""
+        """ValueError unless the counts of rows are within the arrays."""
         rows: ConstraintRows = self.rows
-        placed: PlacedPoints = self.placed
         if not (0 <= rows.count <= len(rows.x) and 0 <= rows.all <= len(rows.x)):
             raise ValueError(f"{rows.count} rows of {rows.all} in {len(rows.x)}")
-        counts = placed.contacts, placed.seen, placed.discs
-        if min(counts) < 0 or placed.seen + placed.discs > len(placed.x):
-            raise ValueError(f"contacts, seen points and discs are {counts}, in {len(placed.x)}")
 
     @cython.cfunc
     @cython.exceptval(-1)
