@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -62,6 +62,11 @@ class Recording:
     def min_gap(self) -> float | None:
         """That of the last scan."""
         return self._arbiter.min_gap
+
+    @property
+    def moved_wall(self) -> MovedWall | None:
+        """That of the last scan."""
+        return self._arbiter.moved_wall
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Note the scan."""
