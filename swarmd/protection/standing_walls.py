@@ -152,7 +152,7 @@ class StandingWalls:
         """Take in a scan: set `standing` for its rays, and `moved`.
 
         Args:
-            ranges: (n,) m; -inf: a return too close to measure; inf: no return.
+            ranges: (n,) m. -inf: a return too close to measure, inf: no return.
             directions: (2n,) x and y of each ray, known for each range up to `reach`.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             motion: when and where the scan was taken.

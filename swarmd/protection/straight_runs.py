@@ -369,10 +369,12 @@ class StraightRuns:
             beside: cython.Py_ssize_t = number - 1 if k == 0 else number + 1
             beside = beside + self.count if beside < 0 else beside
             beside = beside - self.count if beside >= self.count else beside
-            other: cython.Py_ssize_t = RUN_FIELDS * beside
-            if runs[other + RUN_IS_LONG] == 0.0:
+            beside_start: cython.Py_ssize_t = RUN_FIELDS * beside
+            if runs[beside_start + RUN_IS_LONG] == 0.0:
                 continue
-            near: cython.Py_ssize_t = self.return_of(other, 0.0 if k else runs[other + RUN_LENGTH])
+            near: cython.Py_ssize_t = self.return_of(
+                beside_start, 0.0 if k else runs[beside_start + RUN_LENGTH]
+            )
             own: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH] if k else 0.0)
             if self._are_within(_CORNER, near, own):
                 return near
