@@ -85,7 +85,9 @@ class CommandServices:
         self._take = take
 
     def open(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
-        """Declare the services on a new session."""
+        """Declare the services on a new session; without the option nothing is declared."""
+        if not self.is_on:
+            return
         self._session, self._age = session, RequestAge()
         for name, service in self._names.items():
             on_query = Callback(partial(self._on_query, loop, name), indirect=False)
@@ -97,7 +99,7 @@ class CommandServices:
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Probe the hub, and count refused calls; the driver's task calls this."""
         loop = asyncio.get_running_loop()
-        if self._session is None or not self.is_on:
+        if self._session is None:
             return
         if self._age.probes(now := loop.time()):
             age = self._age  # of this session: a late answer must not count for the next session
