@@ -269,7 +269,7 @@ def head() -> RecordingHead:
 
 
 FULL = """
-import asyncio, sys
+import asyncio, sys, time
 from pathlib import Path
 from tests.daemon.test_recorder import *
 async def run():
@@ -277,10 +277,12 @@ async def run():
     recorder = Recorder(asyncio.get_running_loop(), events.append)
     recorder.start(Path(sys.argv[1]), "a", {}, FileLimits(file_bytes=100_000))
     rng = np.random.default_rng(1)
-    for seq in range(100_000):
+    ends, seq = time.monotonic() + WAIT / 2, 0
+    while time.monotonic() < ends:
+        seq += 1
         recorder.input(ScanInput(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180))), 0.0)
         recorder.flush()
-        await asyncio.sleep(0)
+        await asyncio.sleep(0.001)  # for the process that writes, which else drops most entries
         if events and not recorder.is_on:
             break
     recorder.close(WAIT)

@@ -79,6 +79,7 @@ def test_recorded_runs_play_seek_and_change(results: Path, page: Page) -> None:
         page.until(f"{ROBOTS}.length === 2 && {ROBOTS}.every((one) => one.row.state)", "the robots")
         assert page.evaluate("document.getElementById('run-shown').value") == "seed 1"
         page.click("#play")
+        page.evaluate("swarm.timeline.play(false)")  # the click begins a run anew that has ended
         page.until("!window.swarm.model.playback.is_playing", "a pause")
         seek(page, 1.5)
         page.until("Math.abs(window.swarm.model.time - 1.5) < 0.06", "the chosen time")
