@@ -22,6 +22,7 @@ CAN_FLY, IS_FLYING, IS_TUMBLED, IS_LOCKED, IS_CRASHED = 1 << 3, 1 << 4, 1 << 5, 
 
 MISSING = "driver crazyflie needs cflib; expected: pip install 'swarmd[crazyflie]'"
 LOG_BLOCKS = {
+    "status": (100, ("pm.vbat", "supervisor.info")),
     "ranges": (100, ("range.front", "range.left", "range.back", "range.right")),
     "state": (
         50,
@@ -30,9 +31,9 @@ LOG_BLOCKS = {
             "stateEstimateZ.rateYaw",
         ),
     ),
-    "status": (100, ("pm.vbat", "supervisor.info")),
 }
-"""The log blocks by name: the period in ms and the variables."""
+"""The log blocks by name, in the order of their start: the period in ms and the variables. Without
+the status no set-point is sent to a drone that stands."""
 _HALF_SIZE = {"stateEstimate.z": "FP16"}  # a block has 26 bytes
 
 OnData = Callable[[str, int, Mapping[str, float]], None]

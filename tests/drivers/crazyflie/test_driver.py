@@ -66,6 +66,8 @@ class Drone:
         spec = PLATFORM.scan
         scan = Scan(1, stamp, self.ranges, spec.bearings, spec.range_min, spec.range_max)
         self.robots.tells_status = self._tells_status
+        if self._tells_status:  # first: a driver that is up knows that the motors are off
+            self.robots.publish_status("cf")
         self.robots.publish("cf", ScanInput(scan))
         odometry = Odometry(stamp, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2, 0.05))
         self.robots.publish("cf", OdometryInput(odometry))
