@@ -27,7 +27,7 @@ ALPHA = 0.05
 FIRST = 5
 """The number of seeds before the first look, as in irace."""
 _GROWTH = math.sqrt(2.0)  # the factor between the numbers of seeds of successive looks
-_ROUNDING = 1e-9  # ranks are multiples of 0.5: a smaller difference of rank sums is none
+_ROUNDING = 1e-9  # ranks are multiples of 0.5: smaller differences of rank sums count as 0
 
 
 def looks(seeds: int) -> tuple[int, ...]:

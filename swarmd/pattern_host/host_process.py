@@ -152,7 +152,7 @@ class HostProcess:
             if self.sandbox is None:
                 self.sandbox = decode_sandbox(frame)
                 continue
-            # A frame that is too long counts as one that cannot be decoded.
+            # A frame that is too long counts as undecodable.
             self.owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
             if self.socket.fileno() < 0:  # the owner has killed this host because of the frame
                 return

@@ -69,7 +69,7 @@ _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
 # the same in the base frame of the present scan; time, and way and turn by odometry, at which its
 # line was measured; the time since which it stands; the time at which it was last confirmed; how
 # far its line then was off; 1 if a run of this scan continues it; in how many scans in a row it was
-# seen elsewhere; its first bin and its last one that were covered.
+# seen elsewhere; its first and its last covered bin.
 _W_X = cython.declare(cython.Py_ssize_t, 0)
 _W_Y = cython.declare(cython.Py_ssize_t, 1)
 _W_UX = cython.declare(cython.Py_ssize_t, 2)
@@ -258,7 +258,7 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _overlap(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
-        """Set in `_ends` the part of a run along which a wall was covered; 0: there is none.
+        """Set in `_ends` the part of a run along which a wall was covered; 0 without such a part.
 
         (4,): the ends of the part along the run in m, and how far the run is from the line of the
         wall at each end in m.

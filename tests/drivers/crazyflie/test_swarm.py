@@ -166,7 +166,7 @@ def test_seven_drones_survive_a_lost_link_and_a_killed_daemon_and_land(tmp_path:
                 statuses()[victim].reason is Reason.DRIVER_LOST
                 and statuses()[victim].state is State.STOPPED
             ),
-            "the lost link is told",
+            "an event names the lost link",
             CAP,
         )
         assert victim in {found.robot for one in others for found in statuses()[one].peers}
