@@ -346,8 +346,8 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         os._exit(0)  # without waiting for threads of a pattern
     os.close(write_end)
     _, status = os.waitpid(child_pid, 0)
-    # A byte, or b"" if the pipe is empty and no process can write into it. If a process that the pattern has
-    # forked still holds write_end, a read without a byte would block: BlockingIOError.
+    # A byte, or b"" if the pipe is empty and no process can write into it. If a process that the
+    # pattern has forked still holds write_end, a read without a byte would block: BlockingIOError.
     os.set_blocking(read_end, False)
     has_result = False
     with suppress(BlockingIOError):

@@ -162,7 +162,7 @@ def parameter_space(
         for parameter, exclusion in declared:
             if not exclusion:
                 parameters.append(parameter)
-            elif parameter.param not in Params.__struct_fields__:  # a parameter of this pattern alone
+            elif parameter.param not in Params.__struct_fields__:  # of this pattern alone
                 name = parameter.name
                 on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
         if not parameters:

@@ -361,7 +361,7 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-2)
     def corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The return of a long run that meets run `number` at a corner; -1 without such a return."""
+        """The return of a long run that meets run `number` at a corner; -1 without one."""
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields
         run: cython.Py_ssize_t = RUN_FIELDS * number
