@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.values import Value
+from swarmd.core.verbs import RecordRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.recording import messages
@@ -15,6 +16,7 @@ from swarmd.settings.settings import load_platform
 from tests.support.drive_daemon import ROBOT, drive, is_running
 from tests.support.fake_body import Body
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import await_applied
 
 pytestmark = pytest.mark.integration
 
@@ -38,10 +40,17 @@ def test_the_recording_of_a_daemon_drives_another(tmp_path: Path) -> None:
             drive(operator)
             moving = body.wait_stepped()
             body.wait(lambda one: one.at > moving.at + 2.0)
+            await_applied(
+                lambda: operator.request(
+                    RecordRequest, operator.members().epochs((ROBOT,)), action="stop"
+                ),
+                "the recording ends",
+            )
+            (file,) = folder.glob("*.mcap")
+            wait_until(lambda: not read_file(file).fault, "the file has its summary")
             assert daemon.terminate() == 0
-    (file,) = folder.glob("*.mcap")
     recorded = read_file(file)
-    assert (recorded.fault, recorded.about["robot"]) == ("", ROBOT)
+    assert recorded.about["robot"] == ROBOT
     decisions = [
         messages.deserialize(one.kind, one.payload)
         for one in recorded.messages

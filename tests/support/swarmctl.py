@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +24,11 @@ import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
-from swarmd.core.messages import Code
+from swarmd.core.messages import Code, Status
 from swarmd.network.operator.exit_codes import APPLIED, UNREACHABLE
+from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
+from swarmd.sim.live.starting import statuses_of
 from tests.support.processes import CAP, FORKED, MODULES, unique_swarm, wait_until
 
 STALLED = re.compile("by a stall of|loop_stalled|loading took more than")
@@ -108,6 +110,18 @@ def await_applied(ask: Callable[[], Outcome], what: str) -> None:
         return outcome.exit_code == APPLIED
 
     wait_until(is_applied, what)
+
+
+def heard_statuses(operator: Operator, robots: Collection[str]) -> dict[str, Status]:
+    """The statuses of `robots`, once each has answered: a busy machine loses datagrams."""
+    heard = dict[str, Status]()
+
+    def have_all_answered() -> bool:
+        heard.update(statuses_of(operator.members()))
+        return heard.keys() >= set(robots)
+
+    wait_until(have_all_answered, f"{', '.join(robots)} answered")
+    return heard
 
 
 class Running(ForkedProcess):

@@ -13,10 +13,10 @@ from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.live_scenario import LiveScenario
-from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.sim.live.starting import await_robots
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.processes import unique_swarm, wait_until
-from tests.support.swarmctl import await_applied
+from tests.support.swarmctl import await_applied, heard_statuses
 
 JACKAL, BURGER = "jackal-01", "tb3-01"
 
@@ -35,7 +35,7 @@ def test_a_jackal_drives_beside_a_burger_that_tells_its_place(tmp_path: Path) ->
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 
         def status() -> Status:
-            return statuses_of(operator.members())[JACKAL]
+            return heard_statuses(operator, [JACKAL])[JACKAL]
 
         def finds() -> list[tuple[str, str, bool]]:
             return [(found.robot, found.kind, found.holds) for found in status().peers]
@@ -74,7 +74,7 @@ def test_a_live_robot_knows_its_place_in_its_fence(tmp_path: Path) -> None:
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 
         def status() -> Status:
-            return statuses_of(operator.members())[BURGER]
+            return heard_statuses(operator, [BURGER])[BURGER]
 
         def clearance() -> float | None:
             fence = status().fence

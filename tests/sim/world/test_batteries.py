@@ -16,13 +16,13 @@ from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.live_scenario import LiveScenario
-from swarmd.sim.live.starting import await_robots, statuses_of
+from swarmd.sim.live.starting import await_robots
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.world.batteries import charge
 from tests.support.processes import unique_swarm, wait_until
-from tests.support.swarmctl import await_applied
+from tests.support.swarmctl import await_applied, heard_statuses
 
 TURNS = {"below": 0.5, "pattern": "drive", "params": {"speed": 0.0, "turn": 0.5}, "seconds": 5.0}
 
@@ -108,7 +108,7 @@ def test_a_live_robot_knows_that_its_battery_is_low(tmp_path: Path) -> None:
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 
         def status() -> Status:
-            return statuses_of(operator.members())["tb3-01"]
+            return heard_statuses(operator, ["tb3-01"])["tb3-01"]
 
         def is_low() -> bool:
             battery = status().battery
