@@ -227,6 +227,37 @@ class PlacedPoints:
         return 0
 
 
+@cython.cfunc
+@cython.exceptval(-1)
+def _limit_corner_to_walls(
+    chunk: Chunk,
+    axes: SpeedAxes,
+    assumptions: Assumptions,
+    corner_x: cython.double,
+    corner_y: cython.double,
+    begin: cython.Py_ssize_t,
+    end: cython.Py_ssize_t,
+) -> cython.int:
+    """Set the caps of one corner for points on walls that stand.
+
+    A loop of its own: the loop over all points would else not be compiled to vector code.
+    """
+    j: cython.Py_ssize_t
+    for j in range(begin, end):
+        if chunk.others[j] < assumptions.others_speed:
+            distance: cython.double = chunk.row_gap[j]
+            dx: cython.double = (chunk.x[j] - corner_x) / distance
+            dy: cython.double = (chunk.y[j] - corner_y) / distance
+            linear: cython.double = dx * axes.along_x + dy * axes.along_y
+            lever: cython.double = corner_x * dy - corner_y * dx
+            braking: cython.double = closing_deceleration(
+                linear, lever, assumptions.braking_linear, assumptions.braking_angular
+            )
+            room: cython.double = distance - chunk.free[j]
+            chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+    return 0
+
+
 @cython.final
 @cython.cclass
 class Constraints:
@@ -708,10 +739,10 @@ class Constraints:
                 lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
                 new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j], is_passive)
-                if others[j] < others_speed:
-                    new_cap[j] = wall_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
+            if assumptions.standing_speed < others_speed:
+                _limit_corner_to_walls(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0
 
