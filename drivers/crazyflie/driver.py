@@ -211,6 +211,7 @@ class CrazyflieDriver:
             async with asyncio.timeout(seconds):
                 while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
                     await asyncio.sleep(PERIOD)
+                # The first hazards may be NOT_HEARD, before the supervisor's first value.
                 while not task.done() and self._supervisor is None:
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
@@ -278,6 +279,8 @@ class CrazyflieDriver:
                 now = time.monotonic()
                 if self._gate.is_open and now - self._heard > SILENCE_TIMEOUT:
                     self._lose(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
+                # A silent drone that flies keeps its link: it needs set-points, as far as they
+                # arrive, and closing the link stops its motors.
                 if now - self._heard > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
                     return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
                 self._tell_status(now)

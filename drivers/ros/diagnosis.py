@@ -311,6 +311,7 @@ class Graph:
         is_taken = bool(base_types) or has_subscriber
         if is_type_clear and is_taken:
             return ""
+        # 4. Bases want different classes, a node hides its class, or no node takes the commands.
         if base_types:
             wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
             return (

@@ -363,7 +363,8 @@ class RosDriver:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
         # 2. A server publishes the states of its action's goals. Without a server no state would
-        # say that a goal has ended, so all its goals end here.
+        # say that a goal has ended, so all its goals end here, and after a last state that comes
+        # late (`_ended_servers`).
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._foreign_graph().publishers(end.topic):
