@@ -200,15 +200,15 @@ class Lidar:
         rows: Indices,
         poses: Array,
         observers: Indices,
-        numbers: Indices,
+        sectors: Indices,
         first: Indices,
         counts: Indices,
     ) -> None:
-        """Cast sectors `numbers` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
+        """Cast sectors `sectors` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
 
         `ranges` (r, rays) in m; `first` and `counts` (k,) of `sectors`; `poses` as in `cast`.
         """
-        self._caster.cast(poses, observers, numbers, first, counts, rows, ranges)
+        self._caster.cast(poses, observers, sectors, first, counts, rows, ranges)
 
 
 class RangeSensors:
