@@ -135,7 +135,7 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         if predecessor is None and self._sensed_at:
             # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
             aim, turn = self._speed, 0.0
-            before_id = max(self._sensed_at, key=self._chain_order)
+            before_id = max(self._sensed_at, key=self._chain_order)  # the last before this robot
         elif predecessor is None:  # lead
             before_id = ""
             # At the start the robot waits until other robots can be sensed.
