@@ -317,7 +317,7 @@ def _parameter(
     if not equals:
         if parameter is None:
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if exclusion and not parameter.choices:
+        if exclusion and not parameter.choices:  # choices need no bounds
             raise ConfigError(f"{SOURCE} {key}: {exclusion}; give {key}=LO..HI")
         return parameter
 

@@ -239,6 +239,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         while swarm.world.time < deadline and any(seat.inputs is None for seat in first_seats):
             self._advance(swarm.world.dt)
         episode.contacts[:] = 0
+        # The agent of a robot's first life has the robot's name.
         self.agents = [robot for robot in self._learners if episode.lives[robot]]
         state = self._state(0.0)
         episode.rewards.begin(state)

@@ -253,8 +253,9 @@ class Wheels:
             turn = poses[row, 2] - self._truth[row, 2]
             mid_yaw = self._truth[row, 2] + turn / 2.0
             c, s = cos(mid_yaw), sin(mid_yaw)
-            # 2. The motion that the wheels measure, added to the reported pose. `measured` holds
-            # the motion until step 3 replaces it by the twist.
+            # 2. The motion that the wheels measure (from linear, angular and lateral motion in the
+            # base frame), added to the reported pose. `measured` holds the measured motion until
+            # step 3 replaces it by the twist.
             self._measure(row, index, c * x + s * y, turn, c * y - s * x, slips, measured)
             linear, turn, lateral = measured[index, 0], measured[index, 1], measured[index, 2]
             mid_yaw = self._reported[row, 2] + turn / 2.0
