@@ -250,6 +250,7 @@ class CrazyflieDriver:
         opened, lost = loop.create_future(), loop.create_future()
         self._forget()
 
+        # The threads of cflib call back; `post` brings their calls into the loop.
         def post(take: object, *values: object) -> None:
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(take, *values)  # type: ignore[arg-type]
@@ -270,7 +271,7 @@ class CrazyflieDriver:
             await asyncio.wait(
                 {opened, lost}, timeout=CONNECT_TIMEOUT, return_when=asyncio.FIRST_COMPLETED
             )
-            await opening
+            await opening  # raises what `open` has raised
             if not opened.done():
                 return lost.result() if lost.done() else f"{self._uri} does not answer"
             self._heard = time.monotonic()

@@ -264,7 +264,7 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
         return ", ".join((*_texts(objects), *unplaced_text)) or "no object"
 
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
-        """The objects of all topics if they are new, else None; see `TopicInputs`.
+        """The objects of all topics if they are new, or `again`, else None; see `TopicInputs`.
 
         While any topic has been silent for too long, or was never heard, the `DetectionsInput` has
         None in place of objects.

@@ -532,7 +532,8 @@ class RosDriver:
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        if hubs and (not was_linked or hubs != last_hubs):  # linked again, or to another hub
+        # Linked again, or to another hub: the base may have missed the last zero.
+        if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)
             if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())
