@@ -72,7 +72,7 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
                 print_json("Load", {"robots": list(records(view, robots, statuses))})
             else:
                 print_table(HEADER, rows(view, robots, statuses, sort))
-            click.get_current_context().exit(exit_code_of(view, robots))
+            click.get_current_context().exit(exit_code_of(view, robots))  # raises
     # 2. A table that is renewed, or lines of JSON, from all that robots publish.
     if not options.is_json:
         need_terminal("top", "add --once or -o json")

@@ -123,10 +123,10 @@ class RequestHandler:
             issued_at = min(issued_at, self._executed[request.id])
 
         def is_older_than(wish: Wish) -> bool:
-            """At equal times the first copy stops the run: in doubt the robot stops.
+            """True if the stop is older than `wish`; at equal times only if it is a later copy.
 
-            A later copy does not: the first copy ended every run at that time, so the present run
-            was requested after the first copy.
+            At equal times the first copy stops the run: in doubt the robot stops. That copy ended
+            every run of that time, so the run that a later copy meets was requested after the stop.
             """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 

@@ -217,9 +217,8 @@ class Lifecycle:
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""
-        self.events.append(
-            LoggedEvent(at=max(now - self.born, 0.0), text=shortened(text, MAX_TEXT))
-        )
+        event = LoggedEvent(at=max(now - self.born, 0.0), text=shortened(text, MAX_TEXT))
+        self.events.append(event)
 
     def applied(
         self, effects: Effects, request: Request, text: str, *, is_moving: bool = False
@@ -436,8 +435,7 @@ class Lifecycle:
         effects.command_host(host_messages.KillHost())
         self._last_fault_text = text
         self.log(f"{running.pattern} failed: {text}", effects.now)
-        # The killed host was also loading the next run, as requested: that load fails, and the run
-        # ends with it.
+        # The killed host was loading a requested next run, too: that load fails and ends the run.
         if loading is not None and loading.request is not None:
             self.fail_load(text, effects)
         elif self._is_provisional(running.generation, text, effects):
@@ -658,13 +656,11 @@ class Lifecycle:
             return
         text = f"the battery is below {settings.below:g}{battery.charge_text}"
         run = self.pattern_run
-        # Read before `_end`, which removes the run.
-        running, has_lease = run.running, self.goals.lease_ends is not None
-        # Nothing runs: the goal ends, and the robot joins no goal that was set before.
+        running, has_lease = run.running, self.goals.lease_ends is not None  # `_end` ends both
         if running is None and run.loading is None:
             self.log(text, now)
             self.goals.on_end(text)
-            self.goals.bar(now)
+            self.goals.bar(now)  # the robot joins no goal that was set before
             return
         if running is not None and running.wish.is_own and run.loading is None:
             return  # the run of `on_low_battery` goes on: the charge rose and fell again meanwhile
