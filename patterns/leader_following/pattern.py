@@ -7,8 +7,8 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: behind the leader the robots follow in the order of their ids. A robot follows the nearest
-earlier robot of this order that it senses. So a lost robot leaves a gap in the chain only for
+Ours: behind the leader the robots follow in the order of their ids. Of the earlier robots that it
+senses, a robot follows the last in this order. So a lost robot leaves a gap in the chain only for
 `lease`. A robot that senses no earlier robot leads. The leader's id passes down the chain by
 messages.
 """
