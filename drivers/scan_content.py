@@ -68,8 +68,8 @@ class ScanContent:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
         The first fault that applies: all ranges of the last scan are 0, no ray has a return, or the
-        last scans repeat earlier scans. With noise an exact repeat is implausible, so repeats mean
-        that the sensor's driver sends the same scan again and again.
+        last scans repeat earlier scans. With noise an exact repeat of several returns is
+        implausible, so repeats mean that the sensor's driver sends the same scan again and again.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):

@@ -211,6 +211,7 @@ class CrazyflieDriver:
             async with asyncio.timeout(seconds):
                 while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
                     await asyncio.sleep(PERIOD)
+                # The first hazards may be NOT_HEARD, before the supervisor's first value.
                 while not task.done() and self._supervisor is None:
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
@@ -249,6 +250,7 @@ class CrazyflieDriver:
         opened, lost = loop.create_future(), loop.create_future()
         self._forget()
 
+        # The threads of cflib call back; `post` brings their calls into the loop.
         def post(take: object, *values: object) -> None:
             with contextlib.suppress(RuntimeError):  # the loop is closed
                 loop.call_soon_threadsafe(take, *values)  # type: ignore[arg-type]
@@ -269,7 +271,7 @@ class CrazyflieDriver:
             await asyncio.wait(
                 {opened, lost}, timeout=CONNECT_TIMEOUT, return_when=asyncio.FIRST_COMPLETED
             )
-            await opening
+            await opening  # raises what `open` has raised
             if not opened.done():
                 return lost.result() if lost.done() else f"{self._uri} does not answer"
             self._heard = time.monotonic()
@@ -278,6 +280,8 @@ class CrazyflieDriver:
                 now = time.monotonic()
                 if self._gate.is_open and now - self._heard > SILENCE_TIMEOUT:
                     self._lose(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
+                # A silent drone that flies keeps its link: it needs set-points, as far as they
+                # arrive, and closing the link stops its motors.
                 if now - self._heard > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
                     return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
                 self._tell_status(now)

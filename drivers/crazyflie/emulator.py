@@ -62,7 +62,7 @@ class CrtpRobots:
         host, first = _address(endpoint)
         try:
             for index, (robot, platform) in enumerate(robots.items()):
-                port = first + index if first else 0
+                port = first + index if first else 0  # 0: any free port
                 self._drones[robot] = self._open(robot, platform, host, port)
         except BaseException:
             self._close_sockets()

@@ -311,6 +311,7 @@ class Graph:
         is_taken = bool(base_types) or has_subscriber
         if is_type_clear and is_taken:
             return ""
+        # 4. Bases want different classes, a node hides its class, or no node takes the commands.
         if base_types:
             wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
             return (
@@ -373,8 +374,8 @@ class Graph:
         """Why these ends belong to more than one node; empty if they belong to one node.
 
         `action`: the verb and topic for the text, such as `publish /scan`. `is_alive`: two nodes
-        with one name are both known to be alive. Otherwise the older node may have crashed, and
-        counts until the lease of the middleware.
+        with one name are both known to be alive. Otherwise the older node may have crashed: the
+        middleware counts a crashed node as alive until the end of its lease.
         """
         nodes = [*nodes_of(ends).values()]
         names = sorted({end.owner for end in nodes})
@@ -579,7 +580,8 @@ class DriverCheck:
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in topics.values():
-            # A topic that no option names, and that the robot does not need, may be absent.
+            # A topic that no option names, and that the robot does not need, may be absent. Options
+            # name the topics that only entries read (`goes_stale`), of imu and of battery.
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
             has_come = bool(stats.count or stats.faults)
             if stats.is_needed or is_named or has_come:

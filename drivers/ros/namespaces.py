@@ -87,6 +87,8 @@ class Namespaces:
         if self.own:
             spaces_in_use = () if self._is_there else self._kinds
             return Candidates(topics, tuple(sorted(space or "/" for space in spaces_in_use)))
+        # Namespaces that hold a whole robot, which may be this robot: its own names have no kind
+        # of these topics.
         robots = {
             space
             for space, kinds in self._kinds.items()

@@ -395,7 +395,7 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
         zid, kind = parts[1], parts[3]
-        rest = "".join(parts[4:])
+        rest = "".join(parts[4:])  # the fifth part; empty without one
         if kind == "config" and not rest and (config := _decoded(_configs, payload)):
             configs[zid] = config
         elif kind == "node" and rest:

@@ -363,7 +363,8 @@ class RosDriver:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
         # 2. A server publishes the states of its action's goals. Without a server no state would
-        # say that a goal has ended, so all its goals end here.
+        # say that a goal has ended, so all its goals end here, and after a last state that comes
+        # late (`_ended_servers`).
         if end.is_publisher and end.topic in self._foreign.actions:
             self._ended_servers.discard(end.topic)
             if not self._foreign_graph().publishers(end.topic):
@@ -531,7 +532,8 @@ class RosDriver:
         hubs, last_hubs = linked_hubs(session), self._hubs
         self._hubs = hubs or last_hubs
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        if hubs and (not was_linked or hubs != last_hubs):  # linked again, or to another hub
+        # Linked again, or to another hub: the base may have missed the last zero.
+        if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)
             if last_hubs:  # the first link of a session has its query already
                 self._query_graph(session, asyncio.get_running_loop())

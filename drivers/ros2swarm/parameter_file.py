@@ -207,6 +207,7 @@ def read_parameter_file(path: Path) -> Conversion:
         raise ConfigError(f"{path}: {node} has no counterpart: {counterpart.note}")
     parameters: dict[str, Any] = dict(counterpart.fixed)
     left_out: dict[str, str] = {}
+    # The file of a node that votes has names of opinions, which `_opinions` converts together.
     vote = _VOTES.get(node)
     opinions = {} if vote is None else _opinions(path, vote, given)
     names_of_vote = {f"{vote}_{end}" for end in _OPINIONS}  # read by `_opinions`

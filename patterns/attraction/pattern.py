@@ -265,29 +265,37 @@ class Attraction(FieldPattern[AttractionParams]):
         return x / length, y / length
 
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
-        """The next state; `received`: the number of robots that are heard."""
+        """The next state: search, gather, settled, roll or lead.
+
+        `received`: the number of robots that are heard. `is_in_line`: all robots in sight lie on
+        one line through this robot, and more robots are heard.
+        """
         if len(view.robots) == 0:
             return "search"
-        is_going = self.state
+        # 1. More robots in sight than ever before: a robot that leads has found the rest of the
+        # swarm, and the waits between tries begin anew.
+        present_state = self.state
         if view.seen > self._most_seen:
             self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
-            is_going = "gather" if is_going == "lead" else is_going
-        age = now - self._since
-        # Few robots in sight, unless messages say that there are no more. A place is incomplete if
-        # few robots are adjacent although there are more.
+            present_state = "gather" if present_state == "lead" else present_state
+        in_state_s = now - self._since
+        # 2. Go on with a roll or a lead. Few robots are in sight, unless messages say that there
+        # are no more. A place is incomplete if few robots are adjacent although there are more.
         is_few = view.seen <= _FEW_ROBOTS and not 0 < received <= view.seen
         is_all = view.adjacent == len(view.robots) and received <= view.seen
         is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not is_all)
-        if is_going == "roll" and is_incomplete and age < _ROLL_TIME:
+        if present_state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
-        if is_going == "lead" and age < _LEAD_TIME:
+        if present_state == "lead" and in_state_s < _LEAD_TIME:
             return "lead"
-        is_pulled = view.free > (_STOP_PULL if is_going == "gather" else _START_PULL)
-        # A robot tries to roll or lead before it settles in a line. At rest it tries again, a few
-        # times, after a wait that doubles with each try.
-        is_first = is_in_line and is_going == "gather" and self._rest_time == _FIRST_REST_TIME
-        is_rested = is_going == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
-        if (is_first or is_rested) and age > self._rest_time:
+        # 3. Begin a roll or a lead. A robot tries to roll before it settles in a line. At rest it
+        # tries again, a few times, after a wait that doubles with each try.
+        is_pulled = view.free > (_STOP_PULL if present_state == "gather" else _START_PULL)
+        is_first = is_in_line and present_state == "gather" and self._rest_time == _FIRST_REST_TIME
+        is_rested = (
+            present_state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
+        )
+        if (is_first or is_rested) and in_state_s > self._rest_time:
             if is_few and self._rest_time > _LEAD_REST_TIME:
                 return self._try("lead", view)
             if is_first or is_incomplete:

@@ -127,4 +127,4 @@ def _longest_gap(track: Track, row: int) -> float:
     gaps = np.asarray(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)))
     for via in range(len(members)):  # minimax paths by the algorithm of Floyd and Warshall
         gaps = np.minimum(gaps, np.maximum(gaps[:, via : via + 1], gaps[via : via + 1, :]))
-    return float(gaps[0, 1] / DISTANCE)
+    return float(gaps[0, 1] / DISTANCE)  # robot 0 is the nest, robot 1 the goal

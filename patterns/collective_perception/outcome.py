@@ -175,7 +175,7 @@ def run(setting: _Setting) -> Agreement:
     opinions = set[Scalar]().union(*recent_opinions)
     if len(opinions) > 1:  # no agreement within SECONDS
         return Agreement(None, math.inf)
-    return Agreement(int(opinions.pop()), float(track.t[-AGREED]))
+    return Agreement(int(opinions.pop()), float(track.t[-AGREED]))  # the first of AGREED samples
 
 
 def tiles(share: float, seed: int) -> Patch:

@@ -350,9 +350,8 @@ class Flocking(MovementPattern[FlockingParams]):
         params = self.params
         ranges = np.where(np.isnan(scan.ranges), math.inf, np.maximum(scan.ranges, scan.range_min))
         bearings = (scan.bearings + math.pi) % (2.0 * math.pi) - math.pi
-        sector = (
-            np.rint(bearings / _SECTOR).astype(np.int64) % 4
-        )  # 0 ahead, 1 left, 2 back, 3 right
+        # 0: ahead, 1: left, 2: behind, 3: right.
+        sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
         # Near objects: rules 1 and 2.
         ahead, left, _, right = _filled(sector, ranges < params.near)
         if ahead > _NEAR_WIDTH:

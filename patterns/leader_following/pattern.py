@@ -7,8 +7,8 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: behind the leader the robots follow in the order of their ids. A robot follows the nearest
-earlier robot of this order that it senses. So a lost robot leaves a gap in the chain only for
+Ours: behind the leader the robots follow in the order of their ids. Of the earlier robots that it
+senses, a robot follows the last in this order. So a lost robot leaves a gap in the chain only for
 `lease`. A robot that senses no earlier robot leads. The leader's id passes down the chain by
 messages.
 """
@@ -135,7 +135,7 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
         if predecessor is None and self._sensed_at:
             # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
             aim, turn = self._speed, 0.0
-            before_id = max(self._sensed_at, key=self._chain_order)
+            before_id = max(self._sensed_at, key=self._chain_order)  # the last before this robot
         elif predecessor is None:  # lead
             before_id = ""
             # At the start the robot waits until other robots can be sensed.

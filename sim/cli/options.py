@@ -251,7 +251,7 @@ def new_folder(base: Path, names: Iterable[str]) -> Path:
                 ctx.call_on_close(partial(_remove_empty, new_folders))
             return base / name
         except OSError as error:
-            if not (base / name).exists():
+            if not (base / name).exists():  # else the name is taken: try the next name
                 text = f"{base / name}/ cannot be made ({error.strerror})"
                 raise ConfigError(f"{text}; work in another folder, or name one") from error
     raise ConfigError(f"{base}/ has no free name left; remove some folders of it")

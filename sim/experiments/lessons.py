@@ -112,7 +112,8 @@ def mark_pattern(
     rows: list[Row] = []
     for result in _bounded(jobs, processes, timeout):
         if result.metrics is None:
-            return LessonMark(why=f"{run_by_id[result.run].title}: {result.reason.rstrip(': ')}")
+            reason = result.reason.rstrip(": ")  # an error without a text ends in a colon
+            return LessonMark(why=f"{run_by_id[result.run].title}: {reason}")
         if result.metrics["failed_patterns"]:
             title = run_by_id[result.run].title
             return LessonMark(why=f"{title}: the pattern raised an error in a step")

@@ -317,7 +317,7 @@ def _parameter(
     if not equals:
         if parameter is None:
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if exclusion and not parameter.choices:
+        if exclusion and not parameter.choices:  # choices need no bounds
             raise ConfigError(f"{SOURCE} {key}: {exclusion}; give {key}=LO..HI")
         return parameter
 
@@ -327,6 +327,7 @@ def _parameter(
                 f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
             )
         parameter = Parameter(key, key, present=_present(data, key))
+    # The word replaces the declared choices or bounds.
     is_choice = bool(parameter.choices)
     parameter = replace(parameter, choices=(), low=0.0, high=0.0)
 

@@ -82,6 +82,7 @@ def simulate(
       combination is run.
     - `jobs`: worker processes that do the runs, from scripts and notebooks alike. With 1, this
       process does the runs. The results are the same, bit by bit.
+    - `traces`: keep the trace of each run in the folder.
     - `timeout`: a run in a worker process fails after this time in s without progress.
     - `out`: the folder of the experiment, as for `swarmctl exp run`. A repeated call with this
       folder and equal arguments continues an interrupted experiment. Without `out` the results lie
@@ -173,7 +174,8 @@ def run_experiment(
     in the folder, and a later call does the rest. SwarmError if the folder cannot be used or the
     disk is full.
     """
-    # The user runs these Python files (patterns, metrics), so `exp rerun` may run them later.
+    # The user runs these Python files (patterns, metrics), so `exp rerun` may run them later. The
+    # file of a mission holds no code.
     digest_by_file = manifest.plugins.items()
     remember_code(digest for name, digest in digest_by_file if not name.endswith(MISSION))
     custom_metrics = {

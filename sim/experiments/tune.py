@@ -446,7 +446,8 @@ class _Tuner:
             else:
                 self._recall(racing, recorded)
 
-            # 3. The sampler learns the mean losses; the best candidate goes to the next race.
+            # 3. The sampler learns the mean losses of new candidates, in race 0 also of candidate
+            # 0. The best candidate goes to the next race.
             for candidate in racing if index == 0 else new:
                 _tell(study, candidate, racing, self.space)
             best = min(
@@ -520,8 +521,9 @@ class _Tuner:
         earlier_best = [candidate for candidate in racing if candidate.losses]  # none in race 0
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
-        # Candidates are compared after each of these numbers of seeds, except after all seeds. The
-        # level is divided by the number of comparisons (Bonferroni).
+        # Candidates are compared after each of these numbers of seeds, except after all seeds: then
+        # no run is left to save. The level is divided by the number of comparisons (Bonferroni),
+        # which is 0 with few seeds.
         seed_counts = (*looks(len(self.seeds)), len(self.seeds))
         level = ALPHA / max(len(seed_counts) - 1, 1)
         for count in seed_counts:
@@ -535,7 +537,7 @@ class _Tuner:
                 compared = [*alive, *earlier_best]
                 table = np.array([candidate.losses[:count] for candidate in compared]).T
                 for column in losers(table, level):
-                    if column < len(alive):
+                    if column < len(alive):  # behind them is the column of the earlier best
                         alive[column].is_out = True
             self._report(number, sum(not candidate.is_out for candidate in new))
 
@@ -796,9 +798,9 @@ def _refuse(study: Study, trial: Trial) -> None:
 def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
     """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
 
-    The mean of a candidate that ended early is extrapolated, as for `Tuning.value`. The leader is
-    the candidate with the least mean loss that has run all seeds. `racing`: all candidates of the
-    race.
+    The mean of a candidate that ended early is extrapolated (see `Tuning.value`) from the losses of
+    the race's leader: of all candidates that have run all seeds, the one with the least mean loss.
+    `racing`: all candidates of the race.
     """
     finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)

@@ -56,6 +56,7 @@ def colouring_of(trace: Trace, by: str) -> Colouring:
     shape = trace.pose.shape[:2]  # (instants, robots)
     name = by.removeprefix("report:")
     if by == "state":
+        # A trace without states: all robots count as running.
         words = np.full(shape, "running") if trace.state is None else trace.state
         return _by_word(words, STATES)
     if by == "pattern":

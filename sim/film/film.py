@@ -98,7 +98,7 @@ def make_film(
             notes.append(f"names begin with {marks.prefix}")
         caption = Caption(size, title, colouring.key, notes)
 
-        # 3. The frames; the last frame stays for _HOLD s.
+        # 3. The frames. The last frame shows the time `stop`, and stays for _HOLD s.
         count = max(round((stop - settings.start) * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
             for number in range(count):

@@ -232,12 +232,14 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
             contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
             present=is_present,
         )
-        # 3. The first inputs of the present robots, within _FIRST_INPUTS s.
+        # 3. The first inputs of the present robots, within _FIRST_INPUTS s, and at least a period
+        # before the end of the scenario, so that a step is left.
         first_seats = [seats[robot] for robot, there in is_present.items() if there]
         deadline = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
         while swarm.world.time < deadline and any(seat.inputs is None for seat in first_seats):
             self._advance(swarm.world.dt)
         episode.contacts[:] = 0
+        # The agent of a robot's first life has the robot's name.
         self.agents = [robot for robot in self._learners if episode.lives[robot]]
         state = self._state(0.0)
         episode.rewards.begin(state)

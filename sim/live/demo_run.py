@@ -202,7 +202,7 @@ class DemoRun:
         """
         # 1. Robots are up; the recording starts; the first patterns run.
         view = starting.await_robots(self._operator, self._fleet, tell)
-        began_at = time.monotonic()
+        recording_began = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)
         first_runs, later_events = _split(self._settings.events)
@@ -214,7 +214,7 @@ class DemoRun:
         self._timeline = LiveTimeline(later_events, self._fleet, self._operator, self._world)
         before = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         self._follow(before, start.time)
-        real_s = time.monotonic() - began_at
+        real_s = time.monotonic() - recording_began
 
         # 3. The end: statuses, the trace, a stop of all robots.
         after = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))

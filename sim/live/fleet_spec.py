@@ -36,9 +36,9 @@ def plain_fleet(
     detects some robots but not all. For many robots the arena is wider, so that each robot has a
     square with a side of 3 protection thresholds. By default the robots start at random places, at
     least 0.6 thresholds apart. `folder`: for logs and state. `emulator`: the driver whose protocol
-    is simulated, or None. `others`: further fields of FleetSpec. `tell` is called with notes.
-    ConfigError if a value is wrong or the arena has no room. PluginError if the emulator is unknown
-    or lacks a library.
+    is simulated, or None. `others`: further fields of FleetSpec, at least `radio_range`, `seed` and
+    `lidar_visibility`. `tell` is called with notes. ConfigError if a value is wrong or the arena
+    has no room. PluginError if the emulator is unknown or lacks a library.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.world.arena import parse_arena

@@ -50,12 +50,12 @@ class StepPacer:
 
 
 class Staggered:
-    """n periodic jobs spread evenly over their period, which avoids bursts."""
+    """n periodic jobs, spread evenly over half of their period, which avoids bursts."""
 
     def __init__(self, rates: Array, now: float, order: Indices | None = None) -> None:
         """`rates` (n,) in Hz; `order` (n,): the jobs in the order of their first times.
 
-        None: in the order of `rates`.
+        None: in the order of `rates`. The first times are half a period to a period after `now`.
         """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         n = len(self._period)

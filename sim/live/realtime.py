@@ -61,7 +61,7 @@ class RealTimeWorld:
         - `emulated`: exchanges sensor data and commands with daemons in place of `link`.
         - `command_timeouts`: for each robot the seconds without a command after which its base
           stops, inf for never; None: COMMAND_TIMEOUT for all.
-        - `seed`: of the random order in which the sensors of the robots measure.
+        - `seed`: of the random order in which lidars and odometry of the robots measure.
         """
         self._world = world
         self._link = link
@@ -82,7 +82,8 @@ class RealTimeWorld:
         self._unreadable = 0  # requests of viewers
 
         # Schedules of sensors and states, in simulated time. `order`: a random order of the rows,
-        # in which the robots take turns within a period, so that their work is spread over steps.
+        # in which lidars, odometry and radios take turns, so that no row is favoured. Other sensors
+        # take turns in the order of the rows.
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._sensor_times = SensorTimes(
@@ -95,7 +96,7 @@ class RealTimeWorld:
             ],
         )
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
-        rate = 1.0 if radio is None else neighbors_rate(radio.settings)
+        rate = 1.0 if radio is None else neighbors_rate(radio.settings)  # unused without a radio
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
         # The robots with a fresh command when neighbors were last published to all.
         self._last_commanded: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)

@@ -61,6 +61,7 @@ def clusters(trace: Trace, link: float) -> NDArray[np.int64]:
     for span in pairs.spans(instants, n):
         links = pairs.near(trace.pose[span, :, :2], is_present[span], link)
         size = len(labels[span]) * n
+        # Nodes are numbered instant * n + robot, so that the remainder by n is the robot.
         joined = pairs.components(size, links.instant * n + links.a, links.instant * n + links.b)
         labels[span] = joined.reshape(labels[span].shape) % max(n, 1)
     labels[~is_present] = -1

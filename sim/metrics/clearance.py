@@ -1,7 +1,7 @@
 """True distances of robots to walls, boxes, poles and inner walls.
 
-Absent robots count too. Distances of convex polygons: Ericson, Real-Time Collision Detection,
-2005, chapters 5 and 9.
+Absent robots count too: they stand in the arena. Distances of convex polygons: Ericson, Real-Time
+Collision Detection, 2005, chapters 5 and 9.
 """
 
 from __future__ import annotations

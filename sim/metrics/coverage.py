@@ -36,6 +36,7 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     if len(instant) == 0:
         return np.zeros(len(trace.t))
     place = trace.pose[instant, robot, :2]
+    # The product is at least the number of squares of the grid below.
     while np.prod((np.ptp(place, axis=0) + 2.0 * radius) / cell + 3.0) > _MANY_CELLS:
         cell *= 2.0
     square = np.floor(place / cell).astype(np.int64)

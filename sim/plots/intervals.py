@@ -2,6 +2,7 @@
 
 A variant is one point of a parameter sweep. Each variant is a row of a picture; in `curve_figure`
 each variant is a value on the horizontal axis. A single variant with many metrics gives a table.
+`fit` removes the texts with the gid NOTE (titles, explanations) from a figure for a paper.
 """
 
 from __future__ import annotations

@@ -82,8 +82,8 @@ def player_of(source: Source) -> Player:
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
     data = {
-        # The first message that the page gets from a server: robots, arena and runs, for a viewer
-        # with role operator.
+        # The first message that the page gets from a server: robots, arena and runs. Only the role
+        # operator may move the time of a run.
         "hello": {**hello_of(source, "operator"), "runs": [playback.run]},
         "period": period,
         "count": count,

@@ -80,6 +80,7 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
         if file.radio.range_and_bearing:
             with_radio = with_bearings(with_radio)
         equipped[name] = with_items(with_readings(with_radio, fields), file.items)
+    # In order of names: with the ids in another order the runs have the same results.
     robots = {
         robot: equipped[platform_name(file.groups[group].platform)]
         for robot, group in sorted(group_of.items())

@@ -136,6 +136,7 @@ class Bases:
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
+        # The places in the ring buffer of the present command, and of that `delay_steps` before.
         newest: cython.Py_ssize_t = self._step % self._delay_line.shape[0]
         oldest: cython.Py_ssize_t = (self._step + 1) % self._delay_line.shape[0]
         target: cython.double
@@ -152,15 +153,15 @@ class Bases:
         for i in range(self._qpos.shape[0]):
             self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
         for row in range(self._n):
-            # 1. The velocity to drive to: the delayed command, clipped, capped, and followed as
-            # fast as the motors can.
+            # 1. The velocity to drive to: the delayed command, clipped to the limits, then capped
+            # in its change per step, and followed as fast as the motors can. It is clipped first: a
+            # ramp towards a speed beyond the limits would lag when the command reverses.
             for k in range(3):
                 self._delay_line[newest, row, k] = self._command[row, k]
             for k in range(3):
                 target = self._delay_line[oldest, row, k]
                 target = _clipped(target if isfinite(target) else 0.0, self._limits[row, k])
                 if self._is_capped:
-                    # A ramp towards a speed beyond the limits would lag when the command reverses.
                     self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
                     target = _clipped(self._capped[row, k], self._limits[row, k])
                 self._driven[row, k] += _clipped(
@@ -203,7 +204,11 @@ def _share(platform, dt):
 @cython.auto_pickle(False)
 @cython.cclass
 class Wheels:
-    """Odometry of n bases: `measured` (n, 3, 3), and the poses (n, 3) that `read` brings on."""
+    """Odometry of n bases with errors; `measured` (n, 3, 3): the matrices of `measurement`.
+
+    `truth`, `reported` (n, 3): the true and the reported poses at the last reading, which `read`
+    replaces.
+    """
 
     _measured: cython.double[:, :, ::1]
     _truth: cython.double[:, ::1]
@@ -248,8 +253,9 @@ class Wheels:
             turn = poses[row, 2] - self._truth[row, 2]
             mid_yaw = self._truth[row, 2] + turn / 2.0
             c, s = cos(mid_yaw), sin(mid_yaw)
-            # 2. The motion that the wheels measure, added to the reported pose. `measured` holds
-            # the motion until step 3 replaces it by the twist.
+            # 2. The motion that the wheels measure (from linear, angular and lateral motion in the
+            # base frame), added to the reported pose. `measured` holds the measured motion until
+            # step 3 replaces it by the twist.
             self._measure(row, index, c * x + s * y, turn, c * y - s * x, slips, measured)
             linear, turn, lateral = measured[index, 0], measured[index, 1], measured[index, 2]
             mid_yaw = self._reported[row, 2] + turn / 2.0

@@ -43,7 +43,8 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
         axis = pose[2] + np.nan_to_num(bearing)  # NaN: the sensor looks all around
         angle = np.arctan2(offset[:, 1], offset[:, 0]) - axis
         angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
-        is_in_view = (distance <= reach) & (angle <= 0.5 * view)  # false for NaN
+        # False for an absent object, whose place is NaN.
+        is_in_view = (distance <= reach) & (angle <= 0.5 * view)
         (in_view,) = np.nonzero(is_in_view & ~is_seen)
         if len(in_view):
             surface_distance = np.maximum(distance[in_view] - around.extents[in_view], 0.0)

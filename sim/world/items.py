@@ -79,6 +79,7 @@ class Items:
         solid = self._solid
         for number, kind in enumerate(self._kinds):
             rows = np.flatnonzero(self._kind_of == number)
+            # A flat item may lie under a robot or box, a puck may not.
             others = solid if kind.mass is None else [*solid, *outlines]
             for row, place in zip(rows.tolist(), kind.at or (None,) * len(rows), strict=True):
                 if place is None:
@@ -105,6 +106,7 @@ class Items:
             return
         speed = self._data.qvel[self._dofs].reshape(-1, 3)
         size = np.hypot(speed[:, 0], speed[:, 1])[:, None]
+        # The share of its speed that a puck loses in a second: 1 / dt stops it within the step.
         lost = np.minimum(FRICTION * GRAVITY / np.maximum(size, 1e-12), 1.0 / self._dt)
         self._data.qfrc_applied[self._dofs] = (-self._inert * lost * speed).ravel()
 

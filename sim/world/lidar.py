@@ -169,8 +169,8 @@ class Lidar:
     def cast(self, poses: Array, observers: Indices) -> Array:
         """Ranges (m, rays) in m of robots `observers` (m,), with all bodies at `poses` (n, 3).
 
-        The range of a beam with a cone is the least of _RAYS_IN_BEAM rays across the cone.
-        A row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
+        The range of a beam with a cone is the least of _RAYS_IN_BEAM rays across the cone. A body
+        whose pose is NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
         count, rays = len(observers), len(self._spec.bearings)
         ranges = np.full((count, rays), np.inf)
@@ -200,15 +200,15 @@ class Lidar:
         rows: Indices,
         poses: Array,
         observers: Indices,
-        numbers: Indices,
+        sectors: Indices,
         first: Indices,
         counts: Indices,
     ) -> None:
-        """Cast sectors `numbers` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
+        """Cast sectors `sectors` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
 
         `ranges` (r, rays) in m; `first` and `counts` (k,) of `sectors`; `poses` as in `cast`.
         """
-        self._caster.cast(poses, observers, numbers, first, counts, rows, ranges)
+        self._caster.cast(poses, observers, sectors, first, counts, rows, ranges)
 
 
 class RangeSensors:

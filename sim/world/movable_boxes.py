@@ -49,7 +49,8 @@ class MovableBoxes:
         for row, box in enumerate(boxes):
             self._put(row, starts[row], is_there=box.is_placed)
         for row in np.flatnonzero(self.is_there).tolist():
-            fault = self._fault(row, starts[row], ())  # the layout keeps robots off the boxes
+            # All boxes are placed now. No robots are given: the layout keeps them off the boxes.
+            fault = self._fault(row, starts[row], ())
             if fault:
                 where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
                 raise ConfigError(f"{where}: {fault}")

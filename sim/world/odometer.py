@@ -59,7 +59,8 @@ class Odometers:
             is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
         # Random numbers of slip, drawn in blocks: a draw for each reading would take half of the
-        # time of a reading. `_used`: the numbers of a robot's block that are used.
+        # time of a reading. `_used`: how many of a robot's block are used; at first all, so that
+        # the first reading draws a block.
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
@@ -108,7 +109,9 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     wheelbase. Odometry assumes wheels of the mean diameter, `separation` (n,) m apart. A base that
     cannot move sideways (not `is_lateral`) measures no lateral motion.
     """
-    # Measured way / true way of each wheel: the mean diameter over the wheel's diameter.
+    # Measured way / true way of each wheel: the mean diameter over the wheel's diameter. The true
+    # ways are linear +- angular * base / 2. The measured linear motion is the mean of the measured
+    # ways, the measured angular motion their difference / separation.
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase
     matrix = np.zeros((len(diameter), 3, 3))

@@ -56,8 +56,8 @@ from swarmd.sim.world.noise import BLOCK
 _PI = cython.declare(cython.double, math.pi)
 # rad added to each interval, so that no ray passes between two surfaces that share a corner.
 _BEARING_MARGIN = cython.declare(cython.double, 1e-12)
-# m2: a surface whose side is smaller than this is seen edge-on and ignored. The side is the
-# sensor's distance from its line times its length, negative where the sensor faces its front.
+# m2: a surface whose `side` (see `_meet_surface`) is nearer to 0 than this is seen edge-on and
+# ignored.
 _MIN_SIDE = cython.declare(cython.double, 1e-10)
 _ROUNDING = cython.declare(cython.double, 1e-6)  # m, added to ranges of interest
 _WIDE = cython.declare(cython.double, 1.5)  # rad: half of a sector that is taken for all around
@@ -171,17 +171,18 @@ class Caster:
         self,
         poses: cython.double[:, ::1],
         observers: cython.Py_ssize_t[::1],
-        numbers: cython.Py_ssize_t[::1],
+        sectors: cython.Py_ssize_t[::1],
         first: cython.Py_ssize_t[::1],
         counts: cython.Py_ssize_t[::1],
         rows: cython.Py_ssize_t[::1],
         ranges: cython.double[:, ::1],
     ):
-        """Cast m sectors, of robots `observers` (m,), into `rows` (m,) of `ranges`.
+        """Carry out m requests: each casts one sector of one robot into a row of `ranges`.
 
-        A sector is a part of a scan: sector j has `counts[j]` rays from index `first[j]` on, in
-        order of bearing. `numbers` (m,): the sector of each observer. `poses` (n, 3) of all bodies;
-        a row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
+        Request i: robot `observers[i]`, sector `sectors[i]`, row `rows[i]`. A sector is a part of a
+        scan: sector j has `counts[j]` rays from index `first[j]` on, in order of bearing. `poses`
+        (n, 3) of all bodies; a row of NaN is absent. Ranges in m in the order of the scan; +inf: no
+        return within range_max, -inf: nearer than range_min.
         """
         request: cython.Py_ssize_t
         robot: cython.Py_ssize_t
@@ -193,11 +194,11 @@ class Caster:
         if not cython.compiled:
             poses, observers, ranges = memoryview(poses), memoryview(observers), memoryview(ranges)
             first, counts, rows = memoryview(first), memoryview(counts), memoryview(rows)
-            numbers = memoryview(numbers)
+            sectors = memoryview(sectors)
         has_set_bodies: cython.bint = False
         for request in range(observers.shape[0]):
             robot = observers[request]
-            self._first, self._count = first[numbers[request]], counts[numbers[request]]
+            self._first, self._count = first[sectors[request]], counts[sectors[request]]
             if not self._count:
                 continue
             if not has_set_bodies:
@@ -207,7 +208,7 @@ class Caster:
             # no division along a flat surface.
             for i in range(self._count):
                 self._inverse[i] = 0.0
-            # The pose of an absent robot is NaN in all three numbers, so x is enough to check.
+            # The pose of an absent robot is NaN in x, y and yaw, so x is enough to check.
             if isfinite(poses[robot, 0]):
                 self._set_sensor(poses[robot, 0], poses[robot, 1], poses[robot, 2])
                 self._set_cone()
@@ -215,7 +216,8 @@ class Caster:
                 self._meet_bodies(robot)
                 for i in range(self._poles.shape[0]):
                     self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
-            # 2. The ranges, in the order of the scan.
+            # 2. The ranges. `_number`: by index in order of bearing, the index in the scan. The
+            # indices of a sector may pass the end of the turn.
             for i in range(self._count):
                 distance = HUGE_VAL
                 if self._inverse[i] > 0.0:
@@ -234,7 +236,7 @@ class Caster:
     def _set_bodies(self, poses: cython.double[:, ::1]) -> cython.int:
         """Place all bodies in the world frame and in the grid; `poses` (n, 3) of their owners.
 
-        Bodies are the polygons, then the discs, of robots and movable boxes.
+        Bodies are the polygons, then the discs, of robots and movable boxes. Returns 0, always.
         """
         body: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -285,7 +287,8 @@ class Caster:
         """Sort the bodies by grid cell (counting sort); the bounds of their places are in m.
 
         A cell is at least as wide as the longest reach of a body. So all bodies that a sensor may
-        detect are in its cell and the eight cells around. The grid is empty without a body.
+        detect are in its cell and the eight cells around. The grid is empty without a body. Returns
+        0, always.
         """
         body: cython.Py_ssize_t
         cell: cython.Py_ssize_t
@@ -420,7 +423,8 @@ class Caster:
         sensor_column = cython.cast(
             cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
         )
-        # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid.
+        # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. `east` is at
+        # least `west`, so that a sensor outside the grid gets an empty range of members.
         west = min(max(sensor_column - 1, 0), self._grid_columns)
         east = max(min(sensor_column + 2, self._grid_columns), west)
         south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
@@ -481,9 +485,10 @@ class Caster:
     ) -> cython.int:
         """Note the distance of a flat surface at each ray of the sector that hits it.
 
-        In m in the world frame, `x` and `y` lead from the sensor to the start of the surface, and
-        `along_x` and `along_y` from there to its end. `side`: the sensor's distance from the line
-        of the surface times the surface's length, below 0 since the sensor faces the front.
+        (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
+        (`along_x`, `along_y`): the vector from the start to the end. `side`: their cross product
+        x * along_y - y * along_x in m2. The caller has checked that `side` is negative: the sensor
+        is in front of the surface, -`side` / length from its line.
         """
         # The surface covers the bearings from `high - turn` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw

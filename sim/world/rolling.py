@@ -56,8 +56,9 @@ class RollingScans:
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._lidar, self._n = lidar, n
-        # 4. Two rows for each robot: a scan begins at the step at which the previous scan ends. At
-        # first each robot is as if its last scan had just ended.
+        # 4. Two rows for each robot, used in turn: a scan begins at the step at which the previous
+        # scan ends, and both write in that step. At first each robot is as if its last scan had
+        # ended at step 0.
         self._ranges = np.full((2 * n, len(order)), np.inf)
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()

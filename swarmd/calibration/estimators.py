@@ -88,9 +88,10 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     if slope <= 3.0 * slope_deviation:
         return Figure(why="it brakes within the scatter of its odometry"), delay_figure
 
-    # 2. The deceleration. To first order its relative deviation is that of the slope: the scatter
-    # of the fast stops, each error divided by `slope * speed` (the s that braking takes), or the
-    # relative deviation of the fitted slope, whichever is greater.
+    # 2. The deceleration. To first order its relative deviation is that of the slope. Two estimates
+    # of that deviation are made, and the greater counts: the scatter of the fast stops, each error
+    # divided by `slope * speed` (the part of distance / speed that is due to braking), and the
+    # relative deviation of the fitted slope.
     is_fast = speeds > speeds.mean()
     relative_errors = errors[is_fast] / (slope * speeds[is_fast])
     deceleration = 0.5 / slope
@@ -134,6 +135,7 @@ def turn_delay(
     For each candidate delay, scale and offset are fitted by least squares, and the delay with the
     least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
     """
+    # With each candidate delay the time of measurement must lie within the odometry.
     usable = arrivals - _MAX_DELAY >= times[0]
     arrivals, scan_headings = arrivals[usable], scan_headings[usable]
     if len(arrivals) < 8:

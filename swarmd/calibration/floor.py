@@ -48,8 +48,9 @@ def needed_floor(platform: Platform, late: float = 0.0) -> float:
     half = _needed_half(platform, speeds["linear"], front, late)
     if "lateral" in speeds:
         half = max(half, _needed_half(platform, speeds["lateral"], left, late))
+    # The check of the floor takes returns that are nearer by _TOLERANCE than the walls.
     half = (half + _TOLERANCE[0]) / (1.0 - _TOLERANCE[1])
-    return max(LEAST_FLOOR, math.ceil(20.0 * half - 1e-9) / 10.0)
+    return max(LEAST_FLOOR, math.ceil(20.0 * half - 1e-9) / 10.0)  # the side is 2 * half
 
 
 def _needed_half(platform: Platform, speed: float, reach: float, late: float) -> float:

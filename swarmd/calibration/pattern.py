@@ -501,6 +501,7 @@ class Calibration(Pattern[CalibrationParams]):
         others_speed = float(barrier["others_speed"])
         limits = self.context.platform.limits
         top_speed = math.hypot(limits.linear, limits.lateral)
+        # A barrier without `surface_speed` limits the own surface to `others_speed` near obstacles.
         surface_speed = max(barrier.get("surface_speed") or others_speed, top_speed)
         reactions = [delay.value + 2.0 * delay.spread for delay in delays if delay.is_measured]
         reaction = max(reactions, default=0.0)

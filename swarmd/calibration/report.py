@@ -101,6 +101,7 @@ def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
     candidates = []
     for axis, brake in brakes.items():
         if brake.is_measured and not math.isnan(brake.assumed):
+            # A spread of half the value or more must not give a deceleration of 0 or less.
             value = _down(max(brake.value - _DEVIATIONS * brake.spread, 0.01 * brake.value))
             text = f"{_text(brake)}{'' if axis == word else f' {axis}'}, less 2 sd"
             key = f"protection.barrier.braking_{word}"

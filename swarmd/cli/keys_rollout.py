@@ -228,7 +228,8 @@ def _send_roster(
     replies: dict[str, Reply] = {}
     seconds = 0.0  # of all queries and requests
     for identity in _identities(own, authority, robots):
-        # 1. Robots that have not replied yet, and that had no later generation when last recorded.
+        # 1. Robots that have not replied yet and may have this generation: a robot may have a later
+        #    generation than the recorded one, never an earlier one.
         generation = identity.roster.generation
         remaining = [
             name
@@ -239,7 +240,8 @@ def _send_roster(
             continue
         # `takes_rosters` False: this operator keeps the keys of `generation` in this turn.
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
-            # 2. Query the epochs of the robots, in half of the user's time; step 3 has the rest.
+            # 2. Query the epochs of the robots (counts of changes, which a request must quote), in
+            #    half of the user's time; step 3 has the rest.
             query_timeout = None if options.timeout is None else options.timeout / 2.0
             view = operator.members(timeout=query_timeout, needs_status=False)
             seconds += view.seconds
@@ -257,8 +259,9 @@ def _send_roster(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            # 4. Send to revoked robots, in one turn only: that of the generation that this operator
-            #    had before. A revoked robot of another generation is not reached.
+            # 4. Send to revoked robots in one turn: that of the generation that this operator has
+            #    had so far. A revoked robot gets no keys of a newer generation; one with older keys
+            #    is not reached.
             if generation == own.roster.generation and revoked:
                 _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))

@@ -41,10 +41,11 @@ def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) 
 def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
-    """Print the parameters of running patterns. The exit code is 0 if all targets have answered.
+    """Print the parameters of running patterns.
 
-    `view`: the answers of the robots to a query. `keys`: the names of the parameters to print;
-    empty for all. UsageError for a name that the pattern of no robot has.
+    The exit code is 0 if all targets have answered, except robots that left the swarm. `view`: the
+    answers of the robots to a query. `keys`: the names of the parameters to print; empty for all.
+    UsageError for a name that the pattern of no robot has.
     """
     # 1. The parameters by robot, and those to print. Targets without names: all members.
     targeted = robots_of(view, targets, view.members)

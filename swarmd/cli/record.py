@@ -111,7 +111,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
 
     with options.operator() as operator:
         replies, failed_robots = _recordings(options, operator, targets)
-        ask = partial(_ask, options, operator)  # sends a query to a robot; raises without an answer
+        ask = partial(_ask, options, operator)  # sends a query to a robot; None without an answer
         rows = []  # (robot, path, size, state of the copy)
         for robot, reply in replies.items():
             try:
@@ -126,7 +126,8 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
                         failed_robots.append(robot)
             except NetworkError as error:  # the files of this robot that remain are left out
                 warn(str(error))
-                failed_robots.append(robot)
+                if robot not in failed_robots:
+                    failed_robots.append(robot)
             except OSError as error:
                 raise click.ClickException(
                     f"{folder}: {error.strerror}; what came is kept; make room and fetch again"

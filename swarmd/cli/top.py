@@ -53,9 +53,10 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
-    STATE and the first line name a robot whose base is lost, whatever its state. CPU and MEM are
-    those of the daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the
-    table is renewed until q; with -o json each robot gets a line every second, until Ctrl-C.
+    If the base of a robot is lost, STATE says so behind the state. CPU and MEM are those of the
+    daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the table is
+    renewed until q, and the line above it names the robots whose base is lost. With -o json each
+    robot gets a line every second, until Ctrl-C.
     """
     # 1. A single table.
     if once:
@@ -71,7 +72,7 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
                 print_json("Load", {"robots": list(records(view, robots, statuses))})
             else:
                 print_table(HEADER, rows(view, robots, statuses, sort))
-            click.get_current_context().exit(exit_code_of(view, robots))
+            click.get_current_context().exit(exit_code_of(view, robots))  # raises
     # 2. A table that is renewed, or lines of JSON, from all that robots publish.
     if not options.is_json:
         need_terminal("top", "add --once or -o json")

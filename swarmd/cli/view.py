@@ -77,7 +77,7 @@ def view(
     if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
-        click.get_current_context().exit(_show(options))
+        click.get_current_context().exit(_show(options))  # raises
     # 3. A page that plays recordings.
     if files:
         need("websockets", "mcap", "rosbags", extra="web,record")

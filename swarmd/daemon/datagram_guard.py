@@ -46,8 +46,8 @@ class DatagramGuard:
 
     A stop carries a counter that rises with each stop of its origin (an operator's installation). A
     new stop is refused as a replay if its counter is far below the greatest counter of its origin,
-    or not above that counter at the start of the daemon (`StopFreshness`). The file `counters`
-    keeps the greatest counters for the next start.
+    or not above the greatest counter that was known when the daemon started (`StopFreshness`). The
+    file `counters` keeps the greatest counters for the next start.
     """
 
     def __init__(

@@ -58,8 +58,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
     driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
-    # A base that never stops by itself needs zeros also while its robot is idle. (The option may
-    # be absent: then `none` is the default.)
+    # A base that never stops by itself needs zeros also while its robot is idle. `base_options` has
+    # refused an explicit `none` with idle_output silent: here it is the default of a real robot.
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"

@@ -118,12 +118,12 @@ class DriverCommands:
                 )
             case "reset":
                 latches = self._robot.latches.items()
-                own = tuple(
+                latch_ids = tuple(
                     latch
                     for latch, held in latches
                     if command.resets_others or held.issuer == operator
                 )
-                return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=own)
+                return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=latch_ids)
             case "run":
                 run = command.run
                 assert run is not None

@@ -209,7 +209,7 @@ class PatternIntake:
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
                     reply = await self._adopt(id, entry)  # a known entry needs no new trial
             finally:
-                self._is_taking = False
+                self._is_taking = False  # during the trial that may follow, `candidate` is set
             if reply is not None:
                 self._state.control.reply(reply)
             else:  # the reply follows after the trial

@@ -167,7 +167,7 @@ class Recorder:
         )
         # A replay begins with the inputs that still hold, such as the neighbors, then with the
         # robot's memory, which is recorded at the next step.
-        for input in list(self._lasting.values()):
+        for input in list(self._lasting.values()):  # a copy: `input` writes to `_lasting`
             self.input(input, began)
         self._is_memory_due = True
 

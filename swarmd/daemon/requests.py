@@ -124,7 +124,9 @@ class RequestServer:
         for row in verbs.VERBS.values():
             if row.handler.is_service:
                 self._handlers[row.name] = services.handler(row)
-            elif row.handler is not verbs.Handler.NETWORK:  # the bus itself answers these verbs
+            # The bus itself answers the verbs of NETWORK. The robot answers a request later, by an
+            # action that leads to `reply`, so `answer` is not used here.
+            elif row.handler is not verbs.Handler.NETWORK:
                 self._handlers[row.name] = lambda request, answer: on_request(request)
         # By verb: the tasks that wait for an answer made in a thread.
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
@@ -181,7 +183,7 @@ class RequestServer:
         if targets is not None and self._robot not in targets:
             return
         request: verbs.StopRequest | verbs.EstopRequest
-        age = min(stop.age / 1000.0, MAX_SECONDS)
+        age = min(stop.age / 1000.0, MAX_SECONDS)  # from ms
         if stop.verb == "stop":
             request = verbs.StopRequest(
                 id=stop.id, operator=stop.operator or "unknown", targets=targets, age=age

@@ -146,7 +146,8 @@ class Rounds:
         if elapsed < min(self.period, self.length):
             return None
         self._expire(now - self.expiry)
-        # By how many rounds each other robot is ahead; negative: behind.
+        # By how many rounds each other robot is ahead; negative: behind. The lower median of an
+        # even number, so that a jump needs more than half of the robots ahead.
         leads = sorted(_lead(vote.round, self.round) for vote, _ in self._round_votes.values())
         median = leads[(len(leads) - 1) // 2] if leads else 0
         if median > 1:

@@ -157,7 +157,8 @@ class VotingPattern(Pattern[V]):
                 self._window.period = params.period
         if self.opinion >= params.opinions:
             self.opinion = int(self.context.rng.integers(params.opinions))
-            self._share_at = 0.0
+            self._share_at = 0.0  # send it at the next step
+        # The opinion of the round before, which a message also holds, must exist, too.
         self._previous = min(self._previous, params.opinions - 1)
 
     def _open(self, now: float) -> VoteWindow | Rounds:

@@ -279,6 +279,7 @@ class ProcessRunner:
                 self._dying.append(host)
 
     def _replace(self) -> None:
+        """Kill the host; the host of the trial takes its place, without a trial a new host."""
         self._kill()
         if self._trial is not None:  # the trial's host has already loaded the new code
             self._host = self._trial.hand_over(self)

@@ -54,7 +54,8 @@ class Effects:
 
         KillHost and Load decide which pattern the host holds. Of several such commands the newest
         counts, and a Load after a KillHost asks for a fresh host. SetParams and Step are for the
-        pattern that the host holds now, which those commands remove: they replace no command.
+        pattern that the host holds now. KillHost and Load remove that pattern, so SetParams and
+        Step replace no earlier command.
         """
         if isinstance(command, (SetParams, Step)) and self.host is not None:
             return

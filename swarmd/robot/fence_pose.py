@@ -21,9 +21,9 @@ from swarmd.protection.fence_settings import FenceSettings
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 CONFIRMATIONS = 3
-"""Poses in a row that agree with the first one of a new place."""
+"""Poses in a row, after the first pose of a new place, that agree each with the pose before."""
 CONFIRM_TIME = 0.2
-"""Seconds between the first and the last of them at least."""
+"""Seconds that the last of these poses is newer than the first pose, at least."""
 FORGET_TIME = 5.0
 """Seconds after which a pose in use is no longer compared with new poses."""
 _SLACK = 0.02, 0.02  # m and rad that two poses may differ by, beside their errors
@@ -54,7 +54,7 @@ class FencePose:
         # Of a place not in use: the first and the last of the poses in a row that agree.
         self._new: _Fix | None = None
         self._newest: _Fix | None = None
-        self._agreeing = 0  # poses after `_new` that agree with it
+        self._agreeing = 0  # poses after `_new` that agree each with the pose before
         self._is_used = False  # the last pose agreed with `_used`
         self._fault = f"no pose in the frame {self._frame!r} has arrived"
 
@@ -87,15 +87,17 @@ class FencePose:
         if pose.frame != self._frame:
             self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
             return
-        # 1. The odometry at the time of the pose, in the clock of odometry's stamps.
+        # 1. The odometry at the time of the pose, in the clock of odometry's stamps. A pose without
+        # odometry, or older than the kept readings, is ignored.
         if not self._readings:
             return
         stamp = self._readings[-1].stamp + at - odometry_at
         if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
             return
         odometry = _pose_at(self._readings, stamp)
-        # `_way` and `_turned` count until now, not until `at`: the way since this pose will be too
-        # short by the motion during the delay of the pose.
+        # `_way` and `_turned` count until now, not until `at`. So the way since this pose will be
+        # too short by the motion during the delay of the pose, and the error of odometry, which is
+        # a share of that way, too small by the same share of that motion.
         fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
         # 2. Compare with the pose in use, else with the poses of a new place.
         if self._used is not None and at - self._used.at > FORGET_TIME:

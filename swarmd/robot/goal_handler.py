@@ -50,6 +50,7 @@ class GoalHandler:
         relation = goals.judge(goal)
         if relation is Found.OWN:
             epoch_before = self._lifecycle.epoch
+            # Joined in `join_if_settled`, once the goals of all other peers are known.
             self._take_over(goal, age, effects, may_join=True)
             self._peer_goal = _PeerGoal(goal, epoch_before, self._lifecycle.revision)
             self._is_settled = False

@@ -344,7 +344,7 @@ class Goals:
         pattern), so that this run does not renew the lease.
         """
         self._may_join, self._awaits_code = False, None
-        self._undecided.clear()  # the run was requested after these stops
+        self._undecided.clear()  # the run was requested after the stops that are still undecided
         if goal is None:
             if self.own is not None:
                 self._end(f"runs {what}, without a goal")

@@ -214,7 +214,7 @@ class _Writer:
             return self._add(value, self._kind(cls.__name__), self._parts(parts_of(value)))
         if isinstance(value, np.ndarray) or _is_view(value):
             return self._array(value)
-        if cls is bytes:
+        if cls is bytes:  # the node has the length only; `_numbers` joins all bytes at the end
             self._numbers.append(value)
             return self._add(value, self._kind("bytes"), [len(value)])
         if isinstance(value, np.generic):
@@ -343,6 +343,7 @@ class _Reader:
             if extent is None:
                 raise ValueError("a value is part of itself, or of one before it")
             size, depth = size + extent[0], max(depth, extent[1])
+            # A key, which is hashed: of a dict every second part, of a set every part.
             if name in _KEYED and number % _KEYED[name] == 0 and extent[0] > _MAX_KEY:
                 raise ValueError(f"a key of {extent[0]} parts; at most {_MAX_KEY} are taken")
         self._size += size

@@ -189,6 +189,7 @@ class Peers:
         """
         if not pose.is_valid:
             return None
+        # `late`: s beyond the least delay of own poses, which is at most FASTEST_POSE.
         late = self._pose_delay.take(pose.stamp, now)
         if late is None:
             return None
@@ -243,7 +244,9 @@ class Peers:
             return False
         # The disc grows by the errors of both places, by the own motion while the time of the own
         # pose is uncertain (`shift` in m, `turn` in rad), by the arc of the yaw error at the
-        # distance, and by the motion of the peer until the time of the own pose.
+        # distance, and by the motion of the peer from an older report until the time of the own
+        # pose. A newer report needs no such growth: the disc counts as old as the own pose, and
+        # protection lets the object move for that whole age.
         error = own_pose.shared.error + own_pose.shift + place.error
         error += (own_pose.shared.yaw_error + own_pose.turn) * math.hypot(dx, dy)
         error += body.surface_speed * max(own_pose.at - reported_at, 0.0)

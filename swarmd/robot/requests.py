@@ -123,10 +123,10 @@ class RequestHandler:
             issued_at = min(issued_at, self._executed[request.id])
 
         def is_older_than(wish: Wish) -> bool:
-            """At equal times the first copy stops the run: in doubt the robot stops.
+            """True if the stop is older than `wish`; at equal times only if it is a later copy.
 
-            A later copy does not: the first copy ended every run at that time, so the present run
-            was requested after the first copy.
+            At equal times the first copy stops the run: in doubt the robot stops. That copy ended
+            every run of that time, so the run that a later copy meets was requested after the stop.
             """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 
@@ -392,7 +392,7 @@ class RequestHandler:
         `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
         ignored. After a passed trial the next run of the pattern takes the new code. A push keeps
         the present run (`keeps_running`). A reload, or a push that asks for a new run, ends the run
-        of this pattern. During a trial the robot joins no goal, so it may join one after the trial.
+        of this pattern. A robot without a run may then join a goal, which waits during a trial.
         """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
@@ -406,7 +406,8 @@ class RequestHandler:
         running = run.running
         reply_text = f"a run of {request.pattern} takes the new code"
         if running is None:
-            # No run: the host ends, so that the next load gets a fresh host with the new code.
+            # No run: the pattern host is replaced by the process of the trial, which has imported
+            # the new code.
             effects.command_host(KillHost())
             state = lifecycle.state_machine.state
             lifecycle.applied(effects, request, f"{reply_text}; {state}, as before")
@@ -416,8 +417,9 @@ class RequestHandler:
         elif running.pattern == request.pattern and not request.keeps_running:
             self._replace(trial, effects)
         else:
-            # The run continues in its host process. That process has imported the old code, so the
-            # next load gets a fresh one. The process of the trial, a second host, ends.
+            # The run, of this pattern or of another, continues in the present host. That host may
+            # contain the old code from an earlier load, so the next load gets a fresh host. The
+            # process of the trial ends. The robot joins no goal: a run goes on.
             run.is_outdated = True
             effects.trial = CancelTrial()
             old_code = " with the old code" if running.pattern == request.pattern else ""

@@ -102,7 +102,8 @@ class Robot(Ticker):
         self._lifecycle.revision = earlier.revision
         self._lifecycle.pattern_run.generation = earlier.generation
         self._events = EventLimit(self._lifecycle)
-        # Parts of the lifecycle that each tick needs, without a look-up.
+        # Parts of the lifecycle that each tick needs, without a look-up. `_kept_goals`: the goals;
+        # `_goals`: the handler that applies them.
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
         self._requests = RequestHandler(

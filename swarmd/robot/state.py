@@ -197,7 +197,7 @@ class Lifecycle:
         self.trial: Trial | None = None  # the present trial of new code
         self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
-        self.provisional: tuple[int, ...] = ()  # numbers of loads of code that a fault replaces
+        self.provisional: tuple[int, ...] = ()  # numbers of the loads of provisional code
         self.battery = LowBattery()
         self._last_fault_text = ""  # of the pattern
         self._load_command: host_messages.Load | None = None  # the last sent
@@ -217,9 +217,8 @@ class Lifecycle:
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""
-        self.events.append(
-            LoggedEvent(at=max(now - self.born, 0.0), text=shortened(text, MAX_TEXT))
-        )
+        event = LoggedEvent(at=max(now - self.born, 0.0), text=shortened(text, MAX_TEXT))
+        self.events.append(event)
 
     def applied(
         self, effects: Effects, request: Request, text: str, *, is_moving: bool = False
@@ -436,6 +435,7 @@ class Lifecycle:
         effects.command_host(host_messages.KillHost())
         self._last_fault_text = text
         self.log(f"{running.pattern} failed: {text}", effects.now)
+        # The killed host was loading a requested next run, too: that load fails and ends the run.
         if loading is not None and loading.request is not None:
             self.fail_load(text, effects)
         elif self._is_provisional(running.generation, text, effects):
@@ -484,7 +484,7 @@ class Lifecycle:
         of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or
         trial ends is refused as `overtaken`.
         """
-        # 1. The run and the load.
+        # 1. The run and the load. The state changes in step 3 only.
         loading = self.pattern_run.loading
         is_requested = loading is not None and loading.request is not None
         if is_requested and (keeps_load or trigger in _ENDS_RUN_ALONE):
@@ -506,7 +506,7 @@ class Lifecycle:
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
         # 3. The state.
-        self.hold_since = math.inf  # a hold is a reason for which a running robot stands
+        self.hold_since = math.inf  # no hold: a hold is a reason for which a running robot stands
         state_before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
@@ -656,14 +656,14 @@ class Lifecycle:
             return
         text = f"the battery is below {settings.below:g}{battery.charge_text}"
         run = self.pattern_run
-        running, has_lease = run.running, self.goals.lease_ends is not None
+        running, has_lease = run.running, self.goals.lease_ends is not None  # `_end` ends both
         if running is None and run.loading is None:
             self.log(text, now)
             self.goals.on_end(text)
-            self.goals.bar(now)
+            self.goals.bar(now)  # the robot joins no goal that was set before
             return
         if running is not None and running.wish.is_own and run.loading is None:
-            return  # the charge has risen and fallen again meanwhile
+            return  # the run of `on_low_battery` goes on: the charge rose and fell again meanwhile
         self.raise_revision("a low battery")
         self._end(Trigger.STOP, Reason.LOW_BATTERY, text, effects)
         if running is not None and settings.pattern is not None and not has_lease:

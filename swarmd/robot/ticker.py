@@ -343,7 +343,7 @@ def tick_many(
     A quiet tick only computes the safe command, and writes it into `commands`: a row of linear
     (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of `robots[i]`.
     """
-    found: list = []
+    not_quiet: list = []
     robot: Ticker
     i: cython.Py_ssize_t
     row: cython.Py_ssize_t
@@ -355,8 +355,8 @@ def tick_many(
             commands[row, 0], commands[row, 1] = twist.linear, twist.angular
             commands[row, 2] = twist.lateral
         else:
-            found.append((i, actions))
-    return found
+            not_quiet.append((i, actions))
+    return not_quiet
 
 
 def odometry_many(robots: list, readings: list, now: cython.double) -> None:

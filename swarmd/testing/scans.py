@@ -48,8 +48,9 @@ def scan_of(
     """The scan of the platform's lidar at `pose` among discs, in a square room.
 
     `room`: the side of the room in m, whose center is the origin; None without walls. Discs and
-    `pose` are in the frame of the room. `noise`: the standard deviation of ranges in m. A range
-    above range_max becomes +inf (nothing in reach), a range below range_min -inf (too close).
+    `pose` are in the frame of the room. `noise`: the standard deviation of ranges in m. `rng`: of
+    the noise; by default a generator with the seed `seq`. A range above range_max becomes +inf
+    (nothing in reach), a range below range_min -inf (too close).
     """
     spec = platform.scan
     # 1. The sensor in the frame of the room, and the direction of each ray.

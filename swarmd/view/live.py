@@ -147,7 +147,8 @@ class LiveSource:
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
         """By robot a row: the values of its last status, and its absence if it is silent.
 
-        Also adds new robots to the list, and starts the description of patterns for new platforms.
+        Also adds new robots to the list. For new platforms a thread is started that describes the
+        patterns on them (`_take_patterns`).
         """
         statuses = self.statuses()
         with self._lock:
@@ -172,7 +173,7 @@ class LiveSource:
                 continue
             status, age = status_and_age
             row = rows[name] = row_of(status)
-            # Commands and nearest obstacles, which are published more often than the status.
+            # Commands and nearest obstacles (key `rows`), published more often than the status.
             motion = motions.get(name)
             if motion is not None:
                 row |= {
@@ -186,7 +187,9 @@ class LiveSource:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
             row["age"] = age
-            # When the state began, on this machine's clock; whole s, so that the row stays equal.
+            # When the state began, on this machine's clock: `status.since` is a duration in s. By
+            # rounding, `at` stays equal from call to call, and the server sends changed rows only
+            # (`age`, which changes, it sends apart from the rows).
             row["at"] = round(time.monotonic() - age - status.since)
             row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:
@@ -326,6 +329,7 @@ class LiveSource:
                     usual = {key: row[key] for key in _DESCRIBED}
                     known = described.get(row["name"], {"unfit": {}, **usual})
                     needs = f"lacks {', '.join(row['missing'])}" if row["missing"] else ""
+                    # By platform why the pattern cannot run there; empty if it can.
                     unfit = {**known["unfit"], platform: needs or row["refused"]}
                     described[row["name"]] = {**known, "unfit": unfit}
                 self.descriptions = described

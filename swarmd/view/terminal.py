@@ -97,7 +97,7 @@ def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Tex
 
 
 def chosen(scene: Scene, rows: int) -> Sequence[str]:
-    """The robots to show in `rows` lines; if not all fit, one line is left for the count.
+    """The robots to show in `rows` lines; if not all fit, the last line counts the hidden robots.
 
     With a cursor: the robots around it. Without a cursor: first the robots that do not run, since
     they need attention, then running robots in their order.
@@ -110,7 +110,7 @@ def chosen(scene: Scene, rows: int) -> Sequence[str]:
         first = min(max(robots.index(scene.cursor) - rows // 2, 0), len(robots) - rows)
         return robots[first : first + rows]
     running = {name for name, one in scene.statuses.items() if one.state is State.RUNNING}
-    kept = set(sorted(robots, key=running.__contains__)[:rows])
+    kept = set(sorted(robots, key=running.__contains__)[:rows])  # False, not running, comes first
     return tuple(robot for robot in robots if robot in kept)
 
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import subprocess
 import sys
 import zlib
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
+from swarmd.cli import record
+from swarmd.cli.options import CommonOptions
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import NetworkError
@@ -177,3 +182,20 @@ def test_the_clocks_of_operator_and_robot_are_noted(tmp_path: Path) -> None:
     with (tmp_path / "clocks.jsonl").open("a") as file:
         file.write('["cut o')
     assert read_exchanges(tmp_path / "clocks.jsonl") == noted
+
+
+def test_a_robot_that_refuses_a_file_and_falls_silent_is_missing_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    robots = Robots({})
+    robots.left = 2  # the recordings, and a refusal of the first file
+    files = (listed(b"a"), listed(b"b", name="a-00002.mcap"))
+    reply = RecordingsReply(robot="r", now=1.0, clock="00ff", files=files)
+    monkeypatch.setattr(CommonOptions, "operator", lambda options: nullcontext())
+    monkeypatch.setattr(record, "_recordings", lambda *_: ({"r": reply}, []))
+    monkeypatch.setattr(record, "_ask", lambda options, operator, *query: robots.ask(*query))
+    words = ["record", "fetch", "--all", "-d", str(tmp_path), "-o", "json"]
+    run_cli(cli, words, "swarmctl", exit_code_of)
+    fetched = json.loads(capsys.readouterr().out)
+    assert [file["state"] for file in fetched["files"]] == ["there is no such recording"]
+    assert fetched["missing"] == ["r"]
