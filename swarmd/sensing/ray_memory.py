@@ -42,6 +42,10 @@ _NEAR_MEMORY = cython.declare(cython.double, 1.0)
 # rad beside a near ray in which zeros may mean near.
 _NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+# More zeros in a row may be an obstacle in the blind zone that hides far returns: a robot 7 cm wide
+# hides 34 rays of a Burger, and three packets side by side are hardly ever lost at once.
+_HIDING_RAYS = cython.declare(cython.Py_ssize_t, 2 * PACKET_RAYS)
+_HIDDEN_RANGE = cython.declare(cython.double, 1.0)  # m beyond which a return counts as far there
 
 
 @cython.cfunc
@@ -393,7 +397,12 @@ class RayMemory:
     def _meaning(
         self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
     ) -> cython.double:
-        """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost."""
+        """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost.
+
+        If zeros are not guessed to be near, `BlindZoneMemory` (protection/blind_zone.py) finds
+        obstacles by rays without a return. So a long run has no return, although the last scan had
+        far returns there: filled from the memory, it would show an empty blind zone.
+        """
         at: cython.Py_ssize_t = self._index(ray)
         had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
             self._ranges[at]
@@ -401,6 +410,8 @@ class RayMemory:
         # A short run over recent returns is a lost packet; a near obstacle hides more rays.
         if not (had_return and run <= _PACKET_RAYS) and self._was_near(ray, now):
             return -INFINITY
+        if not self._guesses_near and run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE:
+            return INFINITY
         return NAN if had_return else INFINITY
 
     @cython.cfunc

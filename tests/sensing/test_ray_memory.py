@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.sensing.ray_memory import PACKET_RAYS
 from swarmd.settings.platforms import load_platform
 from tests.support.recorded_scans import KERNEL, recorded
 
@@ -53,3 +54,29 @@ def test_lost_rays_have_the_range_that_was_measured_nearest_to_their_direction(
     turned = round(turned / (math.tau / 360)) * math.tau / 360
     apart = (bearings + turned - bearings[:, None] + math.pi) % math.tau - math.pi
     np.testing.assert_array_equal(got, np.where(is_lost, first[np.abs(apart).argmin(axis=0)], 1.5))
+
+
+@pytest.mark.parametrize(
+    ("width", "wall", "guesses_near", "expected"),
+    [
+        (2 * PACKET_RAYS, 2.0, False, 2.0),  # two lost packets
+        (2 * PACKET_RAYS + 1, 2.0, False, math.inf),  # an obstacle in the blind zone may hide these
+        (2 * PACKET_RAYS + 1, 1.0, False, 1.0),  # too near to be left out
+        (2 * PACKET_RAYS + 1, 2.0, True, 2.0),  # no other memory of the blind zone
+    ],
+)
+def test_a_long_run_of_zeros_over_far_returns_has_no_return(
+    width: int, wall: float, guesses_near: bool, expected: float
+) -> None:
+    spec = load_platform("burger").scan
+    assert spec.zero == "lds"
+    memory = KERNEL.RayMemory(spec, guesses_near=guesses_near)
+    ranges = np.full(360, wall)
+    memory.condition(ranges, spec.bearings, 0.0, 1.0)
+    run = np.arange(355, 355 + width) % 360
+    ranges[run] = 0.0
+    for now in (1.2, 1.4):
+        got = memory.condition(ranges, spec.bearings, 0.0, now)
+        assert got is not None
+        assert set(got[run].tolist()) == {expected}
+        assert set(np.delete(got, run).tolist()) == {wall}
