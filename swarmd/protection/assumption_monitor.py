@@ -572,7 +572,6 @@ class AssumptionMonitor:
 
     speed_share = cython.declare(cython.double, visibility="readonly")
     _settings: object
-    _standing_speed: cython.double  # m/s, of a wall that stands
     _radius: cython.double
     _linear: _Brake
     _angular: _Brake
@@ -605,10 +604,7 @@ class AssumptionMonitor:
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
-        self._settings, self._standing_speed = settings, settings.others_speed
-        if settings.walls_stand is not None:
-            surface_speed = settings.surface_speed or settings.others_speed
-            self._standing_speed = settings.walls_stand.standing_speed(surface_speed)
+        self._settings = settings
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
@@ -812,7 +808,8 @@ class AssumptionMonitor:
             f"{MOVING_WALL}: {len(moves)} walls moved at {speed:.2f} m/s or faster, declared to"
             f" stand; the last one had stood for {moved.stood:.0f} s"
         )
-        self._wall_share = min(self._standing_speed / speed, self._wall_share)
+        assumed = self._settings.standing_speed
+        self._wall_share = min(assumed / max(speed, assumed), self._wall_share)
         return self._reduced(self._wall_text)
 
     def _approach(self) -> tuple[float, float]:

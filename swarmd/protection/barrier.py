@@ -181,7 +181,9 @@ class Barrier:
         motion: ScanMotion = self._feasible.motion
         near: NearObstacles = self._feasible.near
 
-        # 1. Odometry, and the directions of the rays.
+        # 1. Odometry, and the directions of the rays. No wall of the scan before has moved again.
+        if self._walls is not None:
+            self._walls.moved = None
         if context.odometry is not None:
             self._feasible.reckoning.record(context.odometry)
         if scan.bearings is not near.bearings:  # each scan of a robot that turns has its own

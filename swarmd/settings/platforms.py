@@ -312,10 +312,13 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
 
 
 def _check_walls(file: PlatformFile) -> Iterator[Fault]:
-    """Check that a wall that stands is longer than this robot."""
+    """Check that a wall that stands is longer than this robot, and that others may approach."""
     barrier = file.protection.barrier
     if barrier is None or barrier.walls_stand is None:
         return
+    if barrier.responsibility != "passive":
+        text = "needs responsibility passive"
+        yield fault_at(("protection", "barrier", "walls_stand"), text)
     corners = np.array(file.footprint)
     widest = float(np.hypot(*(corners[:, None] - corners).T).max())
     if barrier.walls_stand.length <= widest:
