@@ -153,7 +153,7 @@ class Barrier:
         return None if self._walls is None else self._walls.moved
 
     def wall_patience(self, now: float) -> float:
-        """The s that a robot should be blocked before it drives elsewhere, for near walls to stand.
+        """The s that a blocked robot should wait before recovery, until near walls have stood.
 
         0 if all near walls had stood _RIPE_TIME s before `now`.
         """

@@ -97,7 +97,7 @@ class StandingWalls:
 
     standing: cython.longlong[::1]  # of the last scan: 1 for each ray whose return stands
     has_standing: cython.bint  # the last scan has such a return
-    patience: cython.double  # s that a wall needs to stand, and half of it to spare
+    patience: cython.double  # 1.5 times the s for which a wall must stand
     is_trusted: cython.bint  # False: no return stands, since a wall was found to move
     # s: the time at which the returns within _NEAR m of this and of all earlier scans have stood
     ripe_at: cython.double
@@ -129,11 +129,6 @@ class StandingWalls:
         self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
         self._ends = doubles(4)
         self.forget()
-
-    def check_indices(self) -> None:
-        """ValueError unless the counts are within the arrays."""
-        if not 0 <= self._wall_count <= _WALLS:
-            raise ValueError(f"{self._wall_count} walls")
 
     def forget(self) -> None:
         """Forget all walls: each must stand anew."""
@@ -324,14 +319,15 @@ class StandingWalls:
     ) -> cython.int:
         """Cover the bins of a wall that a run shows, and mark the returns of the run that stand.
 
-        None is marked unless `is_on_wall`: the run is long, or meets a standing return of such one.
+        No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
+        long run at a corner.
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
-        # 1. Covers the bins between returns on the line, unless a robot fits between these.
+        # 1. Covers the bins between returns on the line that are at most SPACING apart.
         first: cython.Py_ssize_t = _BINS * wall
         count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
         before: cython.double = -INFINITY
@@ -476,7 +472,7 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _drop_walls(self) -> cython.int:
-        """Keep the walls that this scan shows, there or elsewhere, with the bins that it covers."""
+        """Keep the walls that this scan shows in place or elsewhere, with the covered bins."""
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -555,8 +551,8 @@ class StandingWalls:
             is_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
             if not (stood >= self._seconds and (has_stood or is_at_rest)):
                 continue
-            # The run that the wall may be now: the nearest one beside at least half of `length`. Its
-            # distance is how far the end that has moved more is from where the wall was confirmed.
+            # The run that the wall may be now: the nearest one beside at least half of `length`,
+            # by the end that has moved farther since the wall was confirmed.
             seconds: cython.double = now - walls[at + _W_CONFIRMED]
             if not seconds > 0.0:
                 continue

@@ -390,6 +390,14 @@ def test_two_walls_that_moved_are_a_violation(speed: float, share: float) -> Non
     assert (monitor.speed_share, monitor.trusts_walls) == (1.0, True)
 
 
+def test_a_clock_of_scans_that_was_set_back_hides_no_violation() -> None:
+    monitor = AssumptionMonitor(under_barrier(BURGER, walls_stand={"seconds": 2.0}))
+    for begin in (5000.0, 0.0, 100.0):
+        approach(monitor, 0.6, begin)
+        monitor.on_moved_wall(begin, MovedWall(3.0, 0.1, 0.25))
+    assert len(monitor.findings) == 2
+
+
 def test_things_that_appear_are_no_violation() -> None:
     """A robot that steps out from behind another, and returns that come and go."""
     monitor, rng = AssumptionMonitor(BURGER), np.random.default_rng(3)
