@@ -31,8 +31,7 @@ def named_by_program(name: str, program: str) -> str:
 def owner_of(name: str) -> str:
     """The operator in a name of `named_by_program`, or in a plain name.
 
-    The keys of a secured swarm prove this part alone. No operator of such a swarm has a space in
-    the name.
+    The keys of an operator prove this part alone. No name with keys has a space.
     """
     return name.partition(_BY)[0]
 

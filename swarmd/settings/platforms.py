@@ -317,8 +317,7 @@ def _check_walls(file: PlatformFile) -> Iterator[Fault]:
     if barrier is None or barrier.walls_stand is None:
         return
     if barrier.responsibility != "passive":
-        text = "needs responsibility passive"
-        yield fault_at(("protection", "barrier", "walls_stand"), text)
+        yield fault_at(("protection", "barrier", "walls_stand"), "needs responsibility passive")
     corners = np.array(file.footprint)
     widest = float(np.hypot(*(corners[:, None] - corners).T).max())
     if barrier.walls_stand.length <= widest:
