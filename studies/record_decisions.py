@@ -8,11 +8,11 @@ decisions. Inputs are rounded, so that the file is small.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
+from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -51,22 +51,14 @@ FURTHEST = 4.0  # m: returns beyond constrain no robot
 
 
 class Recording:
-    """An arbiter that records its inputs."""
+    """An arbiter that records its inputs; all else is that of `arbiter`."""
 
     def __init__(self, arbiter: Barrier) -> None:
-        self.mode, self.clearance = arbiter.mode, arbiter.clearance
         self.events: list[corpus.Event] = []
         self._arbiter = arbiter
 
-    @property
-    def min_gap(self) -> float | None:
-        """That of the last scan."""
-        return self._arbiter.min_gap
-
-    @property
-    def moved_wall(self) -> MovedWall | None:
-        """That of the last scan."""
-        return self._arbiter.moved_wall
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._arbiter, name)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Note the scan."""

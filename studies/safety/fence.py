@@ -17,16 +17,14 @@ import os
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from itertools import count
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from msgspec import Struct, json
+from msgspec import Struct
 
-from studies.safety.runs import fingerprint
+from studies.safety.runs import Kept, carry_out_missing
 from studies.safety.scenes import PLUGINS
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.protection.fence import Fence
@@ -56,24 +54,21 @@ class Run(Struct, frozen=True):
     is_outside: bool
 
 
-class Result(Struct, frozen=True):
+class Result(Kept, frozen=True, kw_only=True):
     """A finished run: robot-seconds, those in motion, crossings, and distances in m.
 
     `worst`: m that a place was outside at most; for a start outside: by how much the distance grew.
     `nearest`: the least distance of the outline from the fence, of robots inside; None without.
-    `entered`: robots that started outside and came inside. `cpu`: processor time in s. `code`: the
-    digest of the sources.
+    `entered`: robots that started outside and came inside.
     """
 
-    run: Run
+    task: Run
     seconds: float
     moving: float
     crossings: int
     worst: float
     nearest: float | None
     entered: int
-    cpu: float
-    code: str
 
 
 class Judge:
@@ -198,7 +193,8 @@ def measure(run: Run, code: str = "") -> Result:
         grown = -circles - least
         clearance = judge.clearances(poses)
         is_inside |= circles >= 0.0
-        # Outside the circle around the axle counts, as in the fence; inside the outline.
+        # Of a robot outside, the circle around the axle counts, as in the fence; of a robot inside,
+        # the outline.
         off = np.where(is_inside, -clearance, grown)
         is_bad = off > np.where(is_inside, 0.0, GROWTH)
         crossings += int((is_bad & ~was_bad).sum())
@@ -207,7 +203,7 @@ def measure(run: Run, code: str = "") -> Result:
 
     lockstep.advance(run.duration, look)
     return Result(
-        run=run,
+        task=run,
         seconds=n * run.duration,
         moving=moving,
         crossings=crossings,
@@ -232,36 +228,11 @@ def plan(robot_hours: float, duration: float, first_seed: int) -> Iterator[Run]:
         yield Run(platform, mode, first_seed + number, duration, is_outside)
 
 
-def carry_out(runs: Sequence[Run], file: Path, jobs: int) -> list[Result]:
-    """The results of all runs; those with a line in `file` of the same sources are not repeated."""
-    code = fingerprint()
-    lines = file.read_bytes().splitlines() if file.exists() else []
-    known = {one.run: one for one in map(_decode, lines) if one.code == code}
-    missing = [run for run in runs if run not in known]
-    file.parent.mkdir(parents=True, exist_ok=True)
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    with (
-        file.open("ab") as out,
-        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
-    ):
-        try:
-            for future in as_completed([pool.submit(measure, run, code) for run in missing]):
-                result = future.result()
-                known[result.run] = result
-                out.write(json.encode(result) + b"\n")
-                out.flush()
-                text = f"{sum(run in known for run in runs)}/{len(runs)} {result}"
-                print(text, file=sys.stderr, flush=True)
-        finally:
-            pool.shutdown(cancel_futures=True)
-    return [known[run] for run in runs]
-
-
 def table(results: Sequence[Result]) -> str:
     """The sum of each platform, mode and start, as lines of a table."""
     cells: dict[tuple[str, str, bool], list[Result]] = {}
     for one in results:
-        run = one.run
+        run = one.task
         cells.setdefault((run.platform, run.mode, run.is_outside), []).append(one)
     heads = "platform", "mode", "start", "robot-hours", "in motion", "crossings", "worst", "nearest"
     lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
@@ -292,7 +263,8 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("build/safety"))
     options = parser.parse_args(arguments)
     runs = list(plan(options.robot_hours, options.duration, options.seed))
-    results = carry_out(runs, options.out / "fence.jsonl", options.jobs)
+    file = options.out / "fence.jsonl"
+    results = carry_out_missing(runs, measure, Result, file, options.jobs)
     hours = sum(one.seconds for one in results) / 3600.0
     cpu = sum(one.cpu for one in results)
     crossings = sum(one.crossings for one in results)
@@ -300,10 +272,6 @@ def main(arguments: Sequence[str]) -> int:
     if hours:
         print(f"{cpu / hours:.0f} CPU-s a robot-hour")
     return 1 if crossings else 0
-
-
-def _decode(line: bytes) -> Result:
-    return json.decode(line, type=Result)
 
 
 if __name__ == "__main__":

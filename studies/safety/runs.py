@@ -9,9 +9,10 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import date
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from msgspec import Struct, structs
@@ -33,18 +34,35 @@ class Task(Struct, frozen=True, order=True):
     seed: int
 
 
-class Record(Struct, frozen=True, kw_only=True):
-    """A finished run: `code` is the digest of the sources, `cpu` the processor time in s.
+class Kept(Struct, frozen=True, kw_only=True):
+    """A finished run: `code` is the digest of the sources, `cpu` the processor time in s."""
+
+    task: Any
+    code: str
+    cpu: float
+
+
+class Record(Kept, frozen=True, kw_only=True):
+    """A judged run of a scene.
 
     `commit`: the checkout's, with `(changed)` if tracked files differ from it.
     """
 
     task: Task
-    code: str
-    cpu: float
     date: str
     commit: str
     found: Judgement
+
+    def __str__(self) -> str:
+        found = self.found
+        return (
+            f"{self.task.scene.name} seed {self.task.seed}: {found.collisions} collisions,"
+            f" {found.faults} at fault, {found.touch_faults} with the arena,"
+            f" {found.pushed} pushed, {self.cpu:.0f} s"
+        )
+
+
+Line = TypeVar("Line", bound=Kept)
 
 
 def fingerprint() -> str:
@@ -68,7 +86,7 @@ def attackers(trace: Trace) -> frozenset[str]:
     return frozenset(robot for name, ids in groups if name.startswith(ATTACKERS) for robot in ids)
 
 
-def perform(task: Task, code: str, at: str) -> Record:
+def perform(task: Task, code: str, *, at: str) -> Record:
     """Simulate and evaluate, in this process; `at` is the commit."""
     begin = time.process_time()
     made = scenario(task.scene)
@@ -80,33 +98,44 @@ def perform(task: Task, code: str, at: str) -> Record:
 
 
 def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
-    """The records of all tasks, in their order; tasks with a record in `file` are not repeated.
-
-    Only records of the same sources count. Each record is written when it is finished, with one
-    line on stderr.
-    """
+    """The records of all tasks, in their order, as `carry_out_missing` does."""
     for scene in dict.fromkeys(task.scene for task in tasks):
         scenario(scene)  # so that errors appear before the first run
+    return carry_out_missing(tasks, partial(perform, at=commit()), Record, file, jobs)
+
+
+def carry_out_missing(
+    tasks: Sequence[Any],
+    perform: Callable[[Any, str], Line],
+    kind: type[Line],
+    file: Path,
+    jobs: int,
+) -> list[Line]:
+    """The records of all tasks, in their order; tasks with a record in `file` are not repeated.
+
+    Only records of the same sources count. `perform(task, code)` makes the record of a task, a
+    `kind`, in one of `jobs` processes. Each is written when it is finished, with a line on stderr.
+    """
     code = fingerprint()
-    known = {one.task: one for one in read(file) if one.code == code}
+    known = {one.task: one for one in read(file, kind) if one.code == code}
     missing = [task for task in tasks if task not in known]
     file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("ab") as out:
-        for record in _done(missing, code, commit(), jobs):
+        for record in _done(missing, perform, code, jobs):
             known[record.task] = record
             out.write(msgspec.json.encode(record) + b"\n")
             out.flush()
             done = sum(task in known for task in tasks)
-            print(f"{done}/{len(tasks)} {_line(record)}", file=sys.stderr, flush=True)
+            print(f"{done}/{len(tasks)} {record}", file=sys.stderr, flush=True)
     return [known[task] for task in tasks]
 
 
-def read(file: Path) -> list[Record]:
+def read(file: Path, kind: type[Line]) -> list[Line]:
     """What a file holds; ConfigError for a line that is no record."""
     if not file.exists():
         return []
     try:
-        return [msgspec.json.decode(line, type=Record) for line in file.read_bytes().splitlines()]
+        return [msgspec.json.decode(line, type=kind) for line in file.read_bytes().splitlines()]
     except msgspec.DecodeError as error:
         raise ConfigError(f"{file}: {error}; take the line out, or remove the file") from error
 
@@ -121,23 +150,16 @@ def total(found: Iterable[Judgement]) -> Judgement:
     return Judgement(**{name: merge(name)(one[name] for one in some) for name in some[0]})
 
 
-def _done(tasks: Sequence[Task], code: str, at: str, jobs: int) -> Iterator[Record]:
+def _done(
+    tasks: Sequence[Any], perform: Callable[[Any, str], Line], code: str, jobs: int
+) -> Iterator[Line]:
     if jobs == 1:
-        yield from (perform(task, code, at) for task in tasks)
+        yield from (perform(task, code) for task in tasks)
         return
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         try:
-            for future in as_completed([pool.submit(perform, task, code, at) for task in tasks]):
+            for future in as_completed([pool.submit(perform, task, code) for task in tasks]):
                 yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-def _line(record: Record) -> str:
-    found = record.found
-    return (
-        f"{record.task.scene.name} seed {record.task.seed}: {found.collisions} collisions,"
-        f" {found.faults} at fault, {found.touch_faults} with the arena,"
-        f" {found.pushed} pushed, {record.cpu:.0f} s"
-    )

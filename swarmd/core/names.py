@@ -31,7 +31,7 @@ def named_by_program(name: str, program: str) -> str:
 def owner_of(name: str) -> str:
     """The operator in a name of `named_by_program`, or in a plain name.
 
-    Keys prove this part alone. No name with keys has a space.
+    The keys of an operator prove this part alone. No name with keys has a space.
     """
     return name.partition(_BY)[0]
 

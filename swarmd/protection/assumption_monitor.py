@@ -136,6 +136,16 @@ def _last(count: int, most: int) -> range:
     return range(max(count - most, 0), count)
 
 
+def _is_apart(events: deque, stamp: float) -> bool:
+    """True if the last of `events` (each begins with a stamp) is _MIN_APART s old, or none is left.
+
+    Drops events that are older than _MAX_APART s, or of a clock that was set back.
+    """
+    while events and not 0.0 <= stamp - events[0][0] <= _MAX_APART:
+        events.popleft()
+    return not events or stamp - events[len(events) - 1][0] >= _MIN_APART
+
+
 def axis_of(finding: str) -> str | None:
     """`linear`, `angular` or `lateral` for a finding about brakes; None for one about others."""
     if not finding.startswith(_BRAKED):
@@ -572,7 +582,6 @@ class AssumptionMonitor:
 
     speed_share = cython.declare(cython.double, visibility="readonly")
     _settings: object
-    _standing_speed: cython.double  # m/s, of a wall that stands
     _radius: cython.double
     _linear: _Brake
     _angular: _Brake
@@ -605,10 +614,7 @@ class AssumptionMonitor:
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
-        self._settings, self._standing_speed = settings, settings.others_speed
-        if settings.walls_stand is not None:
-            surface_speed = settings.surface_speed or settings.others_speed
-            self._standing_speed = settings.walls_stand.standing_speed(surface_speed)
+        self._settings = settings
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
         self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
@@ -763,7 +769,7 @@ class AssumptionMonitor:
             gaps.popleft()
 
         # 2. Enough scans, and clearly faster than assumed by the first and the last gap?
-        is_new_approach = not approaches or stamp - approaches[len(approaches) - 1][0] >= _MIN_APART
+        is_new_approach = _is_apart(approaches, stamp)
         if len(gaps) < _MIN_SCANS or stamp - gaps[0][0] < _MIN_APPROACH_TIME or not is_new_approach:
             return ""
         assumed = self._settings.others_speed
@@ -776,8 +782,6 @@ class AssumptionMonitor:
             return ""
 
         # 4. Counts the approach; of two approaches, the slower speed is the evidence.
-        while self._approaches and stamp - self._approaches[0][0] > _MAX_APART:
-            self._approaches.popleft()
         self._approaches.append((stamp, speed, spread))
         evidence = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:
@@ -800,10 +804,8 @@ class AssumptionMonitor:
             f"{MOVING_WALL}: a wall that stood for {moved.stood:.0f} s moved"
             f" {moved.distance:.2f} m at {moved.speed:.2f} m/s"
         )
-        if moves and stamp - moves[len(moves) - 1][0] < _MIN_APART:
+        if not _is_apart(moves, stamp):
             return evidence
-        while moves and stamp - moves[0][0] > _MAX_APART:
-            moves.popleft()
         moves.append((stamp, moved.speed))
         if len(moves) < 2:
             return evidence
@@ -812,7 +814,8 @@ class AssumptionMonitor:
             f"{MOVING_WALL}: {len(moves)} walls moved at {speed:.2f} m/s or faster, declared to"
             f" stand; the last one had stood for {moved.stood:.0f} s"
         )
-        self._wall_share = min(self._standing_speed / speed, self._wall_share)
+        assumed = self._settings.standing_speed
+        self._wall_share = min(assumed / max(speed, assumed), self._wall_share)
         return self._reduced(self._wall_text)
 
     def _approach(self) -> tuple[float, float]:

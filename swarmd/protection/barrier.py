@@ -153,7 +153,7 @@ class Barrier:
         return None if self._walls is None else self._walls.moved
 
     def wall_patience(self, now: float) -> float:
-        """The s that a robot should be blocked before it drives elsewhere, for near walls to stand.
+        """The s that a blocked robot should wait before recovery, until near walls have stood.
 
         0 if all near walls had stood _RIPE_TIME s before `now`.
         """
@@ -181,7 +181,9 @@ class Barrier:
         motion: ScanMotion = self._feasible.motion
         near: NearObstacles = self._feasible.near
 
-        # 1. Odometry, and the directions of the rays.
+        # 1. Odometry, and the directions of the rays. No wall of the scan before has moved again.
+        if self._walls is not None:
+            self._walls.moved = None
         if context.odometry is not None:
             self._feasible.reckoning.record(context.odometry)
         if scan.bearings is not near.bearings:  # each scan of a robot that turns has its own

@@ -62,10 +62,7 @@ class Assumptions:
         self.linear_limit, self.angular_limit = platform.limits.linear, platform.limits.angular
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
-        self.standing_speed = settings.others_speed
-        if settings.walls_stand is not None:
-            speed = settings.walls_stand.standing_speed(self.surface_speed)
-            self.standing_speed = min(speed, settings.others_speed)
+        self.standing_speed = settings.standing_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         within = settings.envelope_within
         self.envelope_range = binding.for_envelope() if within is None else within

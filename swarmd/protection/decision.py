@@ -98,7 +98,7 @@ class MovedWall(Struct, frozen=True, gc=False):
     stood: float
     """s for which the wall had stood"""
     distance: float
-    """m by which it has moved since it was last confirmed"""
+    """m that its end which moved farther has moved since the wall was last seen in place"""
     speed: float
     """m/s, the mean since then"""
 

@@ -105,7 +105,7 @@ class FeasibleSet:
     _disc_pose: PlanarPose  # at which a disc was measured, in the same frame
 
     def __init__(
-        self, assumptions: Assumptions, outline: Outline, walls: StandingWalls | None = None
+        self, assumptions: Assumptions, outline: Outline, walls: StandingWalls | None
     ) -> None:
         self.assumptions, self.outline = assumptions, outline
         self.reckoning = DeadReckoning(assumptions)

@@ -30,13 +30,11 @@ from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.compatibility import radius_of
 from swarmd.protection.decision import Anchor, DecisionContext
 from swarmd.protection.fence_settings import FenceSettings
-from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.settings import ODOMETRY_SHARE, BarrierSettings
 from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION
 
 _kernel = load_kernel("swarmd.protection.fence_stops")
 
-ODOMETRY_SHARE = 0.05
-"""Error of odometry between two poses, as a share of the way and of the turn."""
 _SHARES = 8  # a limited command has shares of the request in steps of 1 / _SHARES
 _SPACING = 0.1  # m between the points that stand for the fence
 _GRID = 40  # cells along each side, in the search for the widest place

@@ -14,6 +14,7 @@ from swarmd.protection.buffers import checked, checked_indices, doubles, indices
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.outline import Outline
 from swarmd.protection.standing_walls import StandingWalls
+from swarmd.protection.straight_runs import REACH
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -149,13 +150,11 @@ class NearObstacles:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _find_directions(
-        self, ranges: cython.const[cython.double][::1], reach: cython.double
-    ) -> cython.int:
-        """Find the directions of all rays with a range up to `reach` m."""
+    def _find_directions(self, ranges: cython.const[cython.double][::1]) -> cython.int:
+        """Find the directions of all rays with a range up to REACH m."""
         i: cython.Py_ssize_t
         for i in range(len(ranges)):
-            if ranges[i] <= reach and self._directions[2 * i] != self._directions[2 * i]:
+            if ranges[i] <= REACH and self._directions[2 * i] != self._directions[2 * i]:
                 self._find_direction(i)
         return 0
 
@@ -229,7 +228,7 @@ class NearObstacles:
         # 2. Which returns stand.
         walls: StandingWalls = self._walls
         if walls is not None:
-            self._find_directions(ranges, walls.reach)
+            self._find_directions(ranges)
             walls.observe(ranges, self._directions, ages, self._motion)
 
         # 3. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the

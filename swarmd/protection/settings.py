@@ -14,8 +14,8 @@ Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 Avoidance = Literal["orca", "none"]
 
 ODOMETRY_SHARE = 0.05
-"""The assumed error of odometry between two scans `walls_stand.seconds` apart, as a share of the
-way, and of the turn."""
+"""The assumed error of odometry between two poses, as a share of the way and of the turn. The poses
+are those of a fence's anchors, or of scans `walls_stand.seconds` apart."""
 STILL = 0.02
 """m by which the noise of ranges may move the line of a wall between two such scans."""
 
@@ -41,15 +41,6 @@ class WallsStand(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     # s for which the surface must have stood still, seen in each scan. Higher: walls that come into
     # view count later. Lower: a body that stops for a short time counts sooner.
     seconds: Annotated[float, Meta(ge=1.0, le=60.0)] = 2.0
-
-    def standing_speed(self, surface_speed: float) -> float:
-        """The m/s at which the place of a standing return may be wrong, for each s of its age.
-
-        Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
-        `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
-        noticed.
-        """
-        return ODOMETRY_SHARE * surface_speed + STILL / self.seconds
 
 
 class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -91,6 +82,19 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # Given: passes walls and doors faster. If such a wall moves, it may hit the robot, and the
     # robot may drive into it until its next scan. Only for `passive`.
     walls_stand: WallsStand | None = None
+
+    @property
+    def standing_speed(self) -> float:
+        """The m/s at which the place of a standing return may be wrong, for each s of its age.
+
+        Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
+        `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
+        noticed. At most `others_speed`, also without walls that stand.
+        """
+        if self.walls_stand is None:
+            return self.others_speed
+        error = ODOMETRY_SHARE * (self.surface_speed or self.others_speed)
+        return min(error + STILL / self.walls_stand.seconds, self.others_speed)
 
 
 class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -29,7 +29,6 @@ from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import MovedWall
 from swarmd.protection.settings import ODOMETRY_SHARE, STILL, WallsStand
 from swarmd.protection.straight_runs import (
-    REACH,
     RUN_FIELDS,
     RUN_FROM,
     RUN_IS_LONG,
@@ -98,8 +97,7 @@ class StandingWalls:
 
     standing: cython.longlong[::1]  # of the last scan: 1 for each ray whose return stands
     has_standing: cython.bint  # the last scan has such a return
-    patience: cython.double  # s that a wall needs to stand, and half of it to spare
-    reach: cython.double  # m from the lidar, within which returns are examined
+    patience: cython.double  # 1.5 times the s for which a wall must stand
     is_trusted: cython.bint  # False: no return stands, since a wall was found to move
     # s: the time at which the returns within _NEAR m of this and of all earlier scans have stood
     ripe_at: cython.double
@@ -122,7 +120,7 @@ class StandingWalls:
     def __init__(self, platform: Platform, walls_stand: WallsStand) -> None:
         self._length, self._seconds = walls_stand.length, walls_stand.seconds
         self.patience = 1.5 * walls_stand.seconds
-        self._period, self.reach = 1.0 / platform.scan.rate, REACH
+        self._period = 1.0 / platform.scan.rate
         self.moved, self._resets, self.is_trusted = None, 0, True
         self.ripe_at = -INFINITY
         self._runs = StraightRuns(platform, walls_stand.length)
@@ -131,11 +129,6 @@ class StandingWalls:
         self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
         self._ends = doubles(4)
         self.forget()
-
-    def check_indices(self) -> None:
-        """ValueError unless the counts are within the arrays."""
-        if not 0 <= self._wall_count <= _WALLS:
-            raise ValueError(f"{self._wall_count} walls")
 
     def forget(self) -> None:
         """Forget all walls: each must stand anew."""
@@ -149,11 +142,11 @@ class StandingWalls:
         ages: cython.const[cython.double][::1],
         motion: ScanMotion,
     ):
-        """Take in a scan: set `standing` for its rays, and `moved`.
+        """Take in a scan: set `standing` for its rays, and `moved` if it shows a moved wall.
 
         Args:
             ranges: (n,) m. -inf: a return too close to measure, inf: no return.
-            directions: (2n,) x and y of each ray, known for each range up to `reach`.
+            directions: (2n,) x and y of each ray, known for each range up to REACH.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             motion: when and where the scan was taken.
         """
@@ -163,7 +156,7 @@ class StandingWalls:
             self.standing = indices(count)
         for i in range(count):
             self.standing[i] = 0
-        self.has_standing, self.moved = False, None
+        self.has_standing = False
         self._way += hypot(motion.moved.x, motion.moved.y)
         self._turn += fabs(motion.moved.yaw)
         # A lost turn, or odometry without a common frame: no wall was confirmed.
@@ -326,14 +319,15 @@ class StandingWalls:
     ) -> cython.int:
         """Cover the bins of a wall that a run shows, and mark the returns of the run that stand.
 
-        None is marked unless `is_on_wall`: the run is long, or meets a standing return of such one.
+        No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
+        long run at a corner.
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
-        # 1. Covers the bins between returns on the line, unless a robot fits between these.
+        # 1. Covers the bins between returns on the line that are at most SPACING apart.
         first: cython.Py_ssize_t = _BINS * wall
         count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
         before: cython.double = -INFINITY
@@ -478,7 +472,7 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _drop_walls(self) -> cython.int:
-        """Keep the walls that this scan shows, there or elsewhere, with the bins that it covers."""
+        """Keep the walls that this scan shows in place or elsewhere, with the covered bins."""
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -557,7 +551,8 @@ class StandingWalls:
             is_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
             if not (stood >= self._seconds and (has_stood or is_at_rest)):
                 continue
-            # The run that the wall may be now: the nearest one beside at least half of `length`.
+            # The run that the wall may be now: the nearest one beside at least half of `length`,
+            # by the end that has moved farther since the wall was confirmed.
             seconds: cython.double = now - walls[at + _W_CONFIRMED]
             if not seconds > 0.0:
                 continue
@@ -569,10 +564,12 @@ class StandingWalls:
                     continue
                 if not self._overlap(i, run) or self._is_still(i, run):
                     continue
-                off: cython.double = 0.5 * (self._ends[2] + self._ends[3]) - walls[at + _W_OFF]
+                off: cython.double = fabs(self._ends[2] - walls[at + _W_OFF])
+                last_off: cython.double = fabs(self._ends[3] - walls[at + _W_OFF])
+                off = last_off if last_off > off else off
                 beside: cython.double = self._ends[1] - self._ends[0]
-                if beside >= 0.5 * self._length and fabs(off) < least:
-                    least = fabs(off)
+                if beside >= 0.5 * self._length and off < least:
+                    least = off
             if not least < nearest:
                 continue
             walls[at + _W_MOVES] = moves + 1.0

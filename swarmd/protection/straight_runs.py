@@ -26,7 +26,8 @@ else:
     from swarmd.core.cython_shadow import NAN, fabs, hypot, sqrt
 
 REACH = cython.declare(cython.double, 1.5)  # m from the lidar within which returns count
-# m between neighbouring returns of a surface: narrower than any robot.
+# m between neighbouring returns of a surface: less than a Burger's 0.14 m, and more than the 0.07 m
+# of an e-puck2 and the 0.11 m of a Thymio.
 SPACING = cython.declare(cython.double, 0.12)
 # m between the end of a wall and the face that begins there: less than robots leave free.
 _CORNER = cython.declare(cython.double, 0.04)
@@ -82,13 +83,6 @@ class StraightRuns:
         self.lidar_x, self.lidar_y = platform.scan.offset
         self.fields, self._stack = doubles(RUN_FIELDS * _RUNS), indices(_STACK)
         self._allocate(len(platform.scan.bearings))
-
-    def check_indices(self) -> None:
-        """ValueError unless the counts are within the arrays."""
-        if not 0 <= self._returns <= len(self.x):
-            raise ValueError(f"{self._returns} returns in {len(self.x)}")
-        if not 0 <= self.count <= _RUNS:
-            raise ValueError(f"{self.count} runs")
 
     def _allocate(self, rays):
         """Make the arrays of a scan anew, for so many rays."""
@@ -217,7 +211,7 @@ class StraightRuns:
             # 2. Splits there, the later part first on the stack; or adds a run.
             if most > _STRAIGHT * length and farthest > first:
                 if top + 4 > _STACK:
-                    return 0  # a chain of pure noise: no runs
+                    return 0  # a chain of noise: the rest of it has no runs
                 stack[top], stack[top + 1] = farthest, last
                 stack[top + 2], stack[top + 3] = first, farthest
                 top += 4
@@ -311,14 +305,14 @@ class StraightRuns:
     def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
         """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
 
-        Between both, no place for a robot may lie, and no ray may pass through.
+        They may be SPACING m apart at most, and no ray may pass through between them.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields
         last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + RUN_FIRST])
-        # 1. Between both is no place for a robot. If the robot turns with the lidar, the first run
+        # 1. They are SPACING m apart at most. If the robot turns with the lidar, the first run
         # and the last one overlap.
         dx: cython.double = self.x[first] - self.x[last]
         dy: cython.double = self.y[first] - self.y[last]
@@ -355,7 +349,6 @@ class StraightRuns:
         for j in range(6):
             runs[run + RUN_SUMS + j] -= runs[after + RUN_SUMS + j]
         runs[run + RUN_LENGTH] = kept
-        self._fit(run)
         return 0
 
     @cython.cfunc

@@ -266,8 +266,8 @@ class Surroundings:
     """The tracks, and the nearest places (k, 2) of walls, all in the base frame in m.
 
     Tracks and walls are computed when they are first read, which must be before the tracker takes
-    in the next scan. Most decisions in a crowd read neither, and to compute 15 tracks for each of
-    35 decisions would take 0.5 ms.
+    in the next scan. Most decisions in a crowd read neither: to compute 15 tracks for each of 35
+    decisions a second would take 0.5 ms.
     """
 
     _tracks: object  # a tuple of Track; None: not computed yet

@@ -16,8 +16,8 @@ from msgspec import Struct
 
 from swarmd.core.values import Odometry, Pose, SharedPose
 from swarmd.protection.decision import Anchor
-from swarmd.protection.fence import ODOMETRY_SHARE
 from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.settings import ODOMETRY_SHARE
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 CONFIRMATIONS = 3

@@ -173,8 +173,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
-    - `words`: by driver, what each word of an operator, such as `stop`, means to a robot that does
-      more than it says. `describe` shows these texts.
+    - `words`: by driver, what the words of an operator, such as `stop`, and events, such as `low
+      battery`, mean to a robot that does more than the words say. `describe` shows these texts.
     """
 
     description: str = ""
@@ -312,10 +312,12 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
 
 
 def _check_walls(file: PlatformFile) -> Iterator[Fault]:
-    """Check that a wall that stands is longer than this robot."""
+    """Check that a wall that stands is longer than this robot, and that others may approach."""
     barrier = file.protection.barrier
     if barrier is None or barrier.walls_stand is None:
         return
+    if barrier.responsibility != "passive":
+        yield fault_at(("protection", "barrier", "walls_stand"), "needs responsibility passive")
     corners = np.array(file.footprint)
     widest = float(np.hypot(*(corners[:, None] - corners).T).max())
     if barrier.walls_stand.length <= widest:

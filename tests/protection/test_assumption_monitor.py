@@ -13,7 +13,7 @@ import pytest
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import DecisionContext, MovedWall
 from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
@@ -375,6 +375,27 @@ def test_two_fast_approaches_far_apart_are_no_violation() -> None:
     for begin in (0.0, 1000.0, 2000.0):
         assert len(approach(monitor, 0.6, begin)) == 1
     assert (monitor.speed_share, monitor.findings) == (1.0, ())
+
+
+@pytest.mark.parametrize(("speed", "share"), [(0.05, 0.5), (0.25, MIN_SHARE), (0.0, 1.0)])
+def test_two_walls_that_moved_are_a_violation(speed: float, share: float) -> None:
+    """The share is 2.5 cm/s, the speed of a Burger's standing walls, over the measured speed."""
+    monitor = AssumptionMonitor(under_barrier(BURGER, walls_stand={"seconds": 2.0}))
+    for stamp in (0.0, 4.0, 601.0):  # the second too soon, the third too late
+        assert monitor.on_moved_wall(stamp, MovedWall(3.0, 0.1, speed))
+        assert monitor.trusts_walls
+    assert "moving_wall: 2 walls" in monitor.on_moved_wall(607.0, MovedWall(3.0, 0.1, speed))
+    assert (monitor.speed_share, len(monitor.findings)) == (pytest.approx(share), 1)
+    monitor.forget(monitor.findings)
+    assert (monitor.speed_share, monitor.trusts_walls) == (1.0, True)
+
+
+def test_a_clock_of_scans_that_was_set_back_hides_no_violation() -> None:
+    monitor = AssumptionMonitor(under_barrier(BURGER, walls_stand={"seconds": 2.0}))
+    for begin in (5000.0, 0.0, 100.0):
+        approach(monitor, 0.6, begin)
+        monitor.on_moved_wall(begin, MovedWall(3.0, 0.1, 0.25))
+    assert len(monitor.findings) == 2
 
 
 def test_things_that_appear_are_no_violation() -> None:

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Platform, Pose, Twist
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.fence import ODOMETRY_SHARE, Fence
+from swarmd.protection.fence import Fence
 from swarmd.protection.fence_settings import FenceSettings
+from swarmd.protection.settings import ODOMETRY_SHARE
 
 _STEPS = 8
 _IDEAL_BRAKING = 1e9

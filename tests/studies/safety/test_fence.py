@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from studies.safety import fence
+from studies.safety import fence, runs
 from studies.safety.fence import GROWTH, MODES, PLATFORMS, Run, measure, table
 from swarmd.protection.fence import Fence
 
@@ -44,6 +44,6 @@ def test_a_run_with_a_record_of_the_same_sources_is_not_repeated(
     assert fence.main(words) == 0
     assert (tmp_path / "fence.jsonl").read_bytes() == record
     assert "0.00 robot-hours, 0 crossings" in capsys.readouterr().out
-    monkeypatch.setattr(fence, "fingerprint", lambda: "other")
+    monkeypatch.setattr(runs, "fingerprint", lambda: "other")
     assert fence.main(words) == 0
     assert (tmp_path / "fence.jsonl").read_bytes().count(b"\n") == 2
