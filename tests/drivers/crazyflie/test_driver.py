@@ -197,6 +197,33 @@ def test_a_drone_that_is_not_armed_stays_on_the_ground_and_says_so() -> None:
     play(drone, story)
 
 
+@pytest.mark.parametrize(
+    ("firmware", "level", "part"),
+    [({}, Level.OK, "ready"), ({"is_armed": False}, Level.WARNING, "arm"),
+     ({"faults": IS_TUMBLED}, Level.FAULT, "upright")],
+)  # fmt: skip
+def test_a_check_says_whether_the_drone_can_fly(
+    firmware: dict[str, Any], level: Level, part: str
+) -> None:
+    drone = Drone()
+    for name, value in firmware.items():
+        setattr(drone.robots.firmware("cf"), name, value)
+
+    async def checked() -> Finding:
+        checking = asyncio.create_task(drone.make({}).check(CAP))
+        while not checking.done():
+            drone.publish()
+            await asyncio.sleep(0.05)
+        return next(one for one in checking.result() if one.subject == "supervisor")
+
+    try:
+        finding = asyncio.run(checked())
+    finally:
+        drone.close()
+    assert finding.level is level
+    assert part in (finding.text if finding.is_well else finding.remedy)
+
+
 def test_a_drone_flies_on_over_a_link_that_loses_and_delays() -> None:
     drone = Drone()
 

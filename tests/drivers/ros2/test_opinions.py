@@ -17,6 +17,7 @@ from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.opinion_link import HeardOpinion, opinion_link
 from swarmd.drivers.ros.opinion_options import PUBLISHED
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, read_options
+from swarmd.drivers.ros2.opinions import MAX_OF_ONE
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import DriverHarness
@@ -71,6 +72,29 @@ async def test_opinions_of_declared_robots_are_heard(harness: DriverHarness, rob
 
     await harness.until(has_both, publishing=True)
     assert set(ear.heard) == {HeardOpinion("tb4_07", 2, None, True), HeardOpinion("7", 1, 7, True)}
+
+
+@story(BridgedRobot, opinions=BOTH)
+async def test_a_flood_on_the_topic_of_one_robot_is_cut_at_each_look(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    ear = Ear(harness)
+    topics: Any = ear.link
+    advance, counts = topics.advance, list[int]()
+
+    def counted(dropped: Callable[[str], None]) -> None:
+        before = len(ear.heard)
+        advance(dropped)
+        counts.append(len(ear.heard) - before)
+
+    def is_full() -> bool:
+        for _ in range(100):
+            robot.hub.put("tb4_07/opinion", int32(1))
+        return any(count >= MAX_OF_ONE for count in counts)
+
+    topics.advance = counted
+    await harness.until(is_full, publishing=True)
+    assert max(counts) == MAX_OF_ONE
 
 
 STRANGE: dict[str, Callable[[Robot], tuple[str, bytes]]] = {
