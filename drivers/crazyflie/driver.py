@@ -28,7 +28,7 @@ from swarmd.core.events import (
     ScanInput,
     tag_of,
 )
-from swarmd.core.finding import Finding
+from swarmd.core.finding import Finding, warning
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import Motion, ShownPose, State, Status
@@ -227,13 +227,13 @@ class CrazyflieDriver:
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
         hazards = ", ".join(one.text for one in _hazards(supervisor))
-        is_well = not hazards and bool(supervisor & CAN_FLY)
-        if _is_unarmed(supervisor):  # an unarmed drone is well: it only does not take off
-            readiness = NOT_ARMED
+        if not hazards and _is_unarmed(supervisor):  # as before each flight: no fault
+            found.append(warning("supervisor", NOT_ARMED, "arm the drone before a run"))
         else:
-            readiness = "ready to fly" if is_well else "not ready to fly"
-        remedy = "turn the drone upright, restart it"
-        found.append(Finding("supervisor", is_well, hazards or readiness, remedy))
+            is_well = not hazards and bool(supervisor & CAN_FLY)
+            text = hazards or ("ready to fly" if is_well else "not ready to fly")
+            remedy = "turn the drone upright, restart it"
+            found.append(Finding("supervisor", is_well, text, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)

@@ -6,12 +6,14 @@ import asyncio
 import itertools
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import OdometryInput, ReadingsInput, ScanInput
+from swarmd.core.finding import Finding, Level
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist, Value
@@ -210,7 +212,7 @@ def test_a_check_says_whether_the_drone_can_fly(
         setattr(drone.robots.firmware("cf"), name, value)
 
     async def checked() -> Finding:
-        checking = asyncio.create_task(drone.make({}).check(CAP))
+        checking = asyncio.create_task(drone.make({}).check(30.0))
         while not checking.done():
             drone.publish()
             await asyncio.sleep(0.05)
