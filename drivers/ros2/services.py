@@ -59,9 +59,7 @@ class CommandServices:
             for name in (() if self._options is None else self._options.names)
         }
         self._take: TakeCommand | None = None
-        self._lock = (
-            threading.Lock()
-        )  # guards `_limits` and `_refused`: Zenoh's threads call `on_query`
+        self._lock = threading.Lock()  # guards `_limits` and `_refused` (threads of Zenoh)
         self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
         self._refused = 0
         self._session: zenoh.Session | None = None
@@ -150,7 +148,7 @@ class CommandServices:
             operator=options.operator,
             is_viewer=options.role == "viewer",
             source=f"ROS service {self._names[name]}",
-            run=None if run is None or name in _VERBS else run.declared(),
+            run=None if run is None else run.declared(),
             resets_others=options.reset == "all",
             age=age,
             doubt=doubt,

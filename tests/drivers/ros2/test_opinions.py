@@ -104,7 +104,7 @@ STRANGE: dict[str, Callable[[Robot], tuple[str, bytes]]] = {
     "half a message": lambda robot: (key(robot, "tb4_07/opinion"), int32(1)[:6]),
     "a long message": lambda robot: (key(robot, "tb4_07/opinion"), int32(1) + bytes(10_000)),
     "text": lambda robot: (key(robot, "tb4_07/opinion"), b"\xff" * 8),
-    "a wildcard": lambda robot: (key(robot, "**"), int32(1)),
+    "a wildcard": lambda _: ("**", int32(1)),
 }
 
 
