@@ -51,9 +51,8 @@ class OpinionTopics:
         """Set the topics that are published and heard."""
         opinions = self._options
         assert opinions is not None
-        broadcast = None
-        if opinions.broadcast is not None:
-            broadcast = f"/{opinions.broadcast.strip('/')}"
+        broadcast = opinions.broadcast_topic
+        if broadcast is not None:
             self._heard[broadcast] = broadcast_type()
         if opinions.publish:
             self._published[options.topic(PUBLISHED)] = ros.Int32

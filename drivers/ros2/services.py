@@ -28,7 +28,7 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
 from swarmd.drivers.ros2.key_scheme import KeyScheme
 from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
-from swarmd.drivers.ros2.session import ask_hub
+from swarmd.drivers.ros2.session import ask_hub, linked_hubs
 
 CALL_RATE, CALL_BURST = 10.0, 10.0
 """Calls per second of one service, and at once; further calls get no answer."""
@@ -99,8 +99,10 @@ class CommandServices:
         loop = asyncio.get_running_loop()
         if self._session is None:
             return
-        if self._age.probes(now := loop.time()):
-            age = self._age  # of this session: a late answer must not count for the next session
+        if not linked_hubs(self._session):
+            self._age = RequestAge()  # a probe without a hub ends at once, and is no answer
+        elif self._age.probes(now := loop.time()):
+            age = self._age  # of this link: a late answer must not count for the next link
             ask_hub(
                 self._session,
                 partial(hand_over, loop, lambda: age.answered(now, loop.time())),

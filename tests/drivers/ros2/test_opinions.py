@@ -193,6 +193,8 @@ async def test_without_the_option_nothing_is_exchanged(
         ({"robots": ["tb4-07"]}, "tb4-07"),
         ({"robots": ["a/*"]}, "opinions.robots"),
         ({"broadcast": "/votes/**"}, "opinions.broadcast"),
+        ({"broadcast": "cmd_vel"}, "cmd_vel and opinions.broadcast"),
+        ({"broadcast": PUBLISHED, "publish": True}, "opinions.publish and opinions.broadcast"),
         ({"ids": [1]}, "opinions.ids"),
         ({"ids": [-1], "broadcast": "votes"}, "ids"),
     ],
