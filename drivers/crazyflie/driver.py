@@ -227,16 +227,14 @@ class CrazyflieDriver:
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
         hazards = ", ".join(one.text for one in _hazards(supervisor))
+        is_well = not hazards and bool(supervisor & CAN_FLY)
+        text = hazards or ("ready to fly" if is_well else "not ready to fly")
+        readiness = Finding("supervisor", is_well, text, "turn the drone upright, restart it")
         if not hazards and _is_unarmed(supervisor):  # as before each flight: no fault
-            found.append(warning("supervisor", NOT_ARMED, "arm the drone before a run"))
-        else:
-            is_well = not hazards and bool(supervisor & CAN_FLY)
-            text = hazards or ("ready to fly" if is_well else "not ready to fly")
-            remedy = "turn the drone upright, restart it"
-            found.append(Finding("supervisor", is_well, text, remedy))
+            readiness = warning("supervisor", NOT_ARMED, "arm the drone before a run")
         is_charged = volts >= self._options.low_battery
-        found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
-        return tuple(found)
+        battery = Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery")
+        return (*found, readiness, battery)
 
     # The connection
 

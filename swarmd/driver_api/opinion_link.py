@@ -13,8 +13,8 @@ _NUMBER = re.compile(r"\d{1,9}$")
 
 def number_of(robot: str) -> int | None:
     """The number at the end of a robot's name, which ROS2swarm's messages have; None without."""
-    found = _NUMBER.search(robot)
-    return None if found is None else int(found[0])
+    digits = _NUMBER.search(robot)
+    return None if digits is None else int(digits[0])
 
 
 class HeardOpinion(NamedTuple):
