@@ -118,23 +118,26 @@ class CommandServices:
         self._declared.clear()
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
-        """Check a call on a thread of Zenoh, and hand it to the loop."""
-        with self._lock:
-            if not self._limits[name].take(1.0, time.monotonic()):
-                self._refused += 1
-                query.drop()
-                return
+        """Check a call on a thread of Zenoh, and hand it to the loop.
+
+        A query of another program, such as for many keys, takes no share of the rate: a stop must
+        pass beside a flood of such queries.
+        """
         attachment = None if query.attachment is None else query.attachment.to_bytes()
         payload = b"" if query.payload is None else query.payload.to_bytes()
         try:
             _check_empty(payload)
             stamp = self._scheme.call_stamp(str(query.key_expr), attachment)
-        except CodecError:  # such as a query of another program for many keys
-            with self._lock:
-                self._refused += 1
+            is_call = True
+        except CodecError:
+            is_call, stamp = False, None
+        with self._lock:
+            is_taken = is_call and self._limits[name].take(1.0, time.monotonic())
+            self._refused += not is_taken
+        if is_taken:
+            hand_over(loop, self._on_call, name, query, attachment, stamp)
+        else:
             query.drop()
-            return
-        hand_over(loop, self._on_call, name, query, attachment, stamp)
 
     def _on_call(
         self, name: str, query: zenoh.Query, attachment: bytes | None, stamp: float | None

@@ -210,6 +210,17 @@ async def test_a_flood_of_calls_is_cut_and_delays_no_stop(
     assert CALL_BURST <= len(runs) < 150
 
 
+@story(BridgedRobot, ZenohRobot, services=SERVICES)
+async def test_a_flood_of_what_is_no_call_delays_no_stop(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    Door(harness)
+    calls = [Call(robot, "swarmd/stop", payload=b"stop") for _ in range(300)]
+    stop = Call(robot, "swarmd/stop")
+    await harness.until(lambda: all(call.has_ended for call in (*calls, stop)), publishing=True)
+    assert stop.answer().success
+
+
 @story(BridgedRobot, ZenohRobot)
 async def test_without_the_option_no_service_exists(harness: DriverHarness, robot: Robot) -> None:
     assert command_source(harness.driver) is None
