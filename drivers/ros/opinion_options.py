@@ -56,10 +56,15 @@ class OpinionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                 f" namespace, such as opinion, and not {PUBLISHED}"
             )
         for robot in self.robots:
-            if _NAME.fullmatch(robot) is None:
+            if not is_namespace(robot):
                 yield f"opinions.robots has {robot!r}; expected a namespace such as tb4_07"
         if self.ids and self.broadcast is None:
             yield "opinions.ids is given without opinions.broadcast; expected both"
+
+
+def is_namespace(name: str) -> bool:
+    """True for a name that the namespace of a robot may have."""
+    return _NAME.fullmatch(name) is not None
 
 
 @cache

@@ -18,7 +18,7 @@ from swarmd.core.finding import Finding
 from swarmd.driver_api.opinion_link import HeardOpinion, HearOpinion, number_of
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import messages as ros
-from swarmd.drivers.ros.opinion_options import PUBLISHED, broadcast_type
+from swarmd.drivers.ros.opinion_options import PUBLISHED, broadcast_type, is_namespace
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 
@@ -27,7 +27,6 @@ MAX_OF_ONE, MAX_WAITING = 2, 64
 """
 MAX_PAYLOAD = 64
 """Bytes of a message with an opinion."""
-_MAX_NAME = 50
 
 
 class OpinionTopics:
@@ -169,5 +168,5 @@ class OpinionTopics:
             is_declared = number in options.ids
             heard = HeardOpinion(str(number), int(message.opinion), number, is_declared)
         # A robot of swarmd without a namespace publishes on /swarmd/opinion.
-        is_name = "/" not in heard.name and heard.name != "swarmd" and len(heard.name) <= _MAX_NAME
+        is_name = heard.name != "swarmd" and (kind is not ros.Int32 or is_namespace(heard.name))
         return heard if is_name and (is_declared or options.unknown) else None
