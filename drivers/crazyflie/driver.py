@@ -28,7 +28,7 @@ from swarmd.core.events import (
     ScanInput,
     tag_of,
 )
-from swarmd.core.finding import Finding, warning
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.low_battery import READING as BATTERY
 from swarmd.core.messages import Motion, ShownPose, State, Status
@@ -227,14 +227,14 @@ class CrazyflieDriver:
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
         hazards = ", ".join(one.text for one in _hazards(supervisor))
-        is_well = not hazards and bool(supervisor & CAN_FLY)
-        text = hazards or ("ready to fly" if is_well else "not ready to fly")
-        readiness = Finding("supervisor", is_well, text, "turn the drone upright, restart it")
-        if not hazards and _is_unarmed(supervisor):  # as before each flight: no fault
-            readiness = warning("supervisor", NOT_ARMED, "arm the drone before a run")
+        is_unarmed = _is_unarmed(supervisor)  # then it is well: it only does not take off
+        is_well = not hazards and (is_unarmed or bool(supervisor & CAN_FLY))
+        text = NOT_ARMED if is_unarmed else "ready to fly" if is_well else "not ready to fly"
+        remedy = "turn the drone upright, restart it"
+        found.append(Finding("supervisor", is_well, hazards or text, remedy))
         is_charged = volts >= self._options.low_battery
-        battery = Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery")
-        return (*found, readiness, battery)
+        found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
+        return tuple(found)
 
     # The connection
 

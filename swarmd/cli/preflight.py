@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -43,7 +43,6 @@ def check_daemon(settings: DaemonSettings) -> int:
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
         *_check_fence(settings),
-        *_check_low_battery(settings),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -100,12 +99,12 @@ def fence_settings_text(fence: FenceSettings) -> str:
     )
 
 
-def _check_low_battery(settings: DaemonSettings) -> list[Finding]:
-    """What the robot does at a low battery, if it has a pattern for that."""
+def _check_low_battery(settings: DaemonSettings, known: Collection[str]) -> list[Finding]:
+    """What the robot does at a low battery. `known`: the names of the robot's patterns."""
     given = settings.on_low_battery
     if given is None:
         return []
-    known, act = pattern_names(settings.plugin_dir), f"runs {given.pattern}"
+    act = f"runs {given.pattern}"
     if given.pattern is not None and given.pattern not in known:
         text = f"on_low_battery.pattern: {unknown('pattern', given.pattern, known)}"
         return [Finding("low battery", False, f"{text}; the robot stands instead")]
@@ -200,6 +199,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
         return
+    yield from _check_low_battery(settings, origins)
     fit_count = 0
     misfits: list[str] = []
     for row in rows:

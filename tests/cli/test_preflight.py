@@ -239,10 +239,18 @@ def test_what_a_low_battery_does_is_told(
     tmp_path: Path, given: dict[str, object], is_well: bool, text: str
 ) -> None:
     settings = settings_of(tmp_path, json.dumps({"on_low_battery": given}))
-    (finding,) = _check_low_battery(settings)
+    (finding,) = _check_low_battery(settings, ["drive"])
     assert finding.is_well is is_well
     assert text in finding.text
     assert "on_low_battery: {below: " in effective_config(settings)
+
+
+def test_a_check_goes_on_without_the_folder_of_patterns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {"on_low_battery": {"below": 0.2, "pattern": "drive"}, "plugin_dir": "absent"}
+    assert check_daemon(settings_of(tmp_path, json.dumps(given))) == 1
+    assert "FAIL  patterns" in capsys.readouterr().out
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:
