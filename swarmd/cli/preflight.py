@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -99,19 +99,6 @@ def fence_settings_text(fence: FenceSettings) -> str:
     )
 
 
-def _check_low_battery(settings: DaemonSettings, known: Collection[str]) -> list[Finding]:
-    """What the robot does at a low battery. `known`: the names of the robot's patterns."""
-    given = settings.on_low_battery
-    if given is None:
-        return []
-    act = f"runs {given.pattern}"
-    if given.pattern is not None and given.pattern not in known:
-        text = f"on_low_battery.pattern: {unknown('pattern', given.pattern, known)}"
-        return [Finding("low battery", False, f"{text}; the robot stands instead")]
-    text = f"below {given.below:g} the robot {'stands' if given.pattern is None else act}"
-    return [Finding("low battery", True, f"{text}, until {given.until:g}")]
-
-
 def peers_text(settings: DaemonSettings) -> str:
     """The platforms of swarmd whose robots make this robot stand, as text.
 
@@ -199,7 +186,6 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
         return
-    yield from _check_low_battery(settings, origins)
     fit_count = 0
     misfits: list[str] = []
     for row in rows:
@@ -225,6 +211,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     rows_by_name = {row["name"]: row for row in rows}
     yield from _check_parameters(settings, rows_by_name)
     yield from _check_touch(settings, rows_by_name)
+    yield from _check_low_battery(settings, rows_by_name)
 
 
 def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
@@ -251,6 +238,28 @@ def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterat
             continue
         asked = rows[name].get("touches") or "nothing"
         yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
+
+
+def _check_low_battery(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
+    """What the robot does at a low battery, or why it stands instead of running a pattern."""
+    given = settings.on_low_battery
+    if given is None:
+        return
+    act, fault = "stands", ""
+    if given.pattern is not None:
+        act, row = f"runs {given.pattern}", rows.get(given.pattern)
+        if row is None:
+            fault = unknown("pattern", given.pattern, rows)
+        else:
+            specs = {spec["name"]: spec for spec in row.get("params", ())}
+            faults = (parameter_fault(specs, *item) for item in given.params.items())
+            fault = row.get("error") or row.get("refused") or next(filter(None, faults), "")
+    if fault:
+        text = f"on_low_battery: {given.pattern}: {fault}; the robot stands instead"
+        yield Finding("low battery", False, text)
+    else:
+        text = f"below {given.below:g} the robot {act}, until {given.until:g}"
+        yield Finding("low battery", True, text)
 
 
 def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding]:

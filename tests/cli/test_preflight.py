@@ -12,7 +12,6 @@ import pytest
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_fence,
-    _check_low_battery,
     _platform_text,
     check_daemon,
     check_patterns,
@@ -233,13 +232,15 @@ def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> N
         ({"below": 0.25}, True, "below 0.25 the robot stands, until 0.35"),
         ({"below": 0.2, "pattern": "drive"}, True, "below 0.2 the robot runs drive, until 0.3"),
         ({"below": 0.2, "pattern": "driv"}, False, "did you mean 'drive'"),
+        ({"below": 0.2, "pattern": "drive", "params": {"sped": 0.1}}, False, "sped"),
+        ({"below": 0.2, "pattern": "drive", "params": {"speed": 99.0}}, False, "speed"),
     ],
 )
 def test_what_a_low_battery_does_is_told(
     tmp_path: Path, given: dict[str, object], is_well: bool, text: str
 ) -> None:
     settings = settings_of(tmp_path, json.dumps({"on_low_battery": given}))
-    (finding,) = _check_low_battery(settings, ["drive"])
+    (finding,) = (one for one in check_patterns(settings) if one.subject == "low battery")
     assert finding.is_well is is_well
     assert text in finding.text
     assert "on_low_battery: {below: " in effective_config(settings)
