@@ -58,7 +58,8 @@ def print_findings(findings: Sequence[Finding]) -> int:
     width = max(len(finding.subject) for finding in findings)
     for finding in sorted(findings, key=lambda finding: (finding.is_well, finding.is_measured)):
         mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
-        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
+        remedy = f"; {finding.remedy}" if finding.remedy and not finding.is_well else ""
+        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}{remedy}")
     bad = sum(not finding.is_well for finding in findings)
     unknown_ones = sum(not finding.is_measured for finding in findings)
     result = f"{bad} failed" if bad else "none failed" if unknown_ones else "all ok"

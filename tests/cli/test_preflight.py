@@ -58,9 +58,11 @@ def test_what_was_not_measured_is_neither_well_nor_a_fault(
         "ok    scan        10 Hz",
         "2 checked, none failed, 1 not measured",
     ]
-    assert print_findings([well, unknown, Finding("cmd_vel", False, "no subscriber")]) == 1
+    fault = Finding("cmd_vel", False, "no subscriber", "start the base")
+    assert print_findings([well, unknown, fault]) == 1
     *lines, last = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["FAIL", "--", "ok"]  # faults first
+    assert lines[0].endswith("no subscriber; start the base")
     assert last == "3 checked, 1 failed, 1 not measured"
 
 
