@@ -23,8 +23,7 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 
 MAX_OF_ONE, MAX_WAITING = 2, 64
-"""Messages between two reads, 0.1 s apart: of a topic of one robot, and of one of several robots.
-"""
+"""Messages between two reads, 0.1 s apart: on a topic of one robot, and of several robots."""
 MAX_PAYLOAD = 64
 """Bytes of a message with an opinion."""
 

@@ -242,9 +242,9 @@ def test_what_a_low_battery_does_is_told(
     tmp_path: Path, given: dict[str, object], is_well: bool, text: str
 ) -> None:
     settings = settings_of(tmp_path, json.dumps({"on_low_battery": given}))
-    (finding,) = (one for one in check_patterns(settings) if one.subject == "low battery")
-    assert finding.is_well is is_well
-    assert text in finding.text
+    (told,) = (row for row in check_patterns(settings) if row.subject == "low battery")
+    assert told.is_well is is_well
+    assert text in told.text
     assert "on_low_battery: {below: " in effective_config(settings)
 
 

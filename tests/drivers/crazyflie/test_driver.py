@@ -219,7 +219,7 @@ def test_a_check_says_whether_the_drone_can_fly(
         while not checking.done():
             drone.publish()
             await asyncio.sleep(0.05)
-        return next(one for one in checking.result() if one.subject == "supervisor")
+        return next(row for row in checking.result() if row.subject == "supervisor")
 
     try:
         finding = asyncio.run(checked())
