@@ -228,13 +228,11 @@ class CrazyflieDriver:
         if supervisor is None:
             return (*found, Finding("supervisor", False, nothing, remedy))
         hazards = ", ".join(one.text for one in _hazards(supervisor))
-        is_well = not hazards and bool(supervisor & CAN_FLY)
-        if _is_unarmed(supervisor):  # an unarmed drone is well: it only does not take off
-            readiness = NOT_ARMED
-        else:
-            readiness = "ready to fly" if is_well else "not ready to fly"
+        is_unarmed = _is_unarmed(supervisor)  # then it is well: it only does not take off
+        is_well = not hazards and (is_unarmed or bool(supervisor & CAN_FLY))
+        text = NOT_ARMED if is_unarmed else "ready to fly" if is_well else "not ready to fly"
         remedy = "turn the drone upright, restart it"
-        found.append(Finding("supervisor", is_well, hazards or readiness, remedy))
+        found.append(Finding("supervisor", is_well, hazards or text, remedy))
         is_charged = volts >= self._options.low_battery
         found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
         return tuple(found)

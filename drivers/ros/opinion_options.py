@@ -43,20 +43,28 @@ class OpinionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     ids: Annotated[tuple[Number, ...], Meta(max_length=MAX_ROBOTS)] = ()
     unknown: bool = False
 
+    @property
+    def broadcast_topic(self) -> str | None:
+        """The full name of the topic `broadcast`, which is in no namespace."""
+        return None if self.broadcast is None else f"/{self.broadcast.strip('/')}"
+
     def faults(self) -> Iterator[str]:
-        """The texts of the faults of names."""
+        """The texts of the faults of names, except `broadcast`, which is checked as all topics."""
         if _TOPIC.fullmatch(self.topic) is None or self.topic == PUBLISHED:
             yield (
                 f"opinions.topic is {self.topic!r}; expected the name of a topic in a robot's"
                 f" namespace, such as opinion, and not {PUBLISHED}"
             )
         for robot in self.robots:
-            if _NAME.fullmatch(robot) is None:
+            if not is_namespace(robot):
                 yield f"opinions.robots has {robot!r}; expected a namespace such as tb4_07"
-        if self.broadcast is not None and _TOPIC.fullmatch(self.broadcast.strip("/")) is None:
-            yield f"opinions.broadcast is {self.broadcast!r}; expected a topic such as /votes"
         if self.ids and self.broadcast is None:
             yield "opinions.ids is given without opinions.broadcast; expected both"
+
+
+def is_namespace(name: str) -> bool:
+    """True for a name that the namespace of a robot may have."""
+    return _NAME.fullmatch(name) is not None
 
 
 @cache

@@ -18,7 +18,7 @@ from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.opinion_options import OpinionOptions
+from swarmd.drivers.ros.opinion_options import PUBLISHED, OpinionOptions
 from swarmd.drivers.ros.service_options import ServiceOptions
 from swarmd.drivers.ros.topic_detections import DetectionOptions
 from swarmd.drivers.ros.topic_entries import ENTRY_KINDS
@@ -286,6 +286,7 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
 
     Several entries, such as `readings.light`, may read one topic if they have one message type.
     """
+    opinions = options.opinions if isinstance(options, RosOptions) else None
     names = {
         "namespace": options.namespace.strip("/") or None,
         # Without the option `ranges` a robot has a lidar, whose topic has a default name.
@@ -299,6 +300,8 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         **{option: topic for option, topic, _ in _entries(options)},
         **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
         **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
+        "opinions.publish": PUBLISHED if opinions is not None and opinions.publish else None,
+        "opinions.broadcast": None if opinions is None else opinions.broadcast_topic,
     }
     first_options: dict[str, str] = {}  # by topic
     types = _types(options)  # the message type of each entry, such as `readings.light`

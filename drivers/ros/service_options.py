@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Id, ParamValues, Word
+from swarmd.core.errors import ConfigError
 from swarmd.driver_api.command_source import DeclaredRun
 
 MAX_RUNS = 32
@@ -32,8 +33,8 @@ class RunOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The services, each of type std_srvs/Trigger.
 
-    - `operator`: the name in whose name every caller commands; the audit log has this name.
-    - `role`: `viewer` refuses every command. In a secured swarm the roster's role counts, too.
+    - `operator`: every caller commands as this operator; the audit log has this name.
+    - `role`: with `viewer` every call is refused. In a secured swarm the roster's role counts, too.
     - `runs`: the runs by name of their service.
     - `reset`: `own` clears emergency stops of this operator alone.
     """
@@ -49,8 +50,15 @@ class ServiceOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return (STOP, ESTOP, RESET, *(f"{RUN}/{name}" for name in self.runs))
 
     def faults(self) -> Iterator[str]:
-        """The texts of the faults of the names of runs."""
-        for name in self.runs:
+        """The texts of the faults of the names of runs, and of their conditions."""
+        from swarmd.kit.conditions import parse_conditions  # not for options without services
+
+        for name, run in self.runs.items():
+            try:
+                if run.until:
+                    parse_conditions(run.until)
+            except ConfigError as error:
+                yield f"services.runs.{name}.until: {error}"
             if _NAME.fullmatch(name) is None:
                 yield (
                     f"services.runs has {name!r}; expected a name such as gather_all (letters,"

@@ -195,7 +195,7 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    An entry of option `readings` may have several readers, so all options return tuples. `full`:
+    An entry of option `readings` may have several readers, so all options return tuples. `full`
     returns the full name of a topic. `types`: the known message types. ConfigError names the key
     that is wrong.
     """
@@ -264,7 +264,7 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
         return ", ".join((*_texts(objects), *unplaced_text)) or "no object"
 
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
-        """The objects of all topics if they are new, or `again`, else None; see `TopicInputs`.
+        """The objects of all topics if they are new, else None; see `TopicInputs`.
 
         While any topic has been silent for too long, or was never heard, the `DetectionsInput` has
         None in place of objects.

@@ -122,9 +122,7 @@ def topic_hazard(
 ) -> tuple[TopicHazard]:
     """The reader of the entry `name` of option `hazards`, as a tuple of one.
 
-    A tuple, as of an entry of option `readings`, which may have several readers. `full`: returns
-    the full name of a topic. `types`: the known message types. ConfigError names the key that is
-    wrong.
+    See `topic_detections` for the tuple and the arguments. ConfigError names the key that is wrong.
     """
     option, key = f"hazards.{name}", ""  # `key`: the key that is read now, begins an error's text
     try:

@@ -1,12 +1,11 @@
 """Opinions of voting patterns as ROS 2 topics, by the driver's session; option `opinions`.
 
-Zenoh's ring channels keep the last MAX_WAITING messages without running Python, and `advance` reads
-them. So a flood costs the driver a bounded time. In a flood the oldest messages are lost.
+Zenoh's ring channels keep the last messages without running Python, and `advance` reads them. So a
+flood costs the driver a bounded time. In a flood the oldest messages are lost.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
@@ -16,19 +15,17 @@ from zenoh.handlers import RingChannel
 
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
-from swarmd.driver_api.opinion_link import HeardOpinion, HearOpinion
+from swarmd.driver_api.opinion_link import HeardOpinion, HearOpinion, number_of
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import messages as ros
-from swarmd.drivers.ros.opinion_options import PUBLISHED, broadcast_type
+from swarmd.drivers.ros.opinion_options import PUBLISHED, broadcast_type, is_namespace
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 
-MAX_WAITING = 64
-"""Messages of one subscription between two reads, 0.1 s apart."""
+MAX_OF_ONE, MAX_WAITING = 2, 64
+"""Messages between two reads, 0.1 s apart: on a topic of one robot, and of several robots."""
 MAX_PAYLOAD = 64
 """Bytes of a message with an opinion."""
-_MAX_NAME = 50
-_NUMBER = re.compile(r"\d{1,9}$")
 
 
 class OpinionTopics:
@@ -39,23 +36,21 @@ class OpinionTopics:
         self._scheme, self._options = scheme, options.opinions
         self._published: dict[str, type] = {}  # by topic
         self._heard: dict[str, type] = {}
-        number = _NUMBER.search(robot)
-        self._number = int(number[0]) if number else None
+        self._number = number_of(robot)
         self._own = options.topic("_")[:-2]  # the own namespace
         if self._options is not None:
             self._name_topics(options)
         self._hear: HearOpinion | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
-        self._subscribers: list[tuple[Any, type]] = []
+        self._subscribers: list[tuple[Any, type, int]] = []
         self._tokens: Mapping[str, str] = {}
 
     def _name_topics(self, options: RosOptions) -> None:
         """Set the topics that are published and heard."""
         opinions = self._options
         assert opinions is not None
-        broadcast = None
-        if opinions.broadcast is not None:
-            broadcast = f"/{opinions.broadcast.strip('/')}"
+        broadcast = opinions.broadcast_topic
+        if broadcast is not None:
             self._heard[broadcast] = broadcast_type()
         if opinions.publish:
             self._published[options.topic(PUBLISHED)] = ros.Int32
@@ -106,12 +101,11 @@ class OpinionTopics:
                 allowed_destination=remote,
             )
         for topic, kind in self._heard.items():
-            subscriber = session.declare_subscriber(
-                self._scheme.subscription_key(topic),
-                RingChannel(MAX_WAITING),
-                allowed_origin=remote,
-            )
-            self._subscribers.append((subscriber, kind))
+            is_of_one = kind is ros.Int32 and "*" not in topic
+            most = MAX_OF_ONE if is_of_one else MAX_WAITING
+            key = self._scheme.subscription_key(topic)
+            subscriber = session.declare_subscriber(key, RingChannel(most), allowed_origin=remote)
+            self._subscribers.append((subscriber, kind, most))
 
     def announced(self, tokens: Mapping[str, str]) -> None:
         """Set the liveliness tokens of the publishers, by topic."""
@@ -129,8 +123,8 @@ class OpinionTopics:
     def advance(self, dropped: Callable[[str], None]) -> None:
         """Hand over the opinions that arrived; the driver's task calls this."""
         hear = self._hear
-        for subscriber, kind in self._subscribers:
-            for _ in range(MAX_WAITING):
+        for subscriber, kind, most in self._subscribers:
+            for _ in range(most):
                 try:
                     sample = subscriber.try_recv()
                 except zenoh.ZError:  # the session has closed
@@ -173,5 +167,5 @@ class OpinionTopics:
             is_declared = number in options.ids
             heard = HeardOpinion(str(number), int(message.opinion), number, is_declared)
         # A robot of swarmd without a namespace publishes on /swarmd/opinion.
-        is_name = "/" not in heard.name and heard.name != "swarmd" and len(heard.name) <= _MAX_NAME
+        is_name = heard.name != "swarmd" and (kind is not ros.Int32 or is_namespace(heard.name))
         return heard if is_name and (is_declared or options.unknown) else None

@@ -6,7 +6,9 @@ process is frozen, or while the link is cut. So this process probes the hub all 
 1. The link keeps the order. A request that comes after the answer to a probe was handed to the link
    after the hub got that probe. So the request is no older than the last answered probe.
 2. A hub that continues after a freeze answers the probes first, and may then pass on requests that
-   waited in front of it. So no request has a known age for SETTLE_TIME after a gap of MAX_AGE.
+   waited in front of it, as long as the slowest answer took. So that time is added for SETTLE_TIME,
+   and after a gap of MAX_AGE no request has a known age for SETTLE_TIME.
+3. A link that was lost begins anew, without any answered probe.
 
 What waited longer in front of a hub that answers all the time is not detected, except by the stamp
 of the middleware (`by_stamp`).
@@ -15,6 +17,7 @@ of the middleware (`by_stamp`).
 from __future__ import annotations
 
 import math
+from collections import deque
 
 PROBE_PERIOD = 0.1
 """Seconds between two probes; a probe is answered within 0.4 ms on loopback. With a longer period
@@ -34,6 +37,7 @@ class RequestAge:
         """No probe was answered yet."""
         self._probed_at = self._answered = -math.inf
         self._steady_since = math.inf
+        self._trips = deque[tuple[float, float]](maxlen=64)  # the time of an answer, and its s
 
     def probes(self, now: float) -> bool:
         """True if a probe is due; the probe then counts as sent at `now`."""
@@ -47,13 +51,14 @@ class RequestAge:
         if now - self._answered > MAX_AGE:
             self._steady_since = now
         self._answered = max(self._answered, sent_at)
+        self._trips.append((now, now - sent_at))
 
     def bound(self, now: float) -> float | None:
         """The greatest age in s; None if unknown."""
         age = now - self._answered
         if age > MAX_AGE or now - self._steady_since < SETTLE_TIME:
             return None
-        return age
+        return age + max(trip for at, trip in self._trips if now - at < SETTLE_TIME)
 
 
 def by_stamp(stamp: float, wall: float) -> float | None:

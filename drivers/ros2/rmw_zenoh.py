@@ -132,13 +132,11 @@ class RmwZenoh(Ros2Middleware):
 
     def topic_of(self, key: str, message_type: type) -> str | None:
         """The name of the topic; None for a wildcard, or another type or hash."""
-        domain, _, rest = key.partition("/")
-        topic, _, typed = rest.removesuffix("/").rpartition("/")[0].rpartition("/")
-        hashed = key.rpartition("/")[2]
+        if "*" in key:
+            return None
+        topic, typed, hashed = key.removeprefix(f"{self.domain}").rsplit("/", 2)
         is_known = hashed == NO_HASH or hashed in known_hashes(message_type)
-        is_one = "*" not in key and domain == str(self.domain) and bool(topic)
-        is_typed = typed == dds_name(name_of(message_type)) and is_known
-        return f"/{topic}" if is_one and is_typed else None
+        return topic if is_known and typed == dds_name(name_of(message_type)) else None
 
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint of a token.

@@ -28,7 +28,7 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.service_options import ESTOP, RESET, RUN, STOP
 from swarmd.drivers.ros2.key_scheme import KeyScheme
 from swarmd.drivers.ros2.request_age import MAX_STAMP_AGE, SETTLE_TIME, RequestAge, by_stamp
-from swarmd.drivers.ros2.session import ask_hub
+from swarmd.drivers.ros2.session import ask_hub, linked_hubs
 
 CALL_RATE, CALL_BURST = 10.0, 10.0
 """Calls per second of one service, and at once; further calls get no answer."""
@@ -59,9 +59,7 @@ class CommandServices:
             for name in (() if self._options is None else self._options.names)
         }
         self._take: TakeCommand | None = None
-        self._lock = (
-            threading.Lock()
-        )  # guards `_limits` and `_refused`: Zenoh's threads call `on_query`
+        self._lock = threading.Lock()  # guards `_limits` and `_refused` (threads of Zenoh)
         self._limits = {name: TokenBucket(CALL_RATE, CALL_BURST) for name in self._names}
         self._refused = 0
         self._session: zenoh.Session | None = None
@@ -101,8 +99,10 @@ class CommandServices:
         loop = asyncio.get_running_loop()
         if self._session is None:
             return
-        if self._age.probes(now := loop.time()):
-            age = self._age  # of this session: a late answer must not count for the next session
+        if not linked_hubs(self._session):
+            self._age = RequestAge()  # a probe without a hub ends at once, and is no answer
+        elif self._age.probes(now := loop.time()):
+            age = self._age  # of this link: a late answer must not count for the next link
             ask_hub(
                 self._session,
                 partial(hand_over, loop, lambda: age.answered(now, loop.time())),
@@ -118,23 +118,26 @@ class CommandServices:
         self._declared.clear()
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
-        """Check a call on a thread of Zenoh, and hand it to the loop."""
-        with self._lock:
-            if not self._limits[name].take(1.0, time.monotonic()):
-                self._refused += 1
-                query.drop()
-                return
+        """Check a call on a thread of Zenoh, and hand it to the loop.
+
+        A query of another program, such as for many keys, takes no share of the rate: a stop must
+        pass beside a flood of such queries.
+        """
         attachment = None if query.attachment is None else query.attachment.to_bytes()
         payload = b"" if query.payload is None else query.payload.to_bytes()
         try:
             _check_empty(payload)
             stamp = self._scheme.call_stamp(str(query.key_expr), attachment)
-        except CodecError:  # such as a query of another program for many keys
-            with self._lock:
-                self._refused += 1
+            is_call = True
+        except CodecError:
+            is_call, stamp = False, None
+        with self._lock:
+            is_taken = is_call and self._limits[name].take(1.0, time.monotonic())
+            self._refused += not is_taken
+        if is_taken:
+            hand_over(loop, self._on_call, name, query, attachment, stamp)
+        else:
             query.drop()
-            return
-        hand_over(loop, self._on_call, name, query, attachment, stamp)
 
     def _on_call(
         self, name: str, query: zenoh.Query, attachment: bytes | None, stamp: float | None
@@ -150,7 +153,7 @@ class CommandServices:
             operator=options.operator,
             is_viewer=options.role == "viewer",
             source=f"ROS service {self._names[name]}",
-            run=None if run is None or name in _VERBS else run.declared(),
+            run=None if run is None else run.declared(),
             resets_others=options.reset == "all",
             age=age,
             doubt=doubt,

@@ -70,7 +70,7 @@ def ask_hub(session: zenoh.Session, on_answer: Callable[[], object]) -> None:
     """Call `on_answer` on a thread of Zenoh once the hub has answered; not called on a timeout.
 
     The query is for a liveliness token that does not exist. The hub itself answers that there is
-    no such token, within 0.4 ms on loopback.
+    no such token, within 0.4 ms on loopback. Without a link to a hub `on_answer` is called at once.
     """
     errors: list[zenoh.Reply] = []  # the only possible reply is the error of a timeout
 

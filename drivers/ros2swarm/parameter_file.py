@@ -69,7 +69,7 @@ def _field(prefix: str) -> dict[str, str]:
 
 
 def _vote(prefix: str) -> dict[str, str]:
-    """The parameters of a vote; `_read_opinions` converts its opinions."""
+    """The parameters of a vote; `_opinions` converts its opinions."""
     return {f"{prefix}_timer_period": "window"}
 
 

@@ -43,7 +43,6 @@ def check_daemon(settings: DaemonSettings) -> int:
         *_check_passage(settings),
         Finding("peers", True, peers_text(settings)),
         *_check_fence(settings),
-        *_check_low_battery(settings),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -59,7 +58,8 @@ def print_findings(findings: Sequence[Finding]) -> int:
     width = max(len(finding.subject) for finding in findings)
     for finding in sorted(findings, key=lambda finding: (finding.is_well, finding.is_measured)):
         mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
-        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
+        remedy = f"; {finding.remedy}" if finding.remedy and not finding.is_well else ""
+        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}{remedy}")
     bad = sum(not finding.is_well for finding in findings)
     unknown_ones = sum(not finding.is_measured for finding in findings)
     result = f"{bad} failed" if bad else "none failed" if unknown_ones else "all ok"
@@ -98,19 +98,6 @@ def fence_settings_text(fence: FenceSettings) -> str:
         f"{len(fence.polygon)} corners in frame {fence.frame!r}{areas}; keeps {fence.margin:g} m of"
         f" margin; without a fresh pose the robot {without}"
     )
-
-
-def _check_low_battery(settings: DaemonSettings) -> list[Finding]:
-    """What the robot does at a low battery, if it has a pattern for that."""
-    given = settings.on_low_battery
-    if given is None:
-        return []
-    known, act = pattern_names(settings.plugin_dir), f"runs {given.pattern}"
-    if given.pattern is not None and given.pattern not in known:
-        text = f"on_low_battery.pattern: {unknown('pattern', given.pattern, known)}"
-        return [Finding("low battery", False, f"{text}; the robot stands instead")]
-    text = f"below {given.below:g} the robot {'stands' if given.pattern is None else act}"
-    return [Finding("low battery", True, f"{text}, until {given.until:g}")]
 
 
 def peers_text(settings: DaemonSettings) -> str:
@@ -225,6 +212,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     rows_by_name = {row["name"]: row for row in rows}
     yield from _check_parameters(settings, rows_by_name)
     yield from _check_touch(settings, rows_by_name)
+    yield from _check_low_battery(settings, rows_by_name)
 
 
 def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
@@ -251,6 +239,28 @@ def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterat
             continue
         asked = rows[name].get("touches") or "nothing"
         yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
+
+
+def _check_low_battery(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
+    """What the robot does at a low battery, or why it stands instead of running a pattern."""
+    given = settings.on_low_battery
+    if given is None:
+        return
+    act, fault = "stands", ""
+    if given.pattern is not None:
+        act, row = f"runs {given.pattern}", rows.get(given.pattern)
+        if row is None:
+            fault = unknown("pattern", given.pattern, rows)
+        else:
+            specs = {spec["name"]: spec for spec in row.get("params", ())}
+            faults = (parameter_fault(specs, *item) for item in given.params.items())
+            fault = row.get("error") or row.get("refused") or next(filter(None, faults), "")
+    if fault:
+        text = f"on_low_battery: {given.pattern}: {fault}; the robot stands instead"
+        yield Finding("low battery", False, text)
+    else:
+        text = f"below {given.below:g} the robot {act}, until {given.until:g}"
+        yield Finding("low battery", True, text)
 
 
 def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding]:

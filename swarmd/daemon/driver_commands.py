@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from swarmd.core import verbs
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Epoch, Latch, Refusal, Reply
@@ -93,12 +95,17 @@ class DriverCommands:
     def _stop(
         self, request: verbs.StopRequest | verbs.EstopRequest, source: str, answer: Answer
     ) -> None:
-        """Carry a stop out again and again, until the base rests or the robot reports a failure."""
+        """Carry a stop out again and again, until the base rests or the robot reports a failure.
+
+        A copy of an emergency stop that was reset meanwhile is refused, as a relayed copy.
+        """
+        is_estop = isinstance(request, verbs.EstopRequest)
+        copy = replace(request, is_relayed=True) if is_estop else request
 
         def on_reply(reply: Reply) -> None:
             if reply.code is Code.APPLIED and reply.is_moving:
                 loop = asyncio.get_running_loop()
-                loop.call_later(REPEAT_PERIOD, partial(self._stop, request, source, answer))
+                loop.call_later(REPEAT_PERIOD, partial(self._stop, copy, source, answer))
             else:
                 answer(reply)
 

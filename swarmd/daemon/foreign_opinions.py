@@ -5,26 +5,24 @@
 2. An opinion in the name of a robot of the swarm is dropped: that robot votes by itself.
 3. A secured swarm hears declared robots alone; the first other robot is an event.
 4. A sender has the limits of a robot's pattern; at most MAX_SENDERS senders are heard.
+5. Only opinions from 0 to MAX_OPINION are heard and published.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Collection
 
 from swarmd.core.clock import boottime
 from swarmd.core.events import MessageInput
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import OPINION, ROUND_VOTE, Value
-from swarmd.driver_api.opinion_link import HeardOpinion, OpinionLink
+from swarmd.driver_api.opinion_link import HeardOpinion, OpinionLink, number_of
 from swarmd.network.carriers.inbound_queue import DropCounter
 
 MAX_SENDERS = 64
 MAX_OPINION = 999
 PREFIX = "ros:"
 _SIZE = 3  # bytes of an encoded opinion, at most
-_OTHER = re.compile(r"[^A-Za-z0-9_]")
-_NUMBER = re.compile(r"\d{1,9}$")
 
 
 class ForeignOpinions:
@@ -60,12 +58,26 @@ class ForeignOpinions:
         name = channel.rpartition("/")[2]
         if name == ROUND_VOTE and isinstance(value, list) and len(value) > 1:
             name, value = OPINION, value[1]  # [round, opinion, previous opinion]
-        if name == OPINION and isinstance(value, int) and not isinstance(value, bool):
+        if name != OPINION or not isinstance(value, int) or isinstance(value, bool):
+            return
+        if 0 <= value <= MAX_OPINION:
             self._link.publish(value)
+        else:
+            self._drops.add("opinion:malformed")
 
     def _hear(self, heard: HeardOpinion) -> None:
         """Hand an opinion to the pattern, or drop it."""
-        # 1. The sender.
+        # 1. The limits, before the checks that take longer: a flood must not delay the daemon.
+        sender = f"{PREFIX}{heard.name}"
+        is_new = sender not in self._limits
+        limits = SenderLimits() if is_new else self._limits[sender]
+        if not limits.passes(OPINION, _SIZE, self._clock()):
+            self._drops.add("opinion:limit")
+            return
+        if is_new and len(self._limits) >= MAX_SENDERS:
+            self._drops.add("opinion:full")
+            return
+        # 2. The sender.
         if self._is_of_swarm(heard):
             self._drops.add("opinion:robot")
             return
@@ -78,29 +90,22 @@ class ForeignOpinions:
                     " opinions does not name are refused: this swarm is secured"
                 )
             return
-        sender = f"{PREFIX}{heard.name}"
-        limits = self._limits.get(sender)
-        if limits is None:
-            if len(self._limits) >= MAX_SENDERS:
-                self._drops.add("opinion:full")
-                return
-            limits = self._limits[sender] = SenderLimits()
+        if is_new:
+            self._limits[sender] = limits
             self._on_event(f"hears opinions of the ROS robot {heard.name}, not authenticated")
-        # 2. The opinion.
+        # 3. The opinion.
         channel = self._channel()
         if not 0 <= heard.opinion <= MAX_OPINION:
             self._drops.add("opinion:malformed")
-        elif not limits.passes(OPINION, _SIZE, self._clock()):
-            self._drops.add("opinion:limit")
         elif channel is not None:
             self._step(MessageInput(sender, channel, heard.opinion, is_program=True, size=_SIZE))
 
     def _is_of_swarm(self, heard: HeardOpinion) -> bool:
         """True if a robot of the swarm has this name (with `_` for `-`), or this number."""
-        for robot in self._robots():
-            number = _NUMBER.search(robot)
-            if heard.number is None and heard.name in (robot, _OTHER.sub("_", robot)):
-                return True
-            if heard.number is not None and number and int(number[0]) == heard.number:
-                return True
-        return False
+        if heard.number is not None:
+            end = str(heard.number)  # compared first, since `number_of` takes longer
+            return any(
+                robot.endswith(end) and number_of(robot) == heard.number for robot in self._robots()
+            )
+        name = heard.name.replace("-", "_")
+        return any(name == robot.replace("-", "_") for robot in self._robots())

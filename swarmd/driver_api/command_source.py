@@ -30,7 +30,7 @@ class DriverCommand:
 
     verb: Literal["run", "stop", "estop", "reset"]
     operator: str
-    """The operator in whose name the options of the driver let the command in"""
+    """The operator that the options of the driver name for its commands"""
     is_viewer: bool = False
     """The options declare a viewer, whose commands the daemon refuses"""
     source: str

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 from swarmd.driver_api.driver import Driver, unwrapped
+
+_NUMBER = re.compile(r"\d{1,9}$")
+
+
+def number_of(robot: str) -> int | None:
+    """The number at the end of a robot's name, which ROS2swarm's messages have; None without."""
+    digits = _NUMBER.search(robot)
+    return None if digits is None else int(digits[0])
 
 
 class HeardOpinion(NamedTuple):

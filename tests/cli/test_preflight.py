@@ -12,7 +12,6 @@ import pytest
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_fence,
-    _check_low_battery,
     _platform_text,
     check_daemon,
     check_patterns,
@@ -59,9 +58,11 @@ def test_what_was_not_measured_is_neither_well_nor_a_fault(
         "ok    scan        10 Hz",
         "2 checked, none failed, 1 not measured",
     ]
-    assert print_findings([well, unknown, Finding("cmd_vel", False, "no subscriber")]) == 1
+    fault = Finding("cmd_vel", False, "no subscriber", "start the base")
+    assert print_findings([well, unknown, fault]) == 1
     *lines, last = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["FAIL", "--", "ok"]  # faults first
+    assert lines[0].endswith("no subscriber; start the base")
     assert last == "3 checked, 1 failed, 1 not measured"
 
 
@@ -233,16 +234,26 @@ def test_the_fence_is_told_and_must_have_room_for_the_robot(tmp_path: Path) -> N
         ({"below": 0.25}, True, "below 0.25 the robot stands, until 0.35"),
         ({"below": 0.2, "pattern": "drive"}, True, "below 0.2 the robot runs drive, until 0.3"),
         ({"below": 0.2, "pattern": "driv"}, False, "did you mean 'drive'"),
+        ({"below": 0.2, "pattern": "drive", "params": {"sped": 0.1}}, False, "sped"),
+        ({"below": 0.2, "pattern": "drive", "params": {"speed": 99.0}}, False, "speed"),
     ],
 )
 def test_what_a_low_battery_does_is_told(
     tmp_path: Path, given: dict[str, object], is_well: bool, text: str
 ) -> None:
     settings = settings_of(tmp_path, json.dumps({"on_low_battery": given}))
-    (finding,) = _check_low_battery(settings)
-    assert finding.is_well is is_well
-    assert text in finding.text
+    (told,) = (row for row in check_patterns(settings) if row.subject == "low battery")
+    assert told.is_well is is_well
+    assert text in told.text
     assert "on_low_battery: {below: " in effective_config(settings)
+
+
+def test_a_check_goes_on_without_the_folder_of_patterns(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = {"on_low_battery": {"below": 0.2, "pattern": "drive"}, "plugin_dir": "absent"}
+    assert check_daemon(settings_of(tmp_path, json.dumps(given))) == 1
+    assert "FAIL  patterns" in capsys.readouterr().out
 
 
 def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:

@@ -189,3 +189,19 @@ async def test_a_stop_is_answered_once_the_base_rests() -> None:
     assert (reply.code, reply.is_moving) == (Code.APPLIED, False)
     assert len(rig.requests) > 2
     assert [entry.verb for entry in rig.entries] == ["run", "stop"]  # the copies are one request
+
+
+async def test_the_copies_of_an_emergency_stop_do_not_undo_a_reset() -> None:
+    rig = Rig(idle())
+    rig.advance(5.0)
+    rig.reply("run")
+    rig.advance(2.0)
+    replies = rig.replies("estop")
+    assert not replies  # the base still moves
+    rig.harness.ask("reset", ids=tuple(rig.harness.robot.latches))
+    async with asyncio.timeout(30.0):
+        while not replies:
+            rig.advance(0.1)
+            await asyncio.sleep(0.01)
+    assert replies[0].refusal is Refusal.OVERTAKEN
+    assert rig.harness.status.state is State.IDLE

@@ -51,6 +51,7 @@ NAMES = Path(__file__).with_name("public_names.txt")
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
+SOURCE = re.compile(r"`((?:swarmd|patterns|drivers|sim|config|studies|tests)/[\w/-]+\.\w+)`")
 STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -140,6 +141,11 @@ def test_links_lead_to_files_and_headings() -> None:
             if not file.exists() or (anchor and anchor not in anchors(file)):
                 wrong.append(f"{name_of(page)}: {to}#{anchor}")
     assert wrong == []
+
+
+def test_files_of_the_repository_that_a_page_names_exist() -> None:
+    named = [(page, file) for page in PAGES for file in SOURCE.findall(page.read_text())]
+    assert [f"{name_of(page)}: {file}" for page, file in named if not (ROOT / file).is_file()] == []
 
 
 def test_each_page_has_its_place_on_the_site() -> None:

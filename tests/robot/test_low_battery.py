@@ -94,6 +94,20 @@ def test_a_run_goes_on(given: LowBatterySettings | None, charge: float | None) -
     assert not harness.twist.is_zero
 
 
+def test_a_reading_before_a_lost_link_is_not_fresh_and_confirms_nothing_after_it() -> None:
+    harness = running()
+    charged(harness, 0.1, 0.5)
+    harness.step(DriverInput(False, "gone"))
+    harness.advance(0.5)
+    assert battery(harness).charge is None
+    harness.advance(WAIT)
+    harness.step(DriverInput(True, "there"))
+    charged(harness, 0.1, 0.5)
+    assert not battery(harness).is_low
+    charged(harness, 0.1)
+    assert battery(harness).is_low
+
+
 def test_a_low_battery_ends_the_run_and_is_told() -> None:
     harness = running()
     epoch = harness.epoch

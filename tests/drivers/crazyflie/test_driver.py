@@ -6,12 +6,14 @@ import asyncio
 import itertools
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.events import OdometryInput, ReadingsInput, ScanInput
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist, Value
@@ -195,6 +197,36 @@ def test_a_drone_that_is_not_armed_stays_on_the_ground_and_says_so() -> None:
         await flying(harness, drone)
 
     play(drone, story)
+
+
+@pytest.mark.parametrize(
+    ("firmware", "is_well", "part"),
+    [
+        ({}, True, "ready to fly"),
+        ({"is_armed": False}, True, "not armed"),
+        ({"faults": IS_TUMBLED}, False, "tumbled"),
+    ],
+)
+def test_a_check_says_whether_the_drone_can_fly(
+    firmware: dict[str, Any], is_well: bool, part: str
+) -> None:
+    drone = Drone()
+    for name, value in firmware.items():
+        setattr(drone.robots.firmware("cf"), name, value)
+
+    async def checked() -> Finding:
+        checking = asyncio.create_task(drone.make({}).check(30.0))
+        while not checking.done():
+            drone.publish()
+            await asyncio.sleep(0.05)
+        return next(row for row in checking.result() if row.subject == "supervisor")
+
+    try:
+        finding = asyncio.run(checked())
+    finally:
+        drone.close()
+    assert finding.is_well is is_well
+    assert part in finding.text
 
 
 def test_a_drone_flies_on_over_a_link_that_loses_and_delays() -> None:

@@ -50,6 +50,24 @@ def test_no_age_is_known_in_a_freeze_and_for_a_while_after_it(silence: float) ->
     assert age.bound(steady(age, now, thawed_at + SETTLE_TIME + 0.3)) is not None
 
 
+def test_after_a_short_freeze_a_request_may_be_as_old_as_the_freeze() -> None:
+    """Such a request waited in front of the hub, which answers the probes first."""
+    age, freeze = RequestAge(), 0.8 * MAX_AGE
+    frozen_at = steady(age, 0.0, SETTLE_TIME + 0.5)
+    thawed_at = frozen_at + freeze
+    for n in range(8):
+        age.answered(frozen_at + n * freeze / 8, thawed_at)
+    now = thawed_at
+    for later in (0.8 * SETTLE_TIME, SETTLE_TIME + 0.3):
+        bound = age.bound(now)
+        assert bound is not None
+        assert freeze <= bound <= freeze + 2 * PROBE_PERIOD + TRIP
+        now = steady(age, now, thawed_at + later)
+    bound = age.bound(now)
+    assert bound is not None
+    assert bound <= 2 * PROBE_PERIOD + 2 * TRIP
+
+
 def test_no_age_is_known_after_this_process_was_frozen() -> None:
     age = RequestAge()
     now = steady(age, 0.0, SETTLE_TIME + 0.5)

@@ -17,6 +17,7 @@ from swarmd.core.values import Value
 from swarmd.daemon.driver_commands import MAX_COMMAND_AGE
 from swarmd.driver_api.command_source import Answer, DriverCommand, command_source
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, read_options
+from swarmd.drivers.ros2.request_age import SETTLE_TIME
 from swarmd.drivers.ros2.services import CALL_BURST, CALL_RATE, MAX_MESSAGE
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
@@ -141,6 +142,22 @@ async def test_the_age_of_a_call_is_unknown_at_first(harness: DriverHarness, rob
     assert DOUBT in command.doubt
 
 
+@story(BridgedRobot, ZenohRobot, services=SERVICES)
+async def test_the_age_of_a_call_is_unknown_after_the_link_was_lost(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    """A probe without a hub ends at once, and is no answer."""
+    door = Door(harness)
+    await settled(harness, robot, door)
+    robot.disconnect()
+    await harness.until(lambda: not harness.sink.is_up)
+    await asyncio.sleep(SETTLE_TIME)
+    robot.reconnect()
+    while not door.commands:  # until the driver has a link again
+        await called(harness, robot, "swarmd/run/go")
+    assert door.commands[0].age is None
+
+
 @story(ZenohRobot, services=SERVICES)
 @pytest.mark.parametrize("stamped_ago", [30.0, -30.0])
 async def test_a_call_whose_stamp_is_far_off_has_no_age(
@@ -193,6 +210,17 @@ async def test_a_flood_of_calls_is_cut_and_delays_no_stop(
     assert CALL_BURST <= len(runs) < 150
 
 
+@story(BridgedRobot, ZenohRobot, services=SERVICES)
+async def test_a_flood_of_what_is_no_call_delays_no_stop(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    Door(harness)
+    calls = [Call(robot, "swarmd/stop", payload=b"stop") for _ in range(300)]
+    stop = Call(robot, "swarmd/stop")
+    await harness.until(lambda: all(call.has_ended for call in (*calls, stop)), publishing=True)
+    assert stop.answer().success
+
+
 @story(BridgedRobot, ZenohRobot)
 async def test_without_the_option_no_service_exists(harness: DriverHarness, robot: Robot) -> None:
     assert command_source(harness.driver) is None
@@ -208,6 +236,7 @@ async def test_without_the_option_no_service_exists(harness: DriverHarness, robo
         ({"runs": {"go on": {"pattern": "drive"}}}, "go on"),
         ({"runs": {"go": {"pattern": "drive", "sconds": 1.0}}}, "sconds"),
         ({"runs": {"go": {"pattern": "drive", "seconds": -1.0}}}, "seconds"),
+        ({"runs": {"go": {"pattern": "drive", "until": ["nearr 1"]}}}, "services.runs.go.until"),
         ({"reset": "some"}, "services.reset"),
     ],
 )
