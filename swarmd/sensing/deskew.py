@@ -104,8 +104,8 @@ class Deskewer:
     _stale_after: cython.double
     _measured_sweep: object
     _history: OdometryHistory
-    _limits: cython.double[::1]  # of `move_rays`
-    _sector_args: cython.double[::1]  # of `rays_in_sector`
+    _limits: cython.double[::1]  # m: x, y of the sensor in the base frame, range_min, range_max
+    _sector_args: cython.double[::1]  # rad: `sector` of `rays_in_sector`: start, direction, width
     # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
     _bearings_of_scan: object
     _ages_of_scan: object
@@ -265,7 +265,8 @@ class Deskewer:
     ) -> cython.Py_ssize_t:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
-        Sets distances, angles and ages of these rays, and behind them the ages of this scan.
+        Sets distances, angles and ages of these rays. Behind them, sets the ages of this scan;
+        the caller then sets the distances and angles there by `move_rays`, which needs no ages.
         `set_motion` of the history must have been called for the motion between the scans.
 
         `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both
@@ -273,7 +274,9 @@ class Deskewer:
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # Begin, direction and width of the sector. It begins half a ray before the oldest ray.
+        # `_oldest` is the bearing of the oldest ray as measured. De-skew moves this ray by
+        # `unmeasured` in the direction of the sweep, away from the newest ray, which stays. The
+        # sector lies in between: from half a ray before `_oldest`, in the direction of the sweep.
         self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
         count: cython.Py_ssize_t = rays_in_sector(

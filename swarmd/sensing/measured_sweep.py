@@ -144,7 +144,7 @@ class _ScanAtPose:
         self.x, self.y = sensor.x, sensor.y
         self.yaw = sensor.yaw
         known = np.flatnonzero(scan.ranges >= scan.range_min)
-        self._known = known if layout.step > 0.0 else known[::-1]
+        self._known = known if layout.step > 0.0 else known[::-1]  # by rising bearing
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
 
     def cells(self, x: float, y: float) -> Array:
@@ -229,10 +229,11 @@ class MeasuredSweep:
         self._reason = ""
 
     def ages(self, scan: Scan) -> Array:
-        """(n,) s by which each ray is older than the newest ray; the same object for equal scans.
+        """(n,) s by which each ray is older than the newest ray.
 
-        While the order is not known, ages count from the mean ray instead: each ray gets half of
-        the duration of a scan, the most by which it can be older.
+        While the order is not known, all rays get the same age: half of the duration of a scan,
+        the most by which a ray can be older than the mean ray. The array stays the same object
+        until the layout of the rays or the order changes.
         """
         self._update_layout(scan)
         if self._ages is None:
@@ -260,7 +261,8 @@ class MeasuredSweep:
             base: the pose of the base when the scan arrived.
         """
         # 1. Skips scans that show nothing new: unusable rays, rays that are all measured at once (a
-        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest.
+        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest
+        # (after half of _MAX_SCAN_PERIOD a repeat is stored, so that a later turn has a partner).
         layout = self._update_layout(scan)
         half = 0.5 * self._longest_scan()  # s from the mean ray to the oldest and the newest ray
         self._scan_count += 1

@@ -108,7 +108,7 @@ class RayMemory:
     _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
     _rising: cython.double[::1]
     _place: cython.longlong[::1]
-    # The memory by the place of a ray plus `_turned`: to turn the memory, only `_turned` changes.
+    # The memory by the place of a ray plus `_shift`: to turn the memory, only `_shift` changes.
     _ranges: cython.double[::1]
     _seen_at: cython.double[::1]
     _near_at: cython.double[::1]
@@ -182,7 +182,7 @@ class RayMemory:
         if unknown_count == 0:
             return True
         self.known_at = self._lost_since(now)
-        # The memory leaves a number of rays unknown. A sector too wide to bridge: an invalid scan.
+        # Neighbours fill the rays that the memory leaves unknown. False: a sector is too wide.
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
     @cython.cfunc
@@ -273,7 +273,7 @@ class RayMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
-        """Replace the bearings; each ray gets the memory of the nearest of the rays before.
+        """Replace the bearings; each ray gets the memory of the nearest of the old rays.
 
         `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
         whether they are even (a ray at each `_step` of a full turn), and in which direction

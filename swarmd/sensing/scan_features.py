@@ -95,7 +95,7 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     if not is_seen:
         return np.empty((0, 2))
 
-    # 2. A point for each local minimum, else for each nearest sector.
+    # 2. A point for each local minimum (a sector needs two neighbours), else the nearest sectors.
     point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
     if point_count == 0:
         point_count = _store_nearest_sectors(layout, count)
