@@ -349,7 +349,7 @@ class _Brake:
         if len(stop.steps) < _MIN_STOP_READINGS:
             return False
 
-        # 1. Fits the model base for each share of the declared braking.
+        # 1. Fits the model of the base for each share of the declared braking.
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
@@ -366,7 +366,8 @@ class _Brake:
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
         # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND: half of the
-        # difference of their misfits, which are chi-squares in units of the variance.
+        # difference of their misfits, which are chi-squares in units of the variance (the greater
+        # of the pooled variance and that of this stop, so that a noisy stop counts less).
         misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
         log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
@@ -425,10 +426,10 @@ class _Brake:
 
 
 def _misfits(stop: _Stop, commands: list, declared: float):
-    """Fit a model base to the readings of a stop, for each share in _SHARES.
+    """Fit a model of the base to the readings of a stop, for each share in _SHARES.
 
-    The model base responds to its command after a delay, accelerates at once, and brakes evenly.
-    The delay, and the scale of the speeds, are free.
+    The model responds to its command after a delay, accelerates at once, and brakes evenly. The
+    delay, and the scale of the speeds, are free.
 
     `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
     fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
@@ -488,7 +489,7 @@ def _weighted_residuals(
     brakings: cython.double[::1],
     total: cython.double,
 ):
-    """The weighted sums of squared residuals of the model base, and the delays that fit best.
+    """The weighted sums of squared residuals of the model of the base, and the best delays.
 
     (2, s), for each braking of `brakings` (s,): the sum, and the delay in s. The delay is the best
     of a coarse grid, then of a fine grid around the best coarse delay.
@@ -496,8 +497,9 @@ def _weighted_residuals(
     Args:
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
         stamps: (m,) s, since when each command holds; the first is -inf.
-        speeds: (m,) the speed of each command.
-        brakings: (s,) m/s2 or rad/s2 for speeds by commands, see `_misfits`.
+        speeds: (m,) the speed of each command; the first is 0.
+        brakings: (s,) m/s2 or rad/s2, in the scale of commanded speeds, to which `_misfits`
+            converts the measured scale of odometry.
         total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
@@ -515,7 +517,8 @@ def _weighted_residuals(
     for j in range(len(brakings)):
         braking: cython.double = brakings[j]
 
-        # 1. The speed of the model at each command.
+        # 1. The speed of the model at the stamp of each command. Entry 0 of `speeds` is standstill
+        # since ever, so the model stands at command 0 and, still, at the stamp of command 1.
         for k in range(2, count):
             braked_speed: cython.double = model_speeds[k - 1] - braking * (
                 stamps[k] - stamps[k - 1]
@@ -539,9 +542,11 @@ def _weighted_residuals(
             model_sum: cython.double = 0.0
             command = 0
             for i in range(len(periods)):
+                period_begin: cython.double = periods[i, 0]
+                duration: cython.double = periods[i, 1]
                 speed_sum: cython.double = 0.0
                 for part in range(2):  # the speeds at a quarter and three quarters of the period
-                    stamp: cython.double = periods[i, 0] + parts[part] * periods[i, 1] - delay
+                    stamp: cython.double = period_begin + parts[part] * duration - delay
                     while command + 1 < count and stamps[command + 1] <= stamp:
                         command += 1
                     while stamps[command] > stamp:
@@ -549,9 +554,9 @@ def _weighted_residuals(
                     speed_sum += max(
                         speeds[command], model_speeds[command] - braking * (stamp - stamps[command])
                     )
-                modelled: cython.double = 0.5 * speed_sum * periods[i, 1]
-                cross_sum += modelled * periods[i, 2]
-                model_sum += modelled * modelled * periods[i, 3]
+                modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
+                cross_sum += modelled * periods[i, 2]  # times the weighted distance
+                model_sum += modelled * modelled * periods[i, 3]  # times the weight
             # The scale of the model is that of least squares: odometry and base may be off by a few
             # percent.
             residual: cython.double = total - cross_sum * cross_sum / max(model_sum, 1e-12)
@@ -775,7 +780,7 @@ class AssumptionMonitor:
         if speed - _STANDARD_DEVIATIONS * spread < _CLEARLY_FASTER * assumed:
             return ""
 
-        # 4. Counts the approach; of two approaches, the slower speed is the evidence.
+        # 4. Counts the approach. At least two were as fast as the second fastest: the evidence.
         while self._approaches and stamp - self._approaches[0][0] > _MAX_APART:
             self._approaches.popleft()
         self._approaches.append((stamp, speed, spread))

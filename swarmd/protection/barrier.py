@@ -265,7 +265,7 @@ class Barrier:
             return self._decision if self._is_limited else _decided(requested, False)
 
         # 4. Limits the request.
-        self._is_decided = False
+        self._is_decided = False  # nothing to repeat until `_judge` has set `_speeds`
         self._asked.linear, self._asked.angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True

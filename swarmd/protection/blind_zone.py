@@ -343,7 +343,8 @@ class BlindZoneMemory:
             return  # the usual case: no obstacle is near, was near or is hidden
         if scan.bearings is not self._given_bearings:
             self._set_bearings(scan.bearings)
-        # 3. Ranges in the order of rising bearings, and the near points in the base frame.
+        # 3. Ranges in the order of rising bearings, and the near points in the base frame. A range
+        # of -inf (too close to measure) gives no point: such a ray counts as empty.
         ray_count: cython.Py_ssize_t = self._ray_count
         range_min: cython.double = scan.range_min
         sensor_x: cython.double = geometry.offset[0]
@@ -358,7 +359,7 @@ class BlindZoneMemory:
                 self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
                 self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
                 self._point_count += 1
-        # 4. Finds what is hidden now.
+        # 4. Finds what is hidden now. Only driven m count as leaving, but the frame turns anyway.
         self._leave(driven.x, driven.y, moved.yaw)
         self._find(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
         # 5. Stores the empty rays for the next scan.
@@ -685,6 +686,7 @@ class BlindZoneMemory:
         # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
         # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
         # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
+        # The candidates behind `_hidden_count` vanished just now, so they have not reappeared.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)

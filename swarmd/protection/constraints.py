@@ -326,7 +326,8 @@ class Constraints:
             # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
             chunk.count = in_chunk
             self._add_chunk(first_placed, assumptions.blind_radius)
-            # Contacts forbid all motion towards them anyway (`_add_contacts`).
+            # The corners skip the contacts, which come first: contacts forbid all motion towards
+            # them anyway (`_add_contacts`).
             if assumptions.unseen_extent > 0.0:
                 self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
             if assumptions.has_keep_out():
@@ -388,12 +389,12 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
-        """Place the points of the chunk (up to 64), and add their constraints.
+        """Copy the points of the chunk (up to 64) to `placed`, and add their constraints.
 
-        The points become the placed points from `first` on. `blind` in m is the radius of the
-        lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
-        nearest place of the outline; then those for obstacles that approach from the side or are
-        passed sideways.
+        `first` is the index in `placed` of the first point. `blind` in m is the radius of the
+        lidar's blind zone; 0 for discs. One constraint for each point comes first: it limits the
+        speed at which the nearest place of the robot's outline closes on the point. Then come the
+        constraints of `_add_approaching` and `_add_sides`, for obstacles beside the robot.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -439,7 +440,7 @@ class Constraints:
         for j in range(count):
             row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
             row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
-        # 3. Stores the points, then adds the constraints against approach from the side.
+        # 3. Stores the points, then adds the constraints for obstacles beside the robot.
         self.placed.place(chunk, first, rows)
         rows.count = first_row + count
         self._add_approaching(first)
@@ -572,7 +573,7 @@ class Constraints:
         row_cap: cython.p_double = checked(rows.cap, row + count)
         row_gap: cython.p_double = checked(rows.gap, row + count)
         for j in range(count):
-            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:
+            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:  # no wall that stands
                 # m, then m/s: half of the gap, used up when the next command takes effect
                 allowed: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 allowed /= chunk.age[j] + DECISION_PERIOD

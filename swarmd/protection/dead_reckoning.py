@@ -350,7 +350,8 @@ class ScanMotion:
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
-        # 2. Where the scan was measured by odometry, and the motion since the scan before.
+        # 2. Where the scan was measured by odometry, and the motion since the scan before. An `age`
+        # above 0 is that of remembered rays: the pose is that of the rays that just arrived.
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
         reckoning: DeadReckoning = self._reckoning
@@ -379,9 +380,8 @@ class ScanMotion:
         sin_chord: cython.double = sin(chord_angle)
         x: cython.double = self.moved.x
         y: cython.double = self.moved.y
-        seconds: cython.double = min(
-            self.seconds, self._assumptions.longest_scan_age
-        )  # a hold follows
+        # A longer time between two scans holds the robot, so no command explains more.
+        seconds: cython.double = min(self.seconds, self._assumptions.longest_scan_age)
         ahead: cython.double = self.ahead.explained(cos_chord * x + sin_chord * y, seconds)
         left: cython.double = self.left.explained(cos_chord * y - sin_chord * x, seconds)
         return Pose(

@@ -234,8 +234,8 @@ class Fence:
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
         # 3. The bound of the error. Odometry is off by a share of the way, and across the way by
-        # the error of its heading, a share of the rad turned. The base may change its speed at any
-        # rate.
+        # the error of its heading, a share of the rad turned. The base may have changed its speed
+        # at once or not at all: the place is off by the whole `change` for `seconds`.
         change = math.hypot(twist.linear - command.linear, twist.lateral - command.lateral)
         error = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
         error += ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way

@@ -161,6 +161,7 @@ class _Axis:
         # Goes back if the period has grown.
         while self._held > self._first and self._stamps[self._held] > response:
             self._held -= 1
+        # Drops commands that ended before the window, up to the command of the slow base.
         while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
             self._first += 1
         step: cython.double = self._acceleration * period

@@ -154,7 +154,7 @@ class _ScanReturns:
         bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is not above that before
+        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
         begin: cython.Py_ssize_t = 0  # the last of these returns
         before: cython.double = 0.0
         first: cython.double = 0.0

@@ -343,10 +343,10 @@ class Tracker:
 
     _offset_x: cython.double
     _offset_y: cython.double
-    _latency: cython.double
-    _fastest: cython.double
-    _widest: cython.double
-    _spacing: cython.double
+    _latency: cython.double  # s, of the platform
+    _fastest: cython.double  # m/s, of an object
+    _widest: cython.double  # m, of an object that is no wall
+    _spacing: cython.double  # rad between two rays
     _history: object  # readings of odometry
     _latest: object  # of them; None without one
     _filters: list
