@@ -511,7 +511,7 @@ class BlindZoneMemory:
         if not (self._candidate_count or is_entered):
             self._keep(0)
             return
-        if self._candidate_count > self._hidden_count or is_entered:
+        if self._candidate_count > self._hidden_count or is_entered:  # rule 4 counts from here
             self._entered_x = self._entered_y = 0.0
         # 3. Gives each candidate a ray, extends obstacles over their sectors, and stores the rays.
         self._place(turned, obstacle_step)
@@ -592,6 +592,8 @@ class BlindZoneMemory:
             self._range, ray_count, self._radius, (first + width) % ray_count, 1, is_flat
         ):
             self._crossings[k] += 1
+        # The corner lies on the middle line of the sector, its two sides at 45 degrees to this
+        # line; in a sector wider than 90 degrees the corner may reach the sensor: 0.
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
         return 0

@@ -213,7 +213,7 @@ class StopCheck:
             return 0
 
         # 2. Returns if the stop from the requested speeds stays clear.
-        self._forbidding = 0
+        self._forbidding = 0  # an index of the new points
         if self._is_clear(linear, angular):
             return 0
 

@@ -179,6 +179,7 @@ class ScanConditioner:
         None also after a restart of the sensor: _RESTART_SCANS scans in a row whose sequence
         numbers and stamps rise again. The class lists the reasons.
         """
+        # Newer than the last scan; a number above all numbers so far.
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
         has_same_stamp: cython.bint = stamp == self._last_stamp
         is_new_message: cython.bint = seq > self._newest_seq

@@ -164,12 +164,13 @@ class Deskewer:
 
         # 2. Moves the rays to the stamp of the newest ray. `latest + age` is `now` on the clock of
         # odometry: the last stamp, and the time since its reading arrived.
-        newest_age: cython.double = self._newest_age + delay
+        # The scan states the age of its newest ray without the measured `delay`.
+        delayed_age: cython.double = self._newest_age + delay
         moved = None
         if odometry_age is not None:
             age: cython.double = odometry_age
-            newest_stamp: cython.double = self._history.latest + age - newest_age
-            moved = self._move_scan_rays(ranges, newest_stamp, now - newest_age - self._last_at)
+            newest_stamp: cython.double = self._history.latest + age - delayed_age
+            moved = self._move_scan_rays(ranges, newest_stamp, now - delayed_age - self._last_at)
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
         if moved is None:
@@ -178,7 +179,7 @@ class Deskewer:
         else:
             result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
             self._filled_count = len(result.ranges) - len(ranges)
-        self._last_scan, self._last_at = result, now - newest_age
+        self._last_scan, self._last_at = result, now - delayed_age
         return result
 
     @cython.cfunc
@@ -212,7 +213,8 @@ class Deskewer:
         # end of the path has yaw 0. The last row has the begin of the scan, so its yaw is minus the
         # turn of the robot during the scan.
         unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
-        is_filled: cython.bint = unmeasured > 0.5 * self._spacing  # half the angle between two rays
+        # A sector below half the angle between two rays lacks no ray.
+        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
         if is_filled and not self._can_fill(stamp, seconds):
             return None
 

@@ -277,7 +277,8 @@ class MeasuredSweep:
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
         stored, skew = self._stored_scans, end_yaw - begin_yaw
         turned = abs(yaw - stored[-1].yaw) if stored else math.inf
-        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)  # rad since the last pair
+        # rad since the last pair; a jump of the heading counts as _MAX_TURN at most.
+        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
         self._yaw = yaw
         age_of_last = time - stored[-1].at if stored else 0.0
         is_last_fresh = 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD

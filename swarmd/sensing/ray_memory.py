@@ -292,8 +292,8 @@ class RayMemory:
         self._rising = memoryview(values[order] % TURN)
         self._place = memoryview(np.argsort(order))  # of each ray in `order`, its inverse
         if count > 1:
-            last = math.remainder(values[count - 1] - values[count - 2], TURN)
-            self._direction = math.copysign(1.0, last)
+            last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
+            self._direction = math.copysign(1.0, last_step)
         self._is_even = fabs(count * step - TURN) < _MAX_TURN_ERROR * step
         for i in range(count):
             if fabs(self._rising[i] - self._rising[0] - i * step) > _MAX_UNEVENNESS * step:

@@ -193,7 +193,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         if start == 0 and is_last[i]:
             start = i + 1
     # Starts behind a break, so that no object spans the end of the arrays. Without any break
-    # (`is_whole`) all rays are a single object, which ends with the last ray.
+    # (`is_whole`) all rays are a single object, as if a break followed ray 0.
     is_whole: cython.bint = start == 0
     if is_whole:
         start = 1
