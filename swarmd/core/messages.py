@@ -325,8 +325,8 @@ class BatterySummary(Struct, frozen=True, kw_only=True):
     """The battery of a robot with the settings `on_low_battery`.
 
     `charge`: a share; None without a fresh reading. `below`: the bound of a low battery. `is_low`
-    ends at a higher charge. `pattern`: runs then; None: the robot stands. `runs`: the present run
-    is that run.
+    ends at a higher charge. `pattern`: what the robot runs while the battery is low; None: the
+    robot stands. `runs`: the present run is this run.
     """
 
     charge: float | None

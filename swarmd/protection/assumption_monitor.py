@@ -498,8 +498,7 @@ def _weighted_residuals(
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
         stamps: (m,) s, since when each command holds; the first is -inf.
         speeds: (m,) the speed of each command; the first is 0.
-        brakings: (s,) m/s2 or rad/s2, in the scale of commanded speeds, to which `_misfits`
-            converts the measured scale of odometry.
+        brakings: (s,) m/s2 or rad/s2, in the scale of the commanded speeds.
         total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
@@ -536,8 +535,7 @@ def _weighted_residuals(
                 coarse[k] if k < len(coarse) else best_coarse + fine[k - len(coarse)]
             )
 
-            # Compares the model at this delay with all periods. `command` is the index of the
-            # command that holds at the stamp, searched from that of the stamp before.
+            # Compares the model with all periods. `command`: the index of the command that holds.
             cross_sum: cython.double = 0.0
             model_sum: cython.double = 0.0
             command = 0
@@ -557,8 +555,7 @@ def _weighted_residuals(
                 modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
                 cross_sum += modelled * periods[i, 2]  # times the weighted distance
                 model_sum += modelled * modelled * periods[i, 3]  # times the weight
-            # The scale of the model is that of least squares: odometry and base may be off by a few
-            # percent.
+            # The scale of the model is free, as odometry and base may be off by a few percent.
             residual: cython.double = total - cross_sum * cross_sum / max(model_sum, 1e-12)
             if residual < result[0, j]:
                 result[0, j], best_delay = residual, delay
@@ -722,7 +719,7 @@ class AssumptionMonitor:
             self._travel_first = self._travel_end = 0
             self._gaps.clear()
             return ""
-        if end == begin or begin == -math.inf:
+        if end == begin or begin == -math.inf:  # the same or the first reading: no period
             return ""
 
         # 2. The travel of the outermost corner, for the speed of approaching objects.

@@ -215,7 +215,7 @@ def _crosses_rim(
             break
         far_range = next_range
         face_rays += 1
-    # 2. Extrapolates the face by one ray into the sector.
+    # 2. Extrapolates the face, which at least 3 rays must show, by one ray into the sector.
     approach: cython.double = far_range - edge_range
     if face_rays < 3 or approach < _MIN_APPROACH:
         return False
@@ -392,9 +392,9 @@ class BlindZoneMemory:
     def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
         """Order the rays by rising angles; False if this takes more than 8 moves per ray.
 
-        `values` (n,) in rad are the bearings of the scan. Sets `_order` and `_rising`. The angles
-        of most sensors rise or fall from the lowest angle on, with few exceptions, so a stable
-        insertion sort that begins there is fast.
+        `values` (n,) in rad are the bearings of the scan; `_turned_angle` has them within a turn.
+        Sets `_order` and `_rising`. From the lowest angle on the angles of most sensors rise, with
+        few exceptions, along or against the index, so a stable insertion sort is fast.
         """
         ray_count: cython.Py_ssize_t = self._ray_count
         lowest: cython.Py_ssize_t = 0

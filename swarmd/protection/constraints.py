@@ -632,7 +632,8 @@ class Constraints:
                 continue  # the cap is 0 already, or there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
-            # m/s that the side constraints will then allow in their directions (see `_add_side`)
+            # m/s that the side constraints will then allow in their directions: by `_add_side` at
+            # the gap free + others_speed * age, at which the cap is 0
             side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then

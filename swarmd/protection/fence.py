@@ -141,7 +141,8 @@ class Fence:
         if self._room(pose) > most:
             return requested
 
-        # 2. The request, and then its shares, the nearest first.
+        # 2. The request, else the nearest permitted share. The distance of a share from the request
+        # counts in linear and angular speed, each over its limit.
         limits, shares = self._limits, self._even if is_even else self._shares
         index = _kernel.nearest_permitted(
             self._edges,

@@ -226,7 +226,7 @@ class _Stops:
             room: cython.double = _clearance(
                 self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
             )
-            off: cython.double = self.turn_error * way
+            off: cython.double = self.turn_error * way  # m, by an error of the direction
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
             if not is_clear and (
                 room < self.present + off - _ROUNDING or room < before - _ROUNDING

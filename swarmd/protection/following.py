@@ -192,6 +192,7 @@ class _Axis:
         )
         measured: cython.double = by_pose if is_nearer else by_twist
         is_outside: cython.bint = not low - tolerance <= measured <= high + tolerance
+        # In the first WINDOW s the base may follow commands from before the comparison.
         if not is_outside or stamp - self._begun_at < WINDOW:
             self._follow()
             return

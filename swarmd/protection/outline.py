@@ -159,7 +159,7 @@ class Outline:
             elif along_edge > self.length[k]:
                 beyond_end = along_edge - self.length[k]
             square: cython.double = beyond_end * beyond_end + above_edge * above_edge
-            if square < least_square or square != square:
+            if square < least_square or square != square:  # a NaN of the point stays
                 least_square = square
         return 0.0 if least_square == INFINITY else sqrt(least_square)
 
@@ -317,7 +317,8 @@ class Outline:
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around
         the lidar. So the return with the least range need not be the return nearest to the outline.
-        The result is -inf if no return is measured, or if one is too close to measure.
+        The result is -inf if no return is measured, or if one is too close to measure: the gap is
+        then None or 0, whatever the ranges.
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

@@ -190,7 +190,7 @@ class Recovery:
                     self._request = self._through_passage(requested, safe, points)
                 return self._request
             if self._should_wait(context, points()):
-                return self._request
+                return self._request  # unchanged; the next block must last for a longer `_patience`
             self._start(pattern_request, context, points())
             is_blocked = False  # the block was that of the request, not of the recovery's state
 

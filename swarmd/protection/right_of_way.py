@@ -359,6 +359,7 @@ class RightOfWay:
         if requested.is_zero:
             self._release()
             return requested
+        # m/s, the fastest that was requested so far.
         self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
         self._wanted_yaw = self._requested_yaw(requested, pose.yaw)
 
@@ -609,7 +610,7 @@ class RightOfWay:
         `safe_for` gives the command that protection would make of any command.
         """
         match self.state:
-            case WayState.BACK:  # backwards along the axis
+            case WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
                 behind = math.atan2(-place.side, -_BACK_AIM) + math.pi - place.heading
                 turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
                 return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)

@@ -85,8 +85,9 @@ def line_of(
     dy: cython.double
     change_x: cython.double
     change_y: cython.double
-    # Projects the velocity on the cap, else on the nearer leg of the cone. `change` in m/s leads
-    # from the relative velocity to the border. To the left of the border (dx, dy) is permitted.
+    # Projects the velocity on the cap, else on the nearer leg of the cone. The cap is nearest if
+    # `from_cap`, from the centre of the cap to the velocity, leads back beyond both legs. `change`
+    # in m/s leads from the relative velocity to the border, left of which (dx, dy) is permitted.
     if along < 0.0 and along * along > radius * radius * length * length:
         nx: cython.double = from_cap_x / max(length, _EPSILON)
         ny: cython.double = from_cap_y / max(length, _EPSILON)
