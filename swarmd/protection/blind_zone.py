@@ -192,11 +192,12 @@ def _crosses_rim(
     direction: cython.Py_ssize_t,
     is_flat: cython.bint,
 ) -> cython.bint:
-    """True if an obstacle beside an empty sector crosses the rim (at `radius` m) into the sector.
+    """True if an obstacle beside an empty sector crosses the rim into the sector.
 
-    At the ends of a narrow sector (`is_flat`) the range along a face hardly changes from ray to
-    ray, so the range at the ray beside the sector must be near the rim. In a wide sector the ranges
-    must fall towards the sector, so that the extrapolated face lies within the rim one ray further.
+    The rim is the circle of `radius` m around the sensor, which sees nothing nearer. At the ends of
+    a narrow sector (`is_flat`) the range along a face hardly changes from ray to ray, so the range
+    at the ray beside the sector must be near the rim. In a wide sector the ranges must fall towards
+    the sector, so that the extrapolated face lies within the rim one ray further.
 
     `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index away
     from the sector.

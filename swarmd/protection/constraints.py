@@ -181,7 +181,7 @@ class PlacedPoints:
     @cython.cfunc
     @cython.exceptval(-1)
     def place(self, chunk: Chunk, first: cython.Py_ssize_t, rows: ConstraintRows) -> cython.int:
-        """Copy the points of a chunk to the placed points from `first` on.
+        """Copy the points of a chunk to the arrays here, from index `first` on.
 
         `contact` of a point is the gap within which the obstacle may touch the robot: the free
         distance, and the part of the gap that the blind zone hides. Links each point to its first
@@ -367,7 +367,7 @@ class Constraints:
         age: cython.double,
         moved: cython.double,
     ) -> cython.int:
-        """Add the constraints of a disc in which an obstacle is, as placed point `point`.
+        """Add the constraints of a disc in which an obstacle is; `point`: its index in `placed`.
 
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
         distance that must stay free around the centre.
@@ -550,7 +550,7 @@ class Constraints:
 
         `_add_sides` has stored for each of the first `count` points of the chunk: the side
         direction (`edge_x`, `edge_y`), and the lever of the foremost corner in this direction
-        (`greatest_height`). The chunk's first point is placed point `first`.
+        (`greatest_height`). `first` is the index in `placed` of the chunk's first point.
 
         The corner may use half of the gap that is left after the free distance and the hidden part
         of the obstacle, until the next decision. `side_reserve` is subtracted from this speed for
@@ -601,8 +601,8 @@ class Constraints:
 
         The function adds at most two constraints: the strictest limit ahead and the strictest limit
         back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
-        and the stop check (stopping.py) covers corners that swing outwards. The chunk's first point
-        is placed point `first`.
+        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index in
+        `placed` of the chunk's first point.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -661,8 +661,8 @@ class Constraints:
 
         An obstacle may extend beyond the part that the scan shows (`unseen_extent`), so a corner
         that swings past the point can touch it, too. The points are those of the chunk from `begin`
-        on. The first point of the chunk is placed point `first`. A point is near if its gap is
-        within twice the free distance plus the way of the obstacle until the next decision: from
+        on; `first` is the index in `placed` of the chunk's first point. A point is near if its gap
+        is within twice the free distance plus the way of the obstacle until the next decision: from
         farther away, more than the free distance is left then to brake in. The last points that are
         not near are skipped.
         """
@@ -755,8 +755,8 @@ class Constraints:
         """Add a constraint for each point of the chunk that keeps a circle around the lidar free.
 
         The circle of `keep_out` m covers the blind zone of the lidar. Two robots that both use this
-        constraint each use at most half of the distance to the circle. The first point of the chunk
-        is placed point `first`.
+        constraint each use at most half of the distance to the circle. `first` is the index in
+        `placed` of the chunk's first point.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk

@@ -4,7 +4,8 @@ The pose of the robot in the shared frame comes as an `Anchor`: a measured pose,
 that time. The fence dead-reckons the pose at which the next command takes effect, and simulates
 stops from the command. A command is permitted if the outline keeps, at each step of each stop, the
 clearance that errors and margin need. A robot that is nearer to the fence than that, or outside,
-may only drive inwards: the clearance must rise at each step. Zero is always permitted.
+may only drive inwards: the clearance falls at no step, and exceeds the clearance at the begin by
+what an error of the direction can feign. Zero is always permitted.
 
 A circle around the axle that holds the outline stands for the outline. So a robot can turn at the
 fence, and does not stay there.

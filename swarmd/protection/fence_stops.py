@@ -164,7 +164,7 @@ class _Stops:
         """True if all stops from a command are inside.
 
         The stops: from the command with both brakes as weak as assumed, and with either brake
-        ideal, since the path bends otherwise if a brake is stronger; and from the speeds of the
+        ideal, since the path bends differently if one brake is stronger; and from the speeds of the
         base, which need not have reached the command.
         """
         b: cython.double = self.braking

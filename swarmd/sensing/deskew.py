@@ -5,9 +5,9 @@ motion between each ray and the newest ray. Each return is moved by this motion,
 would see the return at the time of the newest ray (motion distortion correction: Zhang and Singh,
 "LOAM: Lidar odometry and mapping in real-time", RSS 2014).
 
-If the robot turns against the sensor, each scan leaves a sector unmeasured; rays of the scan before
-fill this sector. If the robot turns with the sensor, a sector is measured twice, and both
-measurements stay.
+If the robot turns against the direction in which the sensor turns, each scan leaves a sector
+unmeasured; rays of the scan before fill this sector. If both turn in the same direction, a sector
+is measured twice, and both measurements stay.
 """
 
 from __future__ import annotations
@@ -268,7 +268,7 @@ class Deskewer:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
         Sets distances, angles and ages of these rays. Behind them, sets the ages of this scan;
-        the caller then sets the distances and angles there by `move_rays`, which needs no ages.
+        the caller then sets the distances and angles there by `move_rays`, which sets no ages.
         `set_motion` of the history must have been called for the motion between the scans.
 
         `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both

@@ -63,7 +63,8 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """The closest points of a scan: (p, 2) range in m and bearing in rad.
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
-    whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
+    whose range is a local minimum among the sectors. Without a local minimum, the points are the
+    nearest rays of the sectors with the least range.
     Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
     """
     if count < 1:  # C ends the process where it divides by zero
