@@ -349,11 +349,11 @@ class _Brake:
         if len(stop.steps) < _MIN_STOP_READINGS:
             return False
 
-        # 1. Fits the model of the base for each share of the declared braking.
+        # 1. Fits the model of the base for each share of the braking assumed so far.
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
-        # With the mean time between two readings of the stop.
+        # The second argument: the mean time between two readings of the stop.
         self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps))
 
         # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
@@ -412,6 +412,7 @@ class _Brake:
             max(optimum, float(slowness[neighbours].min())), float(slowness[neighbours].max())
         )
         slowness_deviation = 1.0 / math.sqrt(max(float(curvature), 1e-6))
+        # The shares are of the braking assumed so far. `_begin` forgets the stops of the test.
         previous, stops = self.braking, self._stop_count
         measured = previous / optimum
         spread = measured * slowness_deviation / optimum
@@ -425,7 +426,7 @@ class _Brake:
         return True
 
 
-def _misfits(stop: _Stop, commands: list, declared: float):
+def _misfits(stop: _Stop, commands: list, full_braking: float):
     """Fit a model of the base to the readings of a stop, for each share in _SHARES.
 
     The model responds to its command after a delay, accelerates at once, and brakes evenly. The
@@ -433,7 +434,8 @@ def _misfits(stop: _Stop, commands: list, declared: float):
 
     `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
     fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
-    `declared`: m/s2 or rad/s2, the declared braking; the fit tries the shares of this braking.
+    `full_braking`: m/s2 or rad/s2, of which the fit tries the shares: as declared, or as measured
+    in an earlier violation.
 
     Returns:
         (s,) sums of squared residuals, each relative to the squared distance of its period. The
@@ -464,9 +466,9 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
     stamps = _view(np.concatenate(([-np.inf], stamps)))
     speeds = _view(np.concatenate(([0.0], speeds)))
-    # The declared braking holds for speeds by odometry. The model has speeds by commands, which
-    # differ from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
-    brakings = _view(_SHARES * declared * stop.begin_speed / cruise_speed)
+    # `full_braking` holds for speeds by odometry. The model has speeds by commands, which differ
+    # from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
+    brakings = _view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )

@@ -172,8 +172,8 @@ class Barrier:
 
         The time of a scan is the time of its newest ray; a scan with a sector that conditioning
         filled with remembered rays has the age of those rays. If a scan is not newer than the scan
-        before, only `min_gap` is set, and the obstacles of the scan before stay: they are moved by
-        odometry, which remembered rays are not.
+        before, only `min_gap` is set, and the obstacles of the scan before stay: odometry moves
+        these obstacles on, but does not move remembered rays.
 
         `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
         time, the age of the scan, and odometry.

@@ -377,10 +377,10 @@ class Constraints:
         odometry.
         """
         chunk: Chunk = self._chunk
-        least: cython.double = self._assumptions.margin + radius
+        free: cython.double = self._assumptions.margin + radius
         chunk.count = 1
         chunk.x[0], chunk.y[0] = x, y
-        chunk.free[0] = least + moved
+        chunk.free[0] = free + moved
         chunk.age[0], chunk.radius[0] = age + REACTION, radius
         chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)
@@ -431,7 +431,7 @@ class Constraints:
             # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         if assumptions.standing_speed < others_speed:
-            self._limit_to_walls()
+            self._limit_to_walls()  # walls that stand have caps of their own
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)

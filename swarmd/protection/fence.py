@@ -219,11 +219,11 @@ class Fence:
         odometry, age = context.odometry, context.odometry_age or 0.0
         assert odometry is not None
         # 1. The pose by the newest odometry, in the shared frame.
-        turned = anchor.pose.yaw - anchor.odometry.yaw
-        cos, sin = math.cos(turned), math.sin(turned)
+        frame_turn = anchor.pose.yaw - anchor.odometry.yaw
+        cos, sin = math.cos(frame_turn), math.sin(frame_turn)
         dx, dy = odometry.pose.x - anchor.odometry.x, odometry.pose.y - anchor.odometry.y
         x, y = anchor.pose.x + cos * dx - sin * dy, anchor.pose.y + sin * dx + cos * dy
-        yaw = odometry.pose.yaw + turned
+        yaw = odometry.pose.yaw + frame_turn
 
         # 2. The motion until the command takes effect: each speed goes to the command in force.
         twist = odometry.twist

@@ -212,7 +212,7 @@ class Outline:
             # 3. The hidden gap, along the line from the nearest place to the point. Places in m on
             # this line, from the foot of the perpendicular from the lidar: the circle ends at half
             # a chord; the point is at the scalar product of ray and direction; the outline ends
-            # `gap` before the point. Without a chord (the line misses the circle): 0.
+            # `gap` before the point. Without a chord (the line misses the circle, sqrt is NaN): 0.
             ray_x: cython.double = x[j] - lidar_x
             ray_y: cython.double = y[j] - lidar_y
             lateral_m: cython.double = ray_x * ny - ray_y * nx

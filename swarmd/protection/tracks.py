@@ -248,6 +248,7 @@ class _Filter:
         self.y += gain * off_y
         self.vx += velocity_gain * off_x
         self.vy += velocity_gain * off_y
+        # In this order: each line uses the covariance before the update.
         self.vv -= velocity_gain * self.pv
         self.pv *= 1.0 - gain
         self.pp *= 1.0 - gain

@@ -132,8 +132,9 @@ class _Layout(NamedTuple):
 class _ScanAtPose:
     """A scan with the pose of the sensor at its mean ray.
 
-    `at` in s is the time of the mean ray on the clock of odometry. `x`, `y` in m and `yaw` in rad
-    (not wrapped) are the pose at that time. `skew` in rad is the turn during the scan.
+    `at` in s is the time of the mean ray on the clock of odometry, `yaw` in rad (not wrapped) the
+    heading at that time. `x`, `y` in m: the place of the sensor when the scan arrived, taken for
+    the place at that time. `skew` in rad is the turn during the scan.
     """
 
     def __init__(

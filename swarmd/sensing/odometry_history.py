@@ -195,6 +195,7 @@ class OdometryHistory:
         start: cython.Py_ssize_t
         self._set_pose(end)
         self._set_row(0, 0.0, self._x, self._y, self._yaw)
+        # From the newest reading back; readings after `end` are skipped.
         for i in range(self._count):
             start = self._place(i)
             if end - r[start] >= seconds - _MIN_STEP:
