@@ -329,7 +329,7 @@ class StopCheck:
             y += moved * (sin_middle * axes.along_x + cos_middle * axes.along_y)
             self._stop_x[j], self._stop_y[j] = x, y
 
-            # 2. Stores the pose, and the speeds at the begin of the step.
+            # 2. Stores the pose at the end of the step, and the speeds at its begin.
             braked_s = step_s * j - DECISION_PERIOD
             self._stop_linear[j] = _braked(speed, linear_braking, braked_s) * sign(linear)
             self._stop_angular[j] = _braked(turn_rate, turn_braking, braked_s) * sign(angular)
