@@ -272,7 +272,7 @@ class Deskewer:
         `set_motion` of the history must have been called for the motion between the scans.
 
         `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both
-        scans. `distances`, `angles`, `ages`: (k,) m, rad, s; the arrays to fill.
+        scans. `distances`, `angles`, `ages`: the (k,) arrays to fill, in m, rad and s.
         """
         last = self._last_scan
         i: cython.Py_ssize_t
