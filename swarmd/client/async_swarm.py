@@ -139,7 +139,7 @@ async def _from_thread(
             next_item = asyncio.ensure_future(items.get())
             item_or_end: set[asyncio.Future[Any]] = {next_item, thread_end}
             await asyncio.wait(item_or_end, return_when=asyncio.FIRST_COMPLETED)
-            if not next_item.done():  # the thread has ended
+            if not next_item.done():  # the thread has ended, and all its items are in the queue
                 next_item.cancel()
                 while not items.empty():
                     yield items.get_nowait()

@@ -188,7 +188,7 @@ def _file(name: str) -> Path | None:
     """The file of a library; None if the file is absent or incomplete.
 
     To load a truncated file may end the process with SIGBUS. An ELF file ends with its section
-    table, whose place is in the header.
+    table, whose place is in the header: a file that ends before is truncated.
     """
     spec = find_spec(name)
     if spec is None or spec.origin is None or not spec.origin.endswith(".so"):

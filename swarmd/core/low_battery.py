@@ -22,7 +22,7 @@ class LowBatterySettings(Struct, frozen=True, kw_only=True, forbid_unknown_field
     """What a running robot does when its battery is low: its run ends, and a pattern may follow.
 
     - `below`: the battery is low below this charge, a share of a full battery.
-    - `recovered`: the battery is low until it has this charge; None: `below` + 0.1. With a value
+    - `recovered`: the battery is low until it has this charge; None: `below` plus 0.1. With a value
       near `below` a charge that varies ends several runs.
     - `pattern`: the robot then runs this pattern with `params`; None: the robot stands.
     - `seconds`: the longest time of that run.

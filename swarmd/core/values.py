@@ -86,8 +86,8 @@ class Scan(Struct, frozen=True, eq=False):
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `ages` and `newest_age` count from the mean ray: each of
-    the `ages` is then half of the duration of the scan, the most by which a ray can be older.
+    While the order of the rays is unknown, `newest_age` is the age of the mean ray, and each of the
+    `ages` is half of the duration of the scan: the most by which a ray can be older than this ray.
     """
 
     seq: int
@@ -336,7 +336,7 @@ class ScanSpec:
 
         A longer delay holds the robot. Protection is computed for scans up to `stale_after` s old.
         Until the next scan has come, the last scan ages by up to one and a half scan periods. The
-        rest of `stale_after` is left for the delay.
+        rest of `stale_after`, but at least 0.05 s, is left for the delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 

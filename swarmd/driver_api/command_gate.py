@@ -59,6 +59,7 @@ class CommandGate:
         if not (self._is_open or is_stopped):
             return None
         twist = ZERO if self._needs_zero or is_stopped else twist
+        # A zero to a lost base may not arrive, so the first command after the reconnect is zero.
         self._needs_zero, self._has_sent = not self._is_open, True
         return twist
 

@@ -330,7 +330,7 @@ class _Node(ABC):
                 self.ended = str(until.condition)
             elif fails is not None and is_lost:
                 self._fail(str(fails.condition), mission, seen.now)
-                self._is_new = False
+                self._is_new = False  # this check counts as the first of a retry
             elif targets and not is_new:
                 self.target = targets[0]
         return self.ended

@@ -77,8 +77,9 @@ def build_setters(
 
     A map sets a parameter of the target part by the report of a source part. Each value is tried on
     new parts: one that starts with the value, and one that is changed to the value. A refused value
-    adds a fault to the builder. `opinions`: by voting part, the number of opinions that its
-    parameter `opinions` is about to have; without an entry the present number counts.
+    adds a fault to the builder. `opinions`: by voting part, the new value of its parameter
+    `opinions` (the number of opinions) in a change under way; without an entry the present value
+    counts.
     """
     setters = []
     for keys, mapping in builder.document.maps:

@@ -259,7 +259,7 @@ class Protection:
             self._may_recover = True
             safe_for = partial(self._safe_for, context, touch)
             passing_request, others = self._pass_others(clipped, context, safe_for)
-            if self._has_walls:
+            if self._has_walls:  # recovery waits longer while near walls are about to have stood
                 patience = self._arbiter.wall_patience(context.now)
                 if patience > 0.0:
                     others = others._replace(patience=patience)

@@ -359,11 +359,11 @@ class _Brake:
         if len(stop.steps) < _MIN_STOP_READINGS:
             return False
 
-        # 1. Fits the model base for each share of the declared braking.
+        # 1. Fits the model of the base for each share of the braking assumed so far.
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
-        # With the mean time between two readings of the stop.
+        # The second argument: the mean time between two readings of the stop.
         self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps))
 
         # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
@@ -376,7 +376,8 @@ class _Brake:
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
         # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND: half of the
-        # difference of their misfits, which are chi-squares in units of the variance.
+        # difference of their misfits, which are chi-squares in units of the variance (the greater
+        # of the pooled variance and that of this stop, so that a noisy stop counts less).
         misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
         log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
@@ -421,6 +422,7 @@ class _Brake:
             max(optimum, float(slowness[neighbours].min())), float(slowness[neighbours].max())
         )
         slowness_deviation = 1.0 / math.sqrt(max(float(curvature), 1e-6))
+        # The shares are of the braking assumed so far. `_begin` forgets the stops of the test.
         previous, stops = self.braking, self._stop_count
         measured = previous / optimum
         spread = measured * slowness_deviation / optimum
@@ -434,15 +436,16 @@ class _Brake:
         return True
 
 
-def _misfits(stop: _Stop, commands: list, declared: float):
-    """Fit a model base to the readings of a stop, for each share in _SHARES.
+def _misfits(stop: _Stop, commands: list, full_braking: float):
+    """Fit a model of the base to the readings of a stop, for each share in _SHARES.
 
-    The model base responds to its command after a delay, accelerates at once, and brakes evenly.
-    The delay, and the scale of the speeds, are free.
+    The model responds to its command after a delay, accelerates at once, and brakes evenly. The
+    delay, and the scale of the speeds, are free.
 
     `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
     fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
-    `declared`: m/s2 or rad/s2, the declared braking; the fit tries the shares of this braking.
+    `full_braking`: m/s2 or rad/s2, of which the fit tries the shares: as declared, or as measured
+    in an earlier violation.
 
     Returns:
         (s,) sums of squared residuals, each relative to the squared distance of its period. The
@@ -473,9 +476,9 @@ def _misfits(stop: _Stop, commands: list, declared: float):
     table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
     stamps = _view(np.concatenate(([-np.inf], stamps)))
     speeds = _view(np.concatenate(([0.0], speeds)))
-    # The declared braking holds for speeds by odometry. The model has speeds by commands, which
-    # differ from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
-    brakings = _view(_SHARES * declared * stop.begin_speed / cruise_speed)
+    # `full_braking` holds for speeds by odometry. The model has speeds by commands, which differ
+    # from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
+    brakings = _view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )
@@ -498,7 +501,7 @@ def _weighted_residuals(
     brakings: cython.double[::1],
     total: cython.double,
 ):
-    """The weighted sums of squared residuals of the model base, and the delays that fit best.
+    """The weighted sums of squared residuals of the model of the base, and the best delays.
 
     (2, s), for each braking of `brakings` (s,): the sum, and the delay in s. The delay is the best
     of a coarse grid, then of a fine grid around the best coarse delay.
@@ -506,8 +509,8 @@ def _weighted_residuals(
     Args:
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
         stamps: (m,) s, since when each command holds; the first is -inf.
-        speeds: (m,) the speed of each command.
-        brakings: (s,) m/s2 or rad/s2 for speeds by commands, see `_misfits`.
+        speeds: (m,) the speed of each command; the first is 0.
+        brakings: (s,) m/s2 or rad/s2, in the scale of the commanded speeds.
         total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
@@ -525,7 +528,8 @@ def _weighted_residuals(
     for j in range(len(brakings)):
         braking: cython.double = brakings[j]
 
-        # 1. The speed of the model at each command.
+        # 1. The speed of the model at the stamp of each command. Entry 0 of `speeds` is standstill
+        # since ever, so the model stands at command 0 and, still, at the stamp of command 1.
         for k in range(2, count):
             braked_speed: cython.double = model_speeds[k - 1] - braking * (
                 stamps[k] - stamps[k - 1]
@@ -543,15 +547,16 @@ def _weighted_residuals(
                 coarse[k] if k < len(coarse) else best_coarse + fine[k - len(coarse)]
             )
 
-            # Compares the model at this delay with all periods. `command` is the index of the
-            # command that holds at the stamp, searched from that of the stamp before.
+            # Compares the model with all periods. `command`: the index of the command that holds.
             cross_sum: cython.double = 0.0
             model_sum: cython.double = 0.0
             command = 0
             for i in range(len(periods)):
+                period_begin: cython.double = periods[i, 0]
+                duration: cython.double = periods[i, 1]
                 speed_sum: cython.double = 0.0
                 for part in range(2):  # the speeds at a quarter and three quarters of the period
-                    stamp: cython.double = periods[i, 0] + parts[part] * periods[i, 1] - delay
+                    stamp: cython.double = period_begin + parts[part] * duration - delay
                     while command + 1 < count and stamps[command + 1] <= stamp:
                         command += 1
                     while stamps[command] > stamp:
@@ -559,11 +564,10 @@ def _weighted_residuals(
                     speed_sum += max(
                         speeds[command], model_speeds[command] - braking * (stamp - stamps[command])
                     )
-                modelled: cython.double = 0.5 * speed_sum * periods[i, 1]
-                cross_sum += modelled * periods[i, 2]
-                model_sum += modelled * modelled * periods[i, 3]
-            # The scale of the model is that of least squares: odometry and base may be off by a few
-            # percent.
+                modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
+                cross_sum += modelled * periods[i, 2]  # times the weighted distance
+                model_sum += modelled * modelled * periods[i, 3]  # times the weight
+            # The scale of the model is free, as odometry and base may be off by a few percent.
             residual: cython.double = total - cross_sum * cross_sum / max(model_sum, 1e-12)
             if residual < result[0, j]:
                 result[0, j], best_delay = residual, delay
@@ -723,7 +727,7 @@ class AssumptionMonitor:
             self._travel_first = self._travel_end = 0
             self._gaps.clear()
             return ""
-        if end == begin or begin == -math.inf:
+        if end == begin or begin == -math.inf:  # the same or the first reading: no period
             return ""
 
         # 2. The travel of the outermost corner, for the speed of approaching objects.
@@ -781,7 +785,7 @@ class AssumptionMonitor:
         if speed - _STANDARD_DEVIATIONS * spread < _CLEARLY_FASTER * assumed:
             return ""
 
-        # 4. Counts the approach; of two approaches, the slower speed is the evidence.
+        # 4. Counts the approach. At least two were as fast as the second fastest: the evidence.
         self._approaches.append((stamp, speed, spread))
         evidence = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:

@@ -127,7 +127,7 @@ class Avoidance:
         # 3. The request, if no line forbids it.
         request_speed = math.hypot(x, y)
         if most_violated(lines, 0, x, y) < 0:
-            self._update_held_up(now, 1.0)
+            self._update_held_up(now, 1.0)  # all of the request is permitted
             return requested
 
         # 4. Else the nearest permitted velocity. The request is first turned to the right: if a

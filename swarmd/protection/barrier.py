@@ -172,8 +172,8 @@ class Barrier:
 
         The time of a scan is the time of its newest ray; a scan with a sector that conditioning
         filled with remembered rays has the age of those rays. If a scan is not newer than the scan
-        before, only `min_gap` is set, and the obstacles of the scan before stay: protection moves
-        them by odometry, but does not move remembered rays.
+        before, only `min_gap` is set, and the obstacles of the scan before stay: odometry moves
+        these obstacles on, but does not move remembered rays.
 
         `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
         time, the age of the scan, and odometry.
@@ -267,7 +267,7 @@ class Barrier:
             return self._decision if self._is_limited else _decided(requested, False)
 
         # 4. Limits the request.
-        self._is_decided = False
+        self._is_decided = False  # nothing to repeat until `_judge` has set `_speeds`
         self._asked.linear, self._asked.angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True

@@ -97,6 +97,8 @@ class Assumptions:
         )
         if not self.has_keep_out():
             return outline_gap
+        # The room in which two robots can stop by `reciprocal_cap`, each in one half of the room,
+        # and the m that this robot moves within `age`.
         speed: cython.double = self.top_surface_speed
         half_of_approach: cython.double = speed * (
             2.0 * DECISION_PERIOD + age + 0.5 * speed / self.braking_linear

@@ -192,11 +192,12 @@ def _crosses_rim(
     direction: cython.Py_ssize_t,
     is_flat: cython.bint,
 ) -> cython.bint:
-    """True if an obstacle beside an empty sector crosses the rim (at `radius` m) into the sector.
+    """True if an obstacle beside an empty sector crosses the rim into the sector.
 
-    At the ends of a narrow sector (`is_flat`) the range along a face hardly changes from ray to
-    ray, so the range at the ray beside the sector must be near the rim. In a wide sector the ranges
-    must fall towards the sector, so that the extrapolated face lies within the rim one ray further.
+    The rim is the circle of `radius` m around the sensor, which sees nothing nearer. At the ends of
+    a narrow sector (`is_flat`) the range along a face hardly changes from ray to ray, so the range
+    at the ray beside the sector must be near the rim. In a wide sector the ranges must fall towards
+    the sector, so that the extrapolated face lies within the rim one ray further.
 
     `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index away
     from the sector.
@@ -215,7 +216,7 @@ def _crosses_rim(
             break
         far_range = next_range
         face_rays += 1
-    # 2. Extrapolates the face by one ray into the sector.
+    # 2. Extrapolates the face, which at least 3 rays must show, by one ray into the sector.
     approach: cython.double = far_range - edge_range
     if face_rays < 3 or approach < _MIN_APPROACH:
         return False
@@ -329,7 +330,7 @@ class BlindZoneMemory:
                 as moving away from a hidden obstacle (rule 4).
             seconds: s between the two scans.
         """
-        table = np.ascontiguousarray(scan.ranges, np.float64)
+        table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
         ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
         # At most 5 periods count, else after a pause all returns would be near.
@@ -343,7 +344,8 @@ class BlindZoneMemory:
             return  # the usual case: no obstacle is near, was near or is hidden
         if scan.bearings is not self._given_bearings:
             self._set_bearings(scan.bearings)
-        # 3. Ranges in the order of rising bearings, and the near points in the base frame.
+        # 3. Ranges in the order of rising bearings, and the near points in the base frame. A range
+        # of -inf (too close to measure) gives no point: such a ray counts as empty.
         ray_count: cython.Py_ssize_t = self._ray_count
         range_min: cython.double = scan.range_min
         sensor_x: cython.double = geometry.offset[0]
@@ -358,7 +360,7 @@ class BlindZoneMemory:
                 self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
                 self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
                 self._point_count += 1
-        # 4. Finds what is hidden now.
+        # 4. Finds what is hidden now. Only driven m count as leaving, but the frame turns anyway.
         self._leave(driven.x, driven.y, moved.yaw)
         self._find(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
         # 5. Stores the empty rays for the next scan.
@@ -391,9 +393,9 @@ class BlindZoneMemory:
     def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
         """Order the rays by rising angles; False if this takes more than 8 moves per ray.
 
-        `values` (n,) in rad are the bearings of the scan. Sets `_order` and `_rising`. The angles
-        of most sensors rise or fall from the lowest angle on, with few exceptions, so a stable
-        insertion sort that begins there is fast.
+        `values` (n,) in rad are the bearings of the scan; `_turned_angle` has them within a turn.
+        Sets `_order` and `_rising`. From the lowest angle on the angles of most sensors rise, with
+        few exceptions, along or against the index, so a stable insertion sort is fast.
         """
         ray_count: cython.Py_ssize_t = self._ray_count
         lowest: cython.Py_ssize_t = 0
@@ -510,7 +512,7 @@ class BlindZoneMemory:
         if not (self._candidate_count or is_entered):
             self._keep(0)
             return
-        if self._candidate_count > self._hidden_count or is_entered:
+        if self._candidate_count > self._hidden_count or is_entered:  # rule 4 counts from here
             self._entered_x = self._entered_y = 0.0
         # 3. Gives each candidate a ray, extends obstacles over their sectors, and stores the rays.
         self._place(turned, obstacle_step)
@@ -591,6 +593,8 @@ class BlindZoneMemory:
             self._range, ray_count, self._radius, (first + width) % ray_count, 1, is_flat
         ):
             self._crossings[k] += 1
+        # The corner lies on the middle line of the sector, its two sides at 45 degrees to this
+        # line; in a sector wider than 90 degrees the corner may reach the sensor: 0.
         self._corner[k] = max(self._radius * (cos(half_angle) - sin(half_angle)), 0.0)
         self._sector_count += 1
         return 0
@@ -685,6 +689,7 @@ class BlindZoneMemory:
         # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
         # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
         # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
+        # The candidates behind `_hidden_count` vanished just now, so they have not reappeared.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
@@ -776,7 +781,8 @@ class BlindZoneMemory:
         An obstacle is doubtful once its age is above 0. A sector is treated by the first case that
         fits:
 
-        1. Obstacles cross the rim at both ends: they fill the sector, doubtful.
+        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: they fill the
+           sector, doubtful, but no nearer than the corner of rule 2 where no other obstacle hides.
         2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
            Its age there: 0 where a robot has room; else at most doubtful while an obstacle crosses
            the rim; else older by `seconds`.

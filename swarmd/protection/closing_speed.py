@@ -56,10 +56,11 @@ def closing_cap(
     """
     if not is_passive:
         return reciprocal_cap(room, braking, unseen)
-    left: cython.double = room - others * (unseen + DECISION_PERIOD)
-    first: cython.double = braking * DECISION_PERIOD + others
-    root: cython.double = sqrt(first * first + 2.0 * braking * maximum(left, 0.0))
-    return maximum(root - first, 0.0)
+    # The positive root of s^2 + 2 half_slope s = 2 b room_left; 0 without room left.
+    room_left: cython.double = room - others * (unseen + DECISION_PERIOD)
+    half_slope: cython.double = braking * DECISION_PERIOD + others
+    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * maximum(room_left, 0.0))
+    return maximum(root - half_slope, 0.0)
 
 
 @cython.cfunc
@@ -91,9 +92,10 @@ def reciprocal_cap(
     V = 0, half of the room, and a reaction time of two ticks plus `unseen`. After barrier
     certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
     """
-    half: cython.double = 0.5 * maximum(room, 0.0)
-    first: cython.double = braking * (2.0 * DECISION_PERIOD + unseen)
-    return maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
+    half_room: cython.double = 0.5 * maximum(room, 0.0)
+    half_slope: cython.double = braking * (2.0 * DECISION_PERIOD + unseen)  # as in `closing_cap`
+    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * half_room)
+    return maximum(root - half_slope, 0.0)
 
 
 @cython.cfunc

@@ -181,7 +181,7 @@ class PlacedPoints:
     @cython.cfunc
     @cython.exceptval(-1)
     def place(self, chunk: Chunk, first: cython.Py_ssize_t, rows: ConstraintRows) -> cython.int:
-        """Copy the points of a chunk to the placed points from `first` on.
+        """Copy the points of a chunk to the arrays here, from index `first` on.
 
         `contact` of a point is the gap within which the obstacle may touch the robot: the free
         distance, and the part of the gap that the blind zone hides. Links each point to its first
@@ -357,7 +357,8 @@ class Constraints:
             # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
             chunk.count = in_chunk
             self._add_chunk(first_placed, assumptions.blind_radius)
-            # Contacts forbid all motion towards them anyway (`_add_contacts`).
+            # The corners skip the contacts, which come first: contacts forbid all motion towards
+            # them anyway (`_add_contacts`).
             if assumptions.unseen_extent > 0.0:
                 self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
             if assumptions.has_keep_out():
@@ -397,7 +398,7 @@ class Constraints:
         age: cython.double,
         moved: cython.double,
     ) -> cython.int:
-        """Add the constraints of a disc in which an obstacle is, as placed point `point`.
+        """Add the constraints of a disc in which an obstacle is; `point`: its index in `placed`.
 
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
         distance that must stay free around the centre.
@@ -407,10 +408,10 @@ class Constraints:
         odometry.
         """
         chunk: Chunk = self._chunk
-        least: cython.double = self._assumptions.margin + radius
+        free: cython.double = self._assumptions.margin + radius
         chunk.count = 1
         chunk.x[0], chunk.y[0] = x, y
-        chunk.free[0] = least + moved
+        chunk.free[0] = free + moved
         chunk.age[0], chunk.radius[0] = age + REACTION, radius
         chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)
@@ -419,12 +420,12 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
-        """Place the points of the chunk (up to 64), and add their constraints.
+        """Copy the points of the chunk (up to 64) to `placed`, and add their constraints.
 
-        The points become the placed points from `first` on. `blind` in m is the radius of the
-        lidar's blind zone; 0 for discs. First comes one constraint for each point, that of the
-        nearest place of the outline; then those for obstacles that approach from the side or are
-        passed sideways.
+        `first` is the index in `placed` of the first point. `blind` in m is the radius of the
+        lidar's blind zone; 0 for discs. One constraint for each point comes first: it limits the
+        speed at which the nearest place of the robot's outline closes on the point. Then come the
+        constraints of `_add_approaching` and `_add_sides`, for obstacles beside the robot.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -461,7 +462,7 @@ class Constraints:
             # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         if assumptions.standing_speed < others_speed:
-            self._limit_to_walls()
+            self._limit_to_walls()  # walls that stand have caps of their own
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -470,7 +471,7 @@ class Constraints:
         for j in range(count):
             row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
             row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
-        # 3. Stores the points, then adds the constraints against approach from the side.
+        # 3. Stores the points, then adds the constraints for obstacles beside the robot.
         self.placed.place(chunk, first, rows)
         rows.count = first_row + count
         self._add_approaching(first)
@@ -580,7 +581,7 @@ class Constraints:
 
         `_add_sides` has stored for each of the first `count` points of the chunk: the side
         direction (`edge_x`, `edge_y`), and the lever of the foremost corner in this direction
-        (`greatest_height`). The chunk's first point is placed point `first`.
+        (`greatest_height`). `first` is the index in `placed` of the chunk's first point.
 
         The corner may use half of the gap that is left after the free distance and the hidden part
         of the obstacle, until the next decision. `side_reserve` is subtracted from this speed for
@@ -603,7 +604,7 @@ class Constraints:
         row_cap: cython.p_double = checked(rows.cap, row + count)
         row_gap: cython.p_double = checked(rows.gap, row + count)
         for j in range(count):
-            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:
+            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:  # no wall that stands
                 # m, then m/s: half of the gap, used up when the next command takes effect
                 allowed: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 allowed /= chunk.age[j] + DECISION_PERIOD
@@ -631,8 +632,8 @@ class Constraints:
 
         The function adds at most two constraints: the strictest limit ahead and the strictest limit
         back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
-        and the stop check (stopping.py) covers corners that swing outwards. The chunk's first point
-        is placed point `first`.
+        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index in
+        `placed` of the chunk's first point.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -662,7 +663,8 @@ class Constraints:
                 continue  # the cap is 0 already, or there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
-            # m/s that the side constraints will then allow in their directions (see `_add_side`)
+            # m/s that the side constraints will then allow in their directions: by `_add_side` at
+            # the gap free + others_speed * age, at which the cap is 0
             side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
@@ -690,8 +692,8 @@ class Constraints:
 
         An obstacle may extend beyond the part that the scan shows (`unseen_extent`), so a corner
         that swings past the point can touch it, too. The points are those of the chunk from `begin`
-        on. The first point of the chunk is placed point `first`. A point is near if its gap is
-        within twice the free distance plus the way of the obstacle until the next decision: from
+        on; `first` is the index in `placed` of the chunk's first point. A point is near if its gap
+        is within twice the free distance plus the way of the obstacle until the next decision: from
         farther away, more than the free distance is left then to brake in. The last points that are
         not near are skipped.
         """
@@ -784,8 +786,8 @@ class Constraints:
         """Add a constraint for each point of the chunk that keeps a circle around the lidar free.
 
         The circle of `keep_out` m covers the blind zone of the lidar. Two robots that both use this
-        constraint each use at most half of the distance to the circle. The first point of the chunk
-        is placed point `first`.
+        constraint each use at most half of the distance to the circle. `first` is the index in
+        `placed` of the chunk's first point.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk

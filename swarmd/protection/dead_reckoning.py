@@ -110,7 +110,7 @@ class DeadReckoning:
         linear: cython.double = twist.linear
         angular: cython.double = twist.angular
         lateral: cython.double = twist.lateral
-        r: cython.double[::1] = self._readings
+        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         start: cython.Py_ssize_t = _FIELDS * self._newest  # of the newest reading in the buffer
         if self._count:
             if (
@@ -151,7 +151,7 @@ class DeadReckoning:
         LONGEST_EXTRAPOLATION s at most. Without a reading the pose is (0, 0, 0). `odometry_age` in
         s is the age of the newest reading at the decision.
         """
-        r: cython.double[::1] = self._readings
+        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
         k: cython.Py_ssize_t
@@ -198,7 +198,7 @@ class DeadReckoning:
         the command in force (`linear`, `angular`, `lateral`). The age counts up to
         LONGEST_EXTRAPOLATION. Without a reading the pose is (0, 0, 0).
         """
-        r: cython.double[::1] = self._readings
+        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
         newest: cython.Py_ssize_t = _FIELDS * self._newest
@@ -233,7 +233,7 @@ class DeadReckoning:
         The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
         of the turn.
         """
-        r: cython.double[::1] = self._readings
+        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         turn: cython.double = angular * seconds
         yaw: cython.double = r[start + 3] + 0.5 * turn
         ahead: cython.double = linear * seconds
@@ -350,8 +350,10 @@ class ScanMotion:
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
-        # 2. Where the scan was measured by odometry, and the motion since the scan before.
+        # 2. Where the scan was measured by odometry, and the motion since the scan before. An `age`
+        # above 0 is that of remembered rays: the pose is that of the rays that just arrived.
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
+        # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
         reckoning: DeadReckoning = self._reckoning
         # After a reset of odometry the pose of the scan before is in another frame. It is found
@@ -379,9 +381,8 @@ class ScanMotion:
         sin_chord: cython.double = sin(chord_angle)
         x: cython.double = self.moved.x
         y: cython.double = self.moved.y
-        seconds: cython.double = min(
-            self.seconds, self._assumptions.longest_scan_age
-        )  # a hold follows
+        # A longer time between two scans holds the robot, so no command explains more.
+        seconds: cython.double = min(self.seconds, self._assumptions.longest_scan_age)
         ahead: cython.double = self.ahead.explained(cos_chord * x + sin_chord * y, seconds)
         left: cython.double = self.left.explained(cos_chord * y - sin_chord * x, seconds)
         return Pose(

@@ -259,7 +259,7 @@ class FeasibleSet:
         first_disc: cython.Py_ssize_t = self.constraints.placed.seen
         moved: cython.double = not_extrapolated * self.assumptions.surface_speed
         for k in range(discs.count):
-            disc: cython.Py_ssize_t = discs.binding[k]
+            disc: cython.Py_ssize_t = discs.binding[k]  # a row x, y, radius, age of `table`
             self.reckoning.find_pose(odometry_age, table[disc, 3], pose)
             pose.set_relative(pose, self._predicted)
             cos_yaw: cython.double = cos(pose.yaw)
@@ -297,7 +297,8 @@ class FeasibleSet:
         if near.has_contact:
             return 1
         # An obstacle is anywhere in its disc. Once the disc may have reached the outline, the
-        # direction to the centre does not show on which side of the robot the obstacle is.
+        # direction to the centre does not show on which side of the robot the obstacle is. `free`
+        # of a disc (see `_add_discs`) has the margin, the radius, and m that odometry may miss.
         for i in range(placed.seen, placed.seen + placed.discs):
             room: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
             if room <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):

@@ -4,7 +4,8 @@ The pose of the robot in the shared frame comes as an `Anchor`: a measured pose,
 that time. The fence dead-reckons the pose at which the next command takes effect, and simulates
 stops from the command. A command is permitted if the outline keeps, at each step of each stop, the
 clearance that errors and margin need. A robot that is nearer to the fence than that, or outside,
-may only drive inwards: the clearance must rise at each step. Zero is always permitted.
+may only drive inwards: the clearance falls at no step, and exceeds the clearance at the begin by
+what an error of the direction can feign. Zero is always permitted.
 
 A circle around the axle that holds the outline stands for the outline. So a robot can turn at the
 fence, and does not stay there.
@@ -139,7 +140,8 @@ class Fence:
         if self._room(pose) > most:
             return requested
 
-        # 2. The request, and then its shares, the nearest first.
+        # 2. The request, else the nearest permitted share. The distance of a share from the request
+        # counts in linear and angular speed, each over its limit.
         limits, shares = self._limits, self._even if is_even else self._shares
         index = _kernel.nearest_permitted(
             self._edges,
@@ -215,11 +217,11 @@ class Fence:
         odometry, age = context.odometry, context.odometry_age or 0.0
         assert odometry is not None
         # 1. The pose by the newest odometry, in the shared frame.
-        turned = anchor.pose.yaw - anchor.odometry.yaw
-        cos, sin = math.cos(turned), math.sin(turned)
+        frame_turn = anchor.pose.yaw - anchor.odometry.yaw
+        cos, sin = math.cos(frame_turn), math.sin(frame_turn)
         dx, dy = odometry.pose.x - anchor.odometry.x, odometry.pose.y - anchor.odometry.y
         x, y = anchor.pose.x + cos * dx - sin * dy, anchor.pose.y + sin * dx + cos * dy
-        yaw = odometry.pose.yaw + turned
+        yaw = odometry.pose.yaw + frame_turn
 
         # 2. The motion until the command takes effect: each speed goes to the command in force.
         twist = odometry.twist
@@ -232,8 +234,8 @@ class Fence:
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
         # 3. The bound of the error. Odometry is off by a share of the way, and across the way by
-        # the error of its heading, a share of the rad turned. The base may change its speed at any
-        # rate.
+        # the error of its heading, a share of the rad turned. The base may have changed its speed
+        # at once or not at all: the place is off by the whole `change` for `seconds`.
         change = math.hypot(twist.linear - command.linear, twist.lateral - command.lateral)
         error = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
         error += ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way

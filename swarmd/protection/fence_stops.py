@@ -141,15 +141,15 @@ class _Stops:
     """Simulated stops of one robot, from one pose."""
 
     edges: cython.double[:, ::1]
-    near: cython.double[:, ::1]
+    near: cython.double[:, ::1]  # the edges that a stop can come near, `count` of them
     count: cython.Py_ssize_t
-    radius: cython.double
+    radius: cython.double  # m, of the circle around the axle
     x: cython.double
     y: cython.double
     yaw: cython.double
-    present: cython.double
-    need: cython.double
-    turn_error: cython.double
+    present: cython.double  # m, the clearance at this pose
+    need: cython.double  # m, the clearance that errors and margin need
+    turn_error: cython.double  # rad by which the direction of the motion may be wrong
     speed_ahead: cython.double  # of the base
     speed_left: cython.double
     speed_turn: cython.double
@@ -164,7 +164,7 @@ class _Stops:
         """True if all stops from a command are inside.
 
         The stops: from the command with both brakes as weak as assumed, and with either brake
-        ideal, since the path bends otherwise if a brake is stronger; and from the speeds of the
+        ideal, since the path bends differently if one brake is stronger; and from the speeds of the
         base, which need not have reached the command.
         """
         b: cython.double = self.braking
@@ -195,9 +195,9 @@ class _Stops:
 
         The base begins at the speeds `ahead`, `left` and `turn`. It changes them towards `to_ahead`
         and so on (not beyond) for TICK, and then towards zero, at `braking` in m/s2 and `turning`
-        in rad/s2. Inwards: the clearance never falls, and rises by at least what an error of the
-        direction can feign. Between two steps the axle moves by half of a step away from the
-        nearer step.
+        in rad/s2. Inwards: the clearance never falls from step to step, and at each step exceeds
+        that at the begin by what an error of the direction can feign. Between two steps the axle
+        is at most half of a step away from the nearer step, which a clear step has as a reserve.
         """
         linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         fastest: cython.double = max(fabs(turn), fabs(to_turn))
@@ -226,7 +226,7 @@ class _Stops:
             room: cython.double = _clearance(
                 self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
             )
-            off: cython.double = self.turn_error * way
+            off: cython.double = self.turn_error * way  # m, by an error of the direction
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
             if not is_clear and (
                 room < self.present + off - _ROUNDING or room < before - _ROUNDING
@@ -298,7 +298,7 @@ def nearest_permitted(
     linear: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
     fastest: cython.double = max(fabs(turn), fabs(stops.speed_turn))
     longest: cython.double = max(linear / stops.braking, fastest / stops.turning)
-    way: cython.double = linear * (_TICK + longest)
+    way: cython.double = linear * (_TICK + longest)  # m that a stop leads at most
     stops.near, stops.count = _nearby(table, stops.x, stops.y, way)
     best: cython.Py_ssize_t = -1
     least: cython.double = INFINITY

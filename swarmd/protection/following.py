@@ -161,6 +161,7 @@ class _Axis:
         # Goes back if the period has grown.
         while self._held > self._first and self._stamps[self._held] > response:
             self._held -= 1
+        # Drops commands that ended before the window, up to the command of the slow base.
         while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
             self._first += 1
         step: cython.double = self._acceleration * period
@@ -191,6 +192,7 @@ class _Axis:
         )
         measured: cython.double = by_pose if is_nearer else by_twist
         is_outside: cython.bint = not low - tolerance <= measured <= high + tolerance
+        # In the first WINDOW s the base may follow commands from before the comparison.
         if not is_outside or stamp - self._begun_at < WINDOW:
             self._follow()
             return

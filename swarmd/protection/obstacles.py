@@ -27,6 +27,7 @@ else:
 
 NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
+"""No hidden obstacle, and no disc."""
 
 _ROOM = 96  # points, before there are more
 _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts

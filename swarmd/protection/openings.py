@@ -154,7 +154,7 @@ class _ScanReturns:
         bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is not above that before
+        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
         begin: cython.Py_ssize_t = 0  # the last of these returns
         before: cython.double = 0.0
         first: cython.double = 0.0
@@ -167,6 +167,7 @@ class _ScanReturns:
                 before, count = bearings[i], count + 1
         if count < _MIN_RETURNS:
             return False
+        # One fall, and the parts do not overlap: the last bearing is below the first.
         is_rotated: cython.bint = falls == 1 and before < first
         # Where the first return goes: behind the returns from the jump on.
         k: cython.Py_ssize_t = count - begin if is_rotated else 0
@@ -451,7 +452,7 @@ class Opening:
     def update(self, sighting: Opening) -> cython.int:
         """Take in another sighting: a weighted mean of place, angle and lengths.
 
-        The weight of a sighting falls with the number of sightings. The middle moves only across
+        The weight falls with the number of sightings, down to a tenth. The middle moves only across
         the axis of the opening: along the axis, `first` and `last` say where the opening lies.
         """
         weight: cython.double = 1.0 / min(self.hits + 1, 10)

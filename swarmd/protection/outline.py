@@ -159,7 +159,7 @@ class Outline:
             elif along_edge > self.length[k]:
                 beyond_end = along_edge - self.length[k]
             square: cython.double = beyond_end * beyond_end + above_edge * above_edge
-            if square < least_square or square != square:
+            if square < least_square or square != square:  # a NaN of the point stays
                 least_square = square
         return 0.0 if least_square == INFINITY else sqrt(least_square)
 
@@ -209,10 +209,10 @@ class Outline:
             nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
             ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
 
-            # 3. The hidden gap, along the line from the nearest place to the point. From the foot
-            # of the perpendicular from the lidar, the circle ends after half of a chord, the point
-            # is the scalar product of ray and direction away, and the outline ends a gap before
-            # the point. Without a chord (the line misses the circle): 0.
+            # 3. The hidden gap, along the line from the nearest place to the point. Places in m on
+            # this line, from the foot of the perpendicular from the lidar: the circle ends at half
+            # a chord; the point is at the scalar product of ray and direction; the outline ends
+            # `gap` before the point. Without a chord (the line misses the circle, sqrt is NaN): 0.
             ray_x: cython.double = x[j] - lidar_x
             ray_y: cython.double = y[j] - lidar_y
             lateral_m: cython.double = ray_x * ny - ray_y * nx
@@ -317,7 +317,8 @@ class Outline:
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around
         the lidar. So the return with the least range need not be the return nearest to the outline.
-        The result is -inf if no return is measured, or if one is too close to measure.
+        The result is -inf if no return is measured, or if one is too close to measure: the gap is
+        then None or 0, whatever the ranges.
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

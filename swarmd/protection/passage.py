@@ -129,7 +129,8 @@ class Room:
             slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
             creeping_gap = contact_gap + 2.0 * (mean_age + DECISION_PERIOD) * CREEP_SPEED + slack
 
-        # 4. Gaps outside the circle around the lidar; then the widths.
+        # 4. Gaps outside the circle around the lidar; then the widths. Two robots that meet have a
+        # corridor's gap to the walls, and the gap to a post between them.
         if assumptions.has_keep_out():
             side_gap = post_gap = max(
                 side_gap, post_gap, assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width

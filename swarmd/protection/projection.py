@@ -73,7 +73,7 @@ class Projection:
         self._find_nearest(x, y)
         for _ in range(row_count):
             # 1. Finds the most violated row, in chunks so that the compiler vectorises. A NaN
-            # counts as the worst violation, and ends the search.
+            # counts as the worst violation, and ends the search: only the origin is left then.
             worst_row = 0
             worst_excess: cython.double = -INFINITY
             px: cython.double = self.x

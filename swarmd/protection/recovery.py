@@ -190,9 +190,9 @@ class Recovery:
                     self._request = self._through_passage(requested, safe, points)
                 return self._request
             if self._should_wait(context, points()):
-                return self._request
+                return self._request  # unchanged; the next block must last for a longer `_patience`
             self._start(pattern_request, context, points())
-            is_blocked = False
+            is_blocked = False  # the block was that of the request, not of the recovery's state
 
         # 3. Continues the recovery.
         self._speed = max(self._speed, math.hypot(pattern_request.linear, pattern_request.lateral))
@@ -366,7 +366,7 @@ class Recovery:
                 return Twist(angular=math.copysign(self._turn_rate, yaw_error))
             self._enter("go", now)
         if now - self._state_since >= _FOLLOW_TIME:
-            self.reset()
+            self.reset()  # this command is the last one of the recovery
         turn = max(min(_FOLLOW_GAIN * yaw_error, self._turn_rate), -self._turn_rate)
         return Twist(self._speed, turn)
 
@@ -416,7 +416,7 @@ class Recovery:
         width = widths[i, j]
         if not self._width < width < widest:
             return None
-        direction = np.array((across[i, j, 1], -across[i, j, 0])) / width
+        direction = np.array((across[i, j, 1], -across[i, j, 0])) / width  # through the passage
         middle = 0.5 * (left[i] + right[j])
         target: Array = middle - direction * (middle @ direction - _PURSUIT_LENGTH)
         return target if target[0] > 0.0 else None
@@ -452,6 +452,7 @@ class Recovery:
         is_other_side = angles_off * self._side < -1e-9
         costs = np.abs(angles_off) + _OTHER_SIDE_COST * is_other_side
         free = self._free_lengths(points, _BEARINGS)
+        # 20 rad for each m that is not free: 0.2 m outweigh any angle.
         costs += 20.0 * np.maximum(self.lookahead - free, 0.0)
         best = int(costs.argmin())
         self._bearing = float(_BEARINGS[best])

@@ -224,8 +224,8 @@ class _Traffic(NamedTuple):
 def _by_odometry(tracks: Sequence[Track], pose: Pose) -> list[tuple[Track, float, float]]:
     """The tracks, each with its x and y in m in the frame of the odometry.
 
-    `pose` is the pose of the base in this frame. Tracks are placed only if an opening is chosen, or
-    for the next scan: in a crowd each of 35 commands a second sees up to 15 tracks.
+    `pose` is the pose of the base in this frame. Callers place tracks only if an opening is chosen,
+    or for the next scan, to save time: in a crowd each of 35 commands a second sees 15 tracks.
     """
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     return [
@@ -359,6 +359,7 @@ class RightOfWay:
         if requested.is_zero:
             self._release()
             return requested
+        # m/s, the fastest that was requested so far.
         self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
         self._wanted_yaw = self._requested_yaw(requested, pose.yaw)
 
@@ -401,9 +402,10 @@ class RightOfWay:
     def _requested_yaw(self, requested: Twist, yaw: float) -> float:
         """The direction of the request in rad in the frame of the odometry.
 
-        `yaw` in rad is that of the robot. A request to turn on the spot does not say how far the
-        robot wants to turn. So the direction of the last request stays in force if that direction
-        lies on the side of the turn, or straight behind the robot.
+        `yaw` in rad is that of the robot. A request to drive backwards counts as one without that
+        speed. A request to turn on the spot does not say how far the robot wants to turn. So the
+        direction of the last request stays in force if that direction lies on the side of the turn,
+        or straight behind the robot.
         """
         ahead = max(requested.linear, 0.0)
         bearing = math.atan2(requested.lateral + self._lead * requested.angular, ahead)
@@ -467,6 +469,8 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame.
         """
+        # In an opening, a robot with priority backs out only for a robot clearly deeper in; before
+        # an opening, it lets a robot go first that is up to `slack` farther away.
         slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_within = is_close = False
         for id, along, aside in others:
@@ -481,6 +485,7 @@ class RightOfWay:
             max_aside = place.half - _NARROWER if along > 0.0 else place.half + _WIDER
             if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
+            # How far it came; forgotten once it is back more than _LINE_UP before the opening.
             farthest = max(self._farthest.get(id, along) if along > -_LINE_UP else along, along)
             self._farthest[id] = farthest
 
@@ -500,7 +505,7 @@ class RightOfWay:
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif math.hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
-                is_behind = True
+                is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
 
     def _decide_state(
@@ -605,7 +610,7 @@ class RightOfWay:
         `safe_for` gives the command that protection would make of any command.
         """
         match self.state:
-            case WayState.BACK:  # backwards along the axis
+            case WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
                 behind = math.atan2(-place.side, -_BACK_AIM) + math.pi - place.heading
                 turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
                 return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)

@@ -213,7 +213,7 @@ class StopCheck:
             return 0
 
         # 2. Returns if the stop from the requested speeds stays clear.
-        self._forbidding = 0
+        self._forbidding = 0  # an index of the new points
         if self._is_clear(linear, angular):
             return 0
 
@@ -329,7 +329,7 @@ class StopCheck:
             y += moved * (sin_middle * axes.along_x + cos_middle * axes.along_y)
             self._stop_x[j], self._stop_y[j] = x, y
 
-            # 2. Stores the pose, and the speeds at the begin of the step.
+            # 2. Stores the pose at the end of the step, and the speeds at its begin.
             braked_s = step_s * j - DECISION_PERIOD
             self._stop_linear[j] = _braked(speed, linear_braking, braked_s) * sign(linear)
             self._stop_angular[j] = _braked(turn_rate, turn_braking, braked_s) * sign(angular)
@@ -392,7 +392,8 @@ class StopCheck:
             if not is_free and not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s):
                 return 1
 
-            # 3. The turn must not move a place outwards within the reach of the obstacle.
+            # 3. The turn must not move a place outwards within the reach of the obstacle, of which
+            # the margin, a reserve for noise, is no part.
             reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
             if present_gap < reach and self._turns_outwards(j, x, y, reach):
                 return 1
@@ -461,7 +462,8 @@ class StopCheck:
             if first > last:
                 continue
 
-            # 2. The outward speed at the end of this part that the turn moves outwards faster.
+            # 2. The outward speed at the end of this part that the turn moves outwards faster. The
+            # lever of a place about the axle, along the normal, falls by 1 m for each m of edge.
             turn_speed: cython.double = angular * (
                 outline.corner_x[k] * ny
                 - outline.corner_y[k] * nx

@@ -248,6 +248,7 @@ class _Filter:
         self.y += gain * off_y
         self.vx += velocity_gain * off_x
         self.vy += velocity_gain * off_y
+        # In this order: each line uses the covariance before the update.
         self.vv -= velocity_gain * self.pv
         self.pv *= 1.0 - gain
         self.pp *= 1.0 - gain
@@ -343,10 +344,10 @@ class Tracker:
 
     _offset_x: cython.double
     _offset_y: cython.double
-    _latency: cython.double
-    _fastest: cython.double
-    _widest: cython.double
-    _spacing: cython.double
+    _latency: cython.double  # s, of the platform
+    _fastest: cython.double  # m/s, of an object
+    _widest: cython.double  # m, of an object that is no wall
+    _spacing: cython.double  # rad between two rays
     _history: object  # readings of odometry
     _latest: object  # of them; None without one
     _filters: list

@@ -85,8 +85,9 @@ def line_of(
     dy: cython.double
     change_x: cython.double
     change_y: cython.double
-    # Projects the velocity on the cap, else on the nearer leg of the cone. `change` in m/s leads
-    # from the relative velocity to the border. To the left of the border (dx, dy) is permitted.
+    # Projects the velocity on the cap, else on the nearer leg of the cone. The cap is nearest if
+    # `from_cap`, from the centre of the cap to the velocity, leads back beyond both legs. `change`
+    # in m/s leads from the relative velocity to the border, left of which (dx, dy) is permitted.
     if along < 0.0 and along * along > radius * radius * length * length:
         nx: cython.double = from_cap_x / max(length, _EPSILON)
         ny: cython.double = from_cap_y / max(length, _EPSILON)
@@ -165,10 +166,12 @@ def track_lines(
         y: cython.double = track.y
         vx: cython.double = track.vx
         vy: cython.double = track.vy
-        radii: cython.double = track.radius
+        track_radius: cython.double = track.radius
         part: cython.double = 1.0 if hypot(vx, vy) < standing_speed else share
-        vx, vy, radii = robot_vx - vx, robot_vy - vy, radius + radii
-        lines.append(line_of(x - lead, y, vx, vy, robot_vx, robot_vy, radii, part, horizon))
+        to_vx: cython.double = robot_vx - vx  # relative to the track
+        to_vy: cython.double = robot_vy - vy
+        gap: cython.double = radius + track_radius  # m, to keep between the two centres
+        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, gap, part, horizon))
     return lines
 
 
@@ -354,6 +357,7 @@ class _Programme:
                 x: cython.double
                 y: cython.double
                 if fabs(cross) <= _EPSILON:
+                    # Parallel with the same permitted side: the violations differ by a constant.
                     if line.dx * other.dx + line.dy * other.dy > 0.0:
                         continue
                     x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)

@@ -2,7 +2,7 @@
 
 Beacons and messages are too frequent for asymmetric signatures. So datagrams are signed with
 symmetric keys, one key for each class of receivers: robots, operators, viewers. A receiver verifies
-with the key of its class. It could also forge a signature with this key, but only towards
+with the key of its class. A receiver could also forge a signature with this key, but only towards
 receivers of the same class.
 
 1. A robot signs each datagram for all with three keys: for robots, for operators, for viewers.

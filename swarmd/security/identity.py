@@ -174,7 +174,7 @@ def load_identity(folder: Path) -> Identity:
         # change the authority's key, and the check would take swarmctl 20 ms at each start.
         roster = stored_roster(stored.roster)
         for name in (CERTIFICATE, KEY, AUTHORITY):
-            _read(folder / name)
+            _read(folder / name)  # OSError for a missing file
         open_to_others = [
             folder / name
             for name in (KEY, ROSTER)

@@ -252,7 +252,8 @@ class BlindSectors:
         self._streak[d] = self._streak[d] + 1 if is_same else is_seen
 
         # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
-        # sector with returns is not blind: its misses are forgotten. A new object ends the wait.
+        # sector with returns is not blind: its misses are forgotten. A new object, or one that is
+        # no longer known, ends the wait without a miss.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
         is_decided: cython.bint = is_static or not self._is_known[d] or is_new
         for k in range(_SECTORS):
@@ -262,7 +263,7 @@ class BlindSectors:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
 
-        # 3. Stores an object that is new or static. `_seen_at` is set only by a static object.
+        # 3. Stores an object that is new or static. A new object is not known (-inf) until static.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
         if is_new:

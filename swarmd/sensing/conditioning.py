@@ -65,7 +65,7 @@ class ScanConditioner:
     _ages: object
     _blind: BlindSectors
     _rays: RayMemory
-    # Of the last scan, and the greatest ones so far.
+    # Ranges, number and stamp of the last scan; the greatest number and stamp so far.
     _last_ranges: object
     _last_seq: object
     _last_stamp: cython.double
@@ -146,7 +146,7 @@ class ScanConditioner:
         """Store the bearings as `_bearings`.
 
         False, and nothing is stored, if a bearing is not finite, or a sector has no ray.
-        Later stages take the same object for equal bearings. So `_bearings` stays the same object
+        Later stages tell equal bearings by the same object. So `_bearings` stays the same object
         while bearings are equal, and is a copy if the driver may write to the given array.
         """
         if not np.array_equal(bearings, self._bearings):
@@ -173,21 +173,22 @@ class ScanConditioner:
         return ages is None or len(ages) == n
 
     @cython.cfunc
-    def _not_newer(self, seq, stamp: cython.double, given):
+    def _not_newer(self, seq, stamp: cython.double, ranges):
         """The reason to reject a scan that is not newer than all scans before; else None.
 
         None also after a restart of the sensor: _RESTART_SCANS scans in a row whose sequence
-        numbers and stamps rise again.
+        numbers and stamps rise again. The class lists the reasons.
         """
+        # Newer than the last scan; a number above all numbers so far.
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
         has_same_stamp: cython.bint = stamp == self._last_stamp
         is_new_message: cython.bint = seq > self._newest_seq
-        before, self._last_ranges = self._last_ranges, given
+        before, self._last_ranges = self._last_ranges, ranges
         self._last_seq, self._last_stamp = seq, stamp
         if not (stamp > self._newest_stamp and seq > self._newest_seq):
             self._rising_scans = self._rising_scans + 1 if is_next else 0
             if self._rising_scans < _RESTART_SCANS:
-                if is_new_message and has_same_stamp and given.tobytes() != before.tobytes():
+                if is_new_message and has_same_stamp and ranges.tobytes() != before.tobytes():
                     return Reason.FROZEN_STAMP
                 if is_new_message and not has_same_stamp and stamp < self._newest_stamp:
                     return Reason.CLOCK_SET

@@ -29,7 +29,7 @@ LONGEST_SHARED = 5.0
 MAX_LEAD = -0.05
 """Seconds: a scan with a lower age by its stamp counts as stamped by another clock."""
 
-_STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans of which the third-latest is the delay
+_STAMPS = cython.declare(cython.Py_ssize_t, 20)  # scans: the delay is their third greatest age
 _MIN_STAMPS = cython.declare(cython.Py_ssize_t, 5)  # scans before stamps give a figure
 # The lowest lags of odometry are kept for so many periods of so many s.
 _PERIODS = cython.declare(cython.Py_ssize_t, 4)

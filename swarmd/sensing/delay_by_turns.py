@@ -223,7 +223,7 @@ class DelayByTurns:
         odometry. `now`: s on the robot's clock.
         """
         had_last: cython.bint = self._has_last
-        self._has_last = False
+        self._has_last = False  # only two scans in a row are a pair: a scan skipped in 1, 2 ends it
 
         # 1. Without a changing rate of turn, or without even rays, no delay can be measured.
         if arrival - self._changed_at > _CHANGE_LASTS:
@@ -445,7 +445,8 @@ class DelayByTurns:
             return 0
 
         # 2. The minimum of the parabola. Its curvature gives the standard deviation, which _ALIKE
-        # widens, as errors of pairs are not independent. `best` needs a candidate on each side.
+        # widens, as errors of pairs are not independent. `best` needs a candidate on each side: the
+        # first candidate gives way to the second, and the longest has returned above.
         best = max(best, 1)
         error_before: cython.double = self._errors[best - 1]
         error_after: cython.double = self._errors[best + 1]

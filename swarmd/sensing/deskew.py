@@ -5,9 +5,9 @@ motion between each ray and the newest ray. Each return is moved by this motion,
 would see the return at the time of the newest ray (motion distortion correction: Zhang and Singh,
 "LOAM: Lidar odometry and mapping in real-time", RSS 2014).
 
-If the robot turns against the sensor, each scan leaves a sector unmeasured; rays of the scan before
-fill this sector. If the robot turns with the sensor, a sector is measured twice, and both
-measurements stay.
+If the robot turns against the direction in which the sensor turns, each scan leaves a sector
+unmeasured; rays of the scan before fill this sector. If both turn in the same direction, a sector
+is measured twice, and both measurements stay.
 """
 
 from __future__ import annotations
@@ -104,8 +104,8 @@ class Deskewer:
     _stale_after: cython.double
     _measured_sweep: object
     _history: OdometryHistory
-    _limits: cython.double[::1]  # of `move_rays`
-    _sector_args: cython.double[::1]  # of `rays_in_sector`
+    _limits: cython.double[::1]  # m: x, y of the sensor in the base frame, range_min, range_max
+    _sector_args: cython.double[::1]  # rad: `sector` of `rays_in_sector`: start, direction, width
     # TimedRays of the bearings and ages of the last scan, which mostly are the same objects again.
     _bearings_of_scan: object
     _ages_of_scan: object
@@ -164,12 +164,13 @@ class Deskewer:
 
         # 2. Moves the rays to the stamp of the newest ray. `latest + age` is `now` on the clock of
         # odometry: the last stamp, and the time since its reading arrived.
-        newest_age: cython.double = self._newest_age + delay
+        # The scan states the age of its newest ray without the measured `delay`.
+        delayed_age: cython.double = self._newest_age + delay
         moved = None
         if odometry_age is not None:
             age: cython.double = odometry_age
-            newest_stamp: cython.double = self._history.latest + age - newest_age
-            moved = self._move_scan_rays(ranges, newest_stamp, now - newest_age - self._last_at)
+            newest_stamp: cython.double = self._history.latest + age - delayed_age
+            moved = self._move_scan_rays(ranges, newest_stamp, now - delayed_age - self._last_at)
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
         if moved is None:
@@ -178,7 +179,7 @@ class Deskewer:
         else:
             result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
             self._filled_count = len(result.ranges) - len(ranges)
-        self._last_scan, self._last_at = result, now - newest_age
+        self._last_scan, self._last_at = result, now - delayed_age
         return result
 
     @cython.cfunc
@@ -212,7 +213,8 @@ class Deskewer:
         # end of the path has yaw 0. The last row has the begin of the scan, so its yaw is minus the
         # turn of the robot during the scan.
         unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
-        is_filled: cython.bint = unmeasured > 0.5 * self._spacing  # half the angle between two rays
+        # A sector below half the angle between two rays lacks no ray.
+        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
         if is_filled and not self._can_fill(stamp, seconds):
             return None
 
@@ -265,15 +267,18 @@ class Deskewer:
     ) -> cython.Py_ssize_t:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
-        Sets distances, angles and ages of these rays, and behind them the ages of this scan.
+        Sets distances, angles and ages of these rays. Behind them, sets the ages of this scan;
+        the caller then sets the distances and angles there by `move_rays`, which sets no ages.
         `set_motion` of the history must have been called for the motion between the scans.
 
         `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both
-        scans. `distances`, `angles`, `ages`: (k,) m, rad, s; the arrays to fill.
+        scans. `distances`, `angles`, `ages`: the (k,) arrays to fill, in m, rad and s.
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # Begin, direction and width of the sector. It begins half a ray before the oldest ray.
+        # `_oldest` is the bearing of the oldest ray as measured. De-skew moves this ray by
+        # `unmeasured` in the direction of the sweep, away from the newest ray, which stays. The
+        # sector lies in between: from half a ray before `_oldest`, in the direction of the sweep.
         self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
         count: cython.Py_ssize_t = rays_in_sector(

@@ -132,8 +132,9 @@ class _Layout(NamedTuple):
 class _ScanAtPose:
     """A scan with the pose of the sensor at its mean ray.
 
-    `at` in s is the time of the mean ray on the clock of odometry. `x`, `y` in m and `yaw` in rad
-    (not wrapped) are the pose at that time. `skew` in rad is the turn during the scan.
+    `at` in s is the time of the mean ray on the clock of odometry, `yaw` in rad (not wrapped) the
+    heading at that time. `x`, `y` in m: the place of the sensor when the scan arrived, taken for
+    the place at that time. `skew` in rad is the turn during the scan.
     """
 
     def __init__(
@@ -144,7 +145,7 @@ class _ScanAtPose:
         self.x, self.y = sensor.x, sensor.y
         self.yaw = sensor.yaw
         known = np.flatnonzero(scan.ranges >= scan.range_min)
-        self._known = known if layout.step > 0.0 else known[::-1]
+        self._known = known if layout.step > 0.0 else known[::-1]  # by rising bearing
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
 
     def cells(self, x: float, y: float) -> Array:
@@ -229,10 +230,11 @@ class MeasuredSweep:
         self._reason = ""
 
     def ages(self, scan: Scan) -> Array:
-        """(n,) s by which each ray is older than the newest ray; the same object for equal scans.
+        """(n,) s by which each ray is older than the newest ray.
 
-        While the order is not known, ages count from the mean ray instead: each ray gets half of
-        the duration of a scan, the most by which it can be older.
+        While the order is not known, all rays get the same age: half of the duration of a scan,
+        the most by which a ray can be older than the mean ray. The array stays the same object
+        until the layout of the rays or the order changes.
         """
         self._update_layout(scan)
         if self._ages is None:
@@ -260,7 +262,8 @@ class MeasuredSweep:
             base: the pose of the base when the scan arrived.
         """
         # 1. Skips scans that show nothing new: unusable rays, rays that are all measured at once (a
-        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest.
+        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest
+        # (after half of _MAX_SCAN_PERIOD a repeat is stored, so that a later turn has a partner).
         layout = self._update_layout(scan)
         half = 0.5 * self._longest_scan()  # s from the mean ray to the oldest and the newest ray
         self._scan_count += 1
@@ -275,7 +278,8 @@ class MeasuredSweep:
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
         stored, skew = self._stored_scans, end_yaw - begin_yaw
         turned = abs(yaw - stored[-1].yaw) if stored else math.inf
-        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)  # rad since the last pair
+        # rad since the last pair; a jump of the heading counts as _MAX_TURN at most.
+        self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
         self._yaw = yaw
         age_of_last = time - stored[-1].at if stored else 0.0
         is_last_fresh = 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD

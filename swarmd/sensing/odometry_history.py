@@ -34,7 +34,7 @@ _MAX_COORDINATE = cython.declare(cython.double, MAX_COORDINATE)
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
 _AT_REST = cython.declare(cython.double, 5e-4)
-# Columns of a reading.
+# Columns of a reading. The stamp is the first, so `r[start]` is the stamp of a reading at `start`.
 _COLUMNS = cython.declare(cython.Py_ssize_t, 7)
 _STAMP = cython.declare(cython.Py_ssize_t, 0)
 _X = cython.declare(cython.Py_ssize_t, 1)
@@ -195,6 +195,7 @@ class OdometryHistory:
         start: cython.Py_ssize_t
         self._set_pose(end)
         self._set_row(0, 0.0, self._x, self._y, self._yaw)
+        # From the newest reading back; readings after `end` are skipped.
         for i in range(self._count):
             start = self._place(i)
             if end - r[start] >= seconds - _MIN_STEP:

@@ -112,7 +112,7 @@ class RayMemory:
     _order: cython.longlong[::1]  # the rays by rising bearing, and the place of each ray in it
     _rising: cython.double[::1]
     _place: cython.longlong[::1]
-    # The memory by the place of a ray plus `_turned`: to turn the memory, only `_turned` changes.
+    # The memory by the place of a ray plus `_shift`: to turn the memory, only `_shift` changes.
     _ranges: cython.double[::1]
     _seen_at: cython.double[::1]
     _near_at: cython.double[::1]
@@ -186,7 +186,7 @@ class RayMemory:
         if unknown_count == 0:
             return True
         self.known_at = self._lost_since(now)
-        # The memory leaves a number of rays unknown. A sector too wide to bridge: an invalid scan.
+        # Neighbours fill the rays that the memory leaves unknown. False: a sector is too wide.
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
 
     @cython.cfunc
@@ -277,7 +277,7 @@ class RayMemory:
 
     @cython.cfunc
     def _set_bearings(self, bearings, turned: cython.double):
-        """Replace the bearings; each ray gets the memory of the nearest of the rays before.
+        """Replace the bearings; each ray gets the memory of the nearest of the old rays.
 
         `turned` in rad: the turn of the sensor since the last scan. Sets the order of the rays,
         whether they are even (a ray at each `_step` of a full turn), and in which direction
@@ -296,8 +296,8 @@ class RayMemory:
         self._rising = memoryview(values[order] % TURN)
         self._place = memoryview(np.argsort(order))  # of each ray in `order`, its inverse
         if count > 1:
-            last = math.remainder(values[count - 1] - values[count - 2], TURN)
-            self._direction = math.copysign(1.0, last)
+            last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
+            self._direction = math.copysign(1.0, last_step)
         self._is_even = fabs(count * step - TURN) < _MAX_TURN_ERROR * step
         for i in range(count):
             if fabs(self._rising[i] - self._rising[0] - i * step) > _MAX_UNEVENNESS * step:

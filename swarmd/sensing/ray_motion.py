@@ -189,7 +189,7 @@ def rays_in_sector(
     if sensor_motion < _LEAST_SHARE * limits[2]:
         max_change = asin(sensor_motion / limits[2]) + _ROUNDING
     n: cython.Py_ssize_t = ranges.shape[0]
-    # 3. Moves the rays, and counts those in the sector.
+    # 3. Moves the rays, and counts those in the sector. The next ray overwrites an uncounted ray.
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     for i in range(first, n):

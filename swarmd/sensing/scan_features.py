@@ -63,7 +63,8 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """The closest points of a scan: (p, 2) range in m and bearing in rad.
 
     The surroundings are divided into `count` equal sectors. A point is the nearest ray of a sector
-    whose range is a local minimum among the sectors. Without a local minimum: the nearest sectors.
+    whose range is a local minimum among the sectors. Without a local minimum, the points are the
+    nearest rays of the sectors with the least range.
     Empty (0, 2) without a return up to `within` m. ValueError for a count below 1.
     """
     if count < 1:  # C ends the process where it divides by zero
@@ -95,7 +96,7 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     if not is_seen:
         return np.empty((0, 2))
 
-    # 2. A point for each local minimum, else for each nearest sector.
+    # 2. A point for each local minimum (a sector needs two neighbours), else the nearest sectors.
     point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
     if point_count == 0:
         point_count = _store_nearest_sectors(layout, count)
@@ -193,7 +194,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         if start == 0 and is_last[i]:
             start = i + 1
     # Starts behind a break, so that no object spans the end of the arrays. Without any break
-    # (`is_whole`) all rays are a single object, which ends with the last ray.
+    # (`is_whole`) all rays are a single object, as if a break followed ray 0.
     is_whole: cython.bint = start == 0
     if is_whole:
         start = 1

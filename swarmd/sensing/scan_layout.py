@@ -142,10 +142,12 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
-        """Set `order` and `rising` by an insertion sort of the bearings; False if it is too slow.
+        """Sort the bearings by insertion; False, unsorted, after too many moves or for a NaN.
 
-        The sort begins at the smallest bearing. The bearings of most sensors rise or fall from
-        there on, with few exceptions. Equal bearings are in the order of their indices.
+        Sets `order`, the indices of the rays by rising bearing, and `rising`, their bearings. The
+        sort starts at the smallest bearing. From there the bearings of most sensors rise, with few
+        exceptions, along or against the index: the sort takes the rays in that direction. Equal
+        bearings are in the order of their indices.
         """
         count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t

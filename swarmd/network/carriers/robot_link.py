@@ -343,7 +343,7 @@ class RobotClient:
         self._endpoint, self._on_frames = endpoint, on_frames
         self._hello = encode(hello)
         self._connection: Connection | None = None
-        self._read: Callable[[], None] | None = None
+        self._read_now: Callable[[], None] | None = None
         self.is_known = False
 
     async def run(self) -> None:
@@ -372,9 +372,9 @@ class RobotClient:
     async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         """Send the hello, and hand frames to `on_frames` until the connection ends; then close it.
 
-        The server's first frame answers the hello. The answer sets `is_known`, and is not handed to
-        `on_frames`. `self._read` is set meanwhile: by it `read` hands over what has arrived,
-        without waiting for the event loop.
+        The server's first frame answers the hello: the simulator now knows this robot, so the frame
+        sets `is_known`, and is not handed to `on_frames`. While the connection lasts, `read` takes
+        arrived frames by `_read_now`, before the event loop does, so that a tick has the newest.
         """
         ended: asyncio.Future[None] = loop.create_future()
 
@@ -390,7 +390,7 @@ class RobotClient:
                 self._on_frames(frames)
 
         file = connection.socket.fileno()
-        self._connection, self._read = connection, on_readable
+        self._connection, self._read_now = connection, on_readable
         connection.send(HELLO, self._hello)
         loop.add_reader(file, on_readable)
         try:
@@ -400,7 +400,7 @@ class RobotClient:
             has_seen_end = ended.done() and not ended.cancelled()
             if not has_seen_end:
                 loop.remove_reader(file)
-            self._connection = self._read = None
+            self._connection = self._read_now = None
             self.is_known = False
             connection.close()
 
@@ -418,9 +418,9 @@ class RobotClient:
             self._connection.wait_for(size)
 
     def read(self) -> None:
-        """Hand over the frames that have arrived."""
-        if self._read is not None:
-            self._read()
+        """Hand over the frames that have arrived, without waiting for the event loop."""
+        if self._read_now is not None:
+            self._read_now()
 
     def send(self, name: str, payload: bytes) -> bool:
         """Send a frame; False if the frame is dropped for lack of room or connection."""

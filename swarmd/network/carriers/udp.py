@@ -381,6 +381,7 @@ class UdpCarrier:
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
+            # Also a second copy shows that its way is heard, so this stands before that check.
             # A copy comes by multicast, too: to the second IPv6 group, from a robot with IPv4.
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)

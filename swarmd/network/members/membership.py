@@ -67,7 +67,8 @@ class Life(Struct):
         1. A beacon with a lower number than the newest beacon counts as delayed, for LATE_TIME from
            the arrival of the newest. Later such a beacon is taken: a forged high number must not
            hide the robot.
-        2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) is always taken.
+        2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) never counts as
+           delayed.
         3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
            this life counts.
         """
@@ -173,8 +174,8 @@ class Membership:
         A *life* is the time from start to end of one daemon, marked by its random `instance`. A
         *farewell* is the last beacon of a life (Flag.LEFT). `is_answer`: the beacon answers a
         question that was asked after its sender's farewell. Returns IGNORED for a beacon of this
-        robot, of a robot that still claims its id, of a new robot without room, and for a beacon
-        that is delayed (`Life.take`).
+        robot, of a robot that still claims its id, of a new robot without room, for the farewell of
+        an unknown life, and for a beacon that `Life.take` refuses.
         """
         name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
         if name == self._own or beacon.flags & Flag.JOINING:

@@ -30,7 +30,7 @@ class _Window:
         that comes after a later message was counted as lost before, so that the change is -1.
         """
         ahead = sequence - self.highest
-        if ahead >= WINDOW:  # the window holds no message before: start again, with WINDOW lost
+        if ahead >= WINDOW:  # the window holds no message before: at most WINDOW count as lost
             self.seen = 1
             self.highest = sequence
             return True, WINDOW

@@ -90,17 +90,17 @@ class Discovery:
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news_at = now  # when anything new was heard or reported of any robot
-        self._prolonging_news_at = now  # the same, counting only robots for which the look waits
+        self._prolonging_news_at = now  # the same, of robots for which the look waits (`_prolongs`)
         self._roster = set(roster)
         self._programs: set[str] = set()  # Zenoh programs that robots hear
         self._members = Membership("", FRESH_TIME)  # by the beacons heard here
         self._trips = RoundTrips()  # from each solicit to the beacons that answer it
         self._reports = MemberReports(is_local=is_local)  # of robots on other robots
         self._statuses = StatusTable()
-        self._mentioned: dict[str, float] = {}  # each robot heard or reported, and since when
-        # When a report last named a robot; inf for a robot that an earlier look has heard, which
-        # is never forgotten.
-        self._named: dict[str, float] = {}
+        self._known_since: dict[str, float] = {}  # each robot heard or reported, and since when
+        # When a robot last sent a member list, or was last named in a list or view. A robot that no
+        # list names any more is forgotten (`_forget`); inf: never, as an earlier look heard it.
+        self._last_named_at: dict[str, float] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")  # when member lists were last asked for
 
@@ -108,8 +108,8 @@ class Discovery:
         # the robot whose report was the only source for a member; empty for a member heard here.
         for robot, member in (earlier.members if earlier else {}).items():
             if member.presence is not Presence.LEFT:
-                self._mentioned[robot] = now
-                self._named[robot] = now if member.by else float("inf")
+                self._known_since[robot] = now
+                self._last_named_at[robot] = now if member.by else float("inf")
                 report = PeerReport(member.instance, Presence.FAILED, now - member.age)
                 self._reports.store(robot, reporter="", way=EARLIER, reports=[report])
 
@@ -145,7 +145,7 @@ class Discovery:
             self._statuses.drop(robot, instance)
             self._on_news(robot, now)
         elif change is Change.FOUND:
-            self._mention(robot, now)
+            self._note_known(robot, now)
             self._on_news(robot, now)
             self.found_at = now
         if instance in self._members.lives(robot):
@@ -155,8 +155,8 @@ class Discovery:
         """Take a part of a robot's member list."""
         if word.part >= word.parts or not self._has_room(word.robot):
             return
-        self._mention(word.robot, now)
-        self._name(word.robot, now)
+        self._note_known(word.robot, now)
+        self._note_named(word.robot, now)
         if not self._reports.has_list(word.robot):
             self._on_news(word.robot, now)
         reports = self._reports.add_list(word, now)
@@ -193,8 +193,8 @@ class Discovery:
 
     @property
     def known(self) -> frozenset[str]:
-        """Every name that was heard, mentioned or is on a roster."""
-        return frozenset(self._mentioned.keys() | self._roster)
+        """Every name that was heard, reported or is on a roster."""
+        return frozenset(self._known_since.keys() | self._roster)
 
     @property
     def of_other_version(self) -> frozenset[str]:
@@ -212,7 +212,7 @@ class Discovery:
         """The robots that left by a beacon, and are alive in the newest list of another robot."""
         return frozenset(
             robot
-            for robot in self._mentioned
+            for robot in self._known_since
             for instance in self._members.farewells(robot)
             if self._reports.is_alive(robot, instance)
         )
@@ -262,7 +262,7 @@ class Discovery:
         """
         direct: dict[tuple[str, str], Address] = {}  # heard here, or with an answer
         indirect: dict[tuple[str, str], Address] = {}  # only reported
-        for robot in self._mentioned:
+        for robot in self._known_since:
             heard = self._members.lives(robot)
             if heard:
                 for instance in self.holders(robot) & heard.keys():
@@ -284,7 +284,7 @@ class Discovery:
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that only other robots report, in turns of MAX_COPIES."""
-        known = {self.address(robot) for robot in self._mentioned.keys() - self.heard}
+        known = {self.address(robot) for robot in self._known_since.keys() - self.heard}
         addresses = sorted(address for address in known if address is not None)
         first = 0
         if len(addresses) > MAX_COPIES:
@@ -339,25 +339,25 @@ class Discovery:
         1. `quiet_time` after the last news.
         2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found, since
            robots are dialled together. This wait grows with the loss of datagrams, too.
-        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT after it was first
-           mentioned.
-        4. For any other robot: GONE_WAIT after it was first mentioned.
+        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT after it became
+           known.
+        4. For any other robot: GONE_WAIT after it became known.
         5. While no robot is heard: the timeout for the first robot.
         """
         first_robot_end = self.started + self._first_robot_wait
-        if not self._mentioned:
+        if not self._known_since:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news_at + self.quiet_time]
         # The look waits for a robot that was found late only if it has answered, or if another
         # robot reports it: an attacker may invent robots.
-        awaited = {robot for robot in self._mentioned if self._prolongs(robot)}
-        last_found_at = max((self._mentioned[robot] for robot in awaited), default=self.started)
+        awaited = {robot for robot in self._known_since if self._prolongs(robot)}
+        last_found_at = max((self._known_since[robot] for robot in awaited), default=self.started)
         for robot in lacking:
-            is_found = robot in self._mentioned  # else only the roster names the robot
+            is_found = robot in self._known_since  # else only the roster names the robot
             if is_found and robot not in awaited:
                 continue
-            since = self._mentioned.get(robot, self.started)
+            since = self._known_since.get(robot, self.started)
             report = most_certain(self._all_reports(robot))
             if self._is_fresh(robot, now):
                 wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
@@ -388,7 +388,7 @@ class Discovery:
 
     def result(self, now: float) -> MembersView:
         """The members as known so far."""
-        members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}
+        members = {robot: self._member(robot, now) for robot in sorted(self._known_since)}
         seen = {robot: member for robot, member in members.items() if member is not None}
         of_other_version = {
             name for name, member in seen.items() if member.contact is Contact.OTHER_VERSION
@@ -452,7 +452,7 @@ class Discovery:
 
     def _prolongs(self, robot: str) -> bool:
         """True if the look waits for a robot: found early, or reported, or with an answer."""
-        if self._mentioned.get(robot, self.started) - self.started <= PROLONGING_TIME:
+        if self._known_since.get(robot, self.started) - self.started <= PROLONGING_TIME:
             return True
         return (
             robot in self._statuses.robots
@@ -463,25 +463,26 @@ class Discovery:
         )
 
     def _has_room(self, robot: str) -> bool:
-        return robot in self._mentioned or len(self._mentioned) < MAX_MEMBERS
+        return robot in self._known_since or len(self._known_since) < MAX_MEMBERS
 
-    def _mention(self, robot: str, now: float) -> bool:
+    def _note_known(self, robot: str, now: float) -> bool:
         """Note that a name is known; True if it is new."""
-        if robot in self._mentioned or len(self._mentioned) >= MAX_MEMBERS:
+        if robot in self._known_since or len(self._known_since) >= MAX_MEMBERS:
             return False
-        self._mentioned[robot] = now
+        self._known_since[robot] = now
         return True
 
-    def _name(self, robot: str, now: float) -> None:
-        self._named[robot] = max(now, self._named.get(robot, now))
+    def _note_named(self, robot: str, now: float) -> None:
+        """Note that a robot is named now; inf (never forgotten) stays."""
+        self._last_named_at[robot] = max(now, self._last_named_at.get(robot, now))
 
     def _forget(self, now: float) -> None:
         """Drop the robots that were never heard, and that no list named for INDIRECT_TIME."""
-        for robot, at in list(self._named.items()):
+        for robot, at in list(self._last_named_at.items()):
             is_seen = self._members.was_heard(robot) or robot in self._statuses.robots
             if now - at > INDIRECT_TIME and not is_seen:
-                del self._named[robot]
-                self._mentioned.pop(robot, None)
+                del self._last_named_at[robot]
+                self._known_since.pop(robot, None)
                 self._reports.forget(robot)
 
     def _store_reports(
@@ -492,9 +493,9 @@ class Discovery:
         for robot, some in reports.items():
             if robot == reporter:
                 continue
-            is_new = self._mention(robot, now)
-            if robot in self._mentioned:
-                self._name(robot, now)
+            is_new = self._note_known(robot, now)
+            if robot in self._known_since:
+                self._note_named(robot, now)
                 self._reports.store(robot, reporter, way, some)
             if is_new:
                 self._on_news(robot, now)
@@ -504,7 +505,7 @@ class Discovery:
         if not self._has_room(robot):
             return
         is_new = self._statuses.add(robot, answer)
-        self._mention(robot, now)
+        self._note_known(robot, now)
         if is_new:
             self._on_news(robot, now)
 

@@ -38,7 +38,8 @@ class OperatorAdmission:
     `on_newer_roster(robot, address, generation)`: a robot may have a newer roster.
     `on_missing_key(robot, address)`: this identity has no key that it shares with the robot.
     `outdated`: addresses of robots that were heard with an older roster. `unproven`: addresses of
-    robots whose key is missing. No signature proves these addresses.
+    robots whose key is missing. No signature proves these addresses: only a link to an address
+    shows whether the named robot is there.
     """
 
     def __init__(

@@ -51,10 +51,11 @@ def pulled_roster(
 def pulled_keys(
     settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> Identity | None:
-    """Pull missing keys from robots; returns the identity with these keys, None without any key.
+    """Pull missing keys from robots; returns the identity with the keys that robots handed over.
 
-    Each robot hands over the key that it shares with this identity. `robots`: names, and addresses
-    at which datagrams with these names were heard. No signature proves an address.
+    None if no robot handed over its key. Each robot has one key that it shares with this identity.
+    `robots`: names, and addresses at which datagrams with these names were heard. An address may be
+    forged, since no signature proves it; the link proves whether the named robot answers there.
     """
     try:
         keys = asyncio.run(_pull_keys(settings, identity, robots))

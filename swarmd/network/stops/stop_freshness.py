@@ -63,7 +63,8 @@ class StopFreshness:
     """The stops that a robot has heard, by which it refuses replayed stops.
 
     `floors`: by origin, the greatest counter that the robot heard in its earlier life. A stop of
-    such an origin is accepted only above this counter: SLACK does not apply.
+    such an origin is accepted only above this counter: SLACK does not apply, since the robot does
+    not know the ids of those earlier stops any more.
     """
 
     def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:
