@@ -5,8 +5,8 @@ without areas to keep out of. Robots drive random commands. The pose in the shar
 errors up to the told bound, comes up to 0.1 s late, is lost for up to 1.2 s, and sometimes jumps by
 metres. A crossing: a place of the true outline is outside. In one run of four the robots start
 outside, wholly or across the fence; a crossing is then a distance to the fence that grows by more
-than GROWTH, or a robot that leaves after it was inside. Runs that build/safety has from the same
-sources are not repeated.
+than twice the told error and GROWTH, or a robot that leaves after it was inside by as much. With
+`--exact` poses have no errors. Runs that build/safety has from the same sources are not repeated.
 """
 
 from __future__ import annotations
@@ -39,19 +39,23 @@ ROBOTS = {"barrier": 4, "stop_zone": 1, "off": 1}
 """Robots of a run by mode: without the barrier other robots push a robot across its fence."""
 ERROR, YAW_ERROR = 0.03, 0.03  # m and rad: the told bounds of the errors
 GROWTH = 0.005
-"""m that the distance of a robot outside may grow: errors of a pose that it did not know."""
+"""m that the distance of a robot outside may grow, beside twice the told error of a pose."""
 LATE, LOST, JUMPED = 0.2, 0.02, 0.01  # shares of poses that are late, begin a loss, or jump
 _PARTS = np.linspace(0.0, 1.0, 5)[:, None, None]  # of an edge of the outline
 
 
 class Run(Struct, frozen=True):
-    """A run to do; `duration` in s. `is_outside`: the robots start outside."""
+    """A run to do; `duration` in s. `is_outside`: the robots start outside.
+
+    `is_exact`: poses have no error, and are told so.
+    """
 
     platform: str
     mode: str
     seed: int
     duration: float
     is_outside: bool
+    is_exact: bool = False
 
 
 class Result(Kept, frozen=True, kw_only=True):
@@ -94,8 +98,9 @@ class Judge:
 class Localisation:
     """Poses with errors, delays, losses and jumps, in place of those of the world."""
 
-    def __init__(self, world: World, seed: int) -> None:
+    def __init__(self, world: World, seed: int, *, is_exact: bool) -> None:
         self._true, self._rng = world.shared_pose, np.random.default_rng(seed)
+        self._is_exact = is_exact
         self._last: dict[int, SharedPose] = {}
         self._lost_until: dict[int, float] = {}
 
@@ -109,6 +114,8 @@ class Localisation:
         if rng.random() < LOST and stamp > self._lost_until.get(robot, 1.0):
             self._lost_until[robot] = stamp + rng.uniform(0.0, 1.2)
         at = 0.0 if stamp < self._lost_until.get(robot, 0.0) else pose.stamp
+        if self._is_exact:
+            return SharedPose(at, pose.pose, 0.0, 0.0, "world")
         way, far = rng.uniform(-math.pi, math.pi), rng.uniform(0.0, ERROR)
         if rng.random() < JUMPED:
             far = rng.uniform(0.0, 5.0)
@@ -174,7 +181,9 @@ def measure(run: Run, code: str = "") -> Result:
     made = scene(run.platform, run.mode, run.seed, run.duration, is_outside=run.is_outside)
     lockstep = Lockstep(made, run.seed)
     world = lockstep.world
-    world.shared_pose = Localisation(world, run.seed).shared_pose  # type: ignore[method-assign]
+    poses_told = Localisation(world, run.seed, is_exact=run.is_exact)
+    world.shared_pose = poses_told.shared_pose  # type: ignore[method-assign]
+    growth = GROWTH if run.is_exact else GROWTH + 2.0 * ERROR
     assert made.fence is not None
     fence = Fence(made.fence, world.platforms[0])
     judge = Judge(fence, [one.footprint for one in world.platforms])
@@ -192,11 +201,11 @@ def measure(run: Run, code: str = "") -> Result:
         least = np.minimum(least, np.maximum(-circles, 0.0))
         grown = -circles - least
         clearance = judge.clearances(poses)
-        is_inside |= circles >= 0.0
+        is_inside |= circles >= growth
         # Of a robot outside, the circle around the axle counts, as in the fence; of a robot inside,
         # the outline.
         off = np.where(is_inside, -clearance, grown)
-        is_bad = off > np.where(is_inside, 0.0, GROWTH)
+        is_bad = off > np.where(is_inside, 0.0, growth)
         crossings += int((is_bad & ~was_bad).sum())
         was_bad, worst = is_bad, max(worst, float(off.max()))
         nearest = min(nearest, float(clearance[is_inside].min(initial=math.inf)))
@@ -215,7 +224,9 @@ def measure(run: Run, code: str = "") -> Result:
     )
 
 
-def plan(robot_hours: float, duration: float, first_seed: int) -> Iterator[Run]:
+def plan(
+    robot_hours: float, duration: float, first_seed: int, *, is_exact: bool = False
+) -> Iterator[Run]:
     """Runs of all platforms and modes in turn, one of four with a start outside."""
     left = 3600.0 * robot_hours
     for number in count():
@@ -225,7 +236,7 @@ def plan(robot_hours: float, duration: float, first_seed: int) -> Iterator[Run]:
         mode = MODES[number // len(PLATFORMS) % len(MODES)]
         left -= ROBOTS[mode] * duration
         is_outside = number // (len(PLATFORMS) * len(MODES)) % 4 == 3
-        yield Run(platform, mode, first_seed + number, duration, is_outside)
+        yield Run(platform, mode, first_seed + number, duration, is_outside, is_exact)
 
 
 def table(results: Sequence[Result]) -> str:
@@ -259,10 +270,12 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--robot-hours", type=float, default=50.0)
     parser.add_argument("--duration", type=float, default=120.0, help="s of each run")
     parser.add_argument("--seed", type=int, default=1, help="of the first run")
+    parser.add_argument("--exact", action="store_true", help="poses without errors")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--out", type=Path, default=Path("build/safety"))
     options = parser.parse_args(arguments)
-    runs = list(plan(options.robot_hours, options.duration, options.seed))
+    limits = options.robot_hours, options.duration, options.seed
+    runs = list(plan(*limits, is_exact=options.exact))
     file = options.out / "fence.jsonl"
     results = carry_out_missing(runs, measure, Result, file, options.jobs)
     hours = sum(one.seconds for one in results) / 3600.0

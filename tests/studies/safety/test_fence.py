@@ -21,7 +21,7 @@ from swarmd.protection.fence import Fence
     ],
 )
 def test_no_robot_crosses_its_fence(platform: str, mode: str, seed: int, is_outside: bool) -> None:
-    result = measure(Run(platform, mode, seed, 20.0, is_outside))
+    result = measure(Run(platform, mode, seed, 20.0, is_outside, is_exact=is_outside))
     assert result.crossings == 0
     assert result.worst < GROWTH
     assert result.moving > 0.0
