@@ -425,6 +425,44 @@ def test_hints_cover_no_tool_of_the_map(
         page.until(f"{COVERED % repr('#tools button')}.length === 0", "all tools are free")
 
 
+@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844)])
+def test_the_card_of_a_robot_covers_no_robot_on_a_phone(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    places = (
+        "[...swarm.model.robots.values()].map((one) => {"
+        " const box = document.getElementById('map').getBoundingClientRect();"
+        " const [x, y] = swarm.map.toScreen(one.x, one.y).map((it) => it / swarm.map.ratio);"
+        " return document.elementFromPoint(box.x + x, box.y + y)?.id; })"
+        ".every((id) => id === 'map')"
+    )
+    with shown(7, capsys) as (_, (address,)):
+        page.resize(width, height, is_phone=True)
+        ready(page, address, 7)
+        page.until(places, "all robots are seen")
+        page.evaluate("swarm.model.select(['tb3-003'])")
+        page.until("document.getElementById('detail-pane').offsetHeight > 0", "a card")
+        page.until(places, "all robots are seen beside the card")
+        page.evaluate("document.getElementById('detail-close').click()")
+        page.until("document.getElementById('detail-pane').offsetHeight === 0", "no card")
+        page.until(places, "all robots are seen")
+
+
+def test_a_selection_does_not_move_the_map_of_a_wide_window(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        view = "[...swarm.map.centre, swarm.map.scale]"
+        before = page.evaluate(f"(() => {{ swarm.map.fit(); return {view}; }})()")
+        near = "swarm.model.robots.get('tb3-002').offset = [0.2, 0, 0]"
+        page.evaluate(f"(() => {{ {near}; swarm.model.select(['tb3-003']); }})()")
+        page.until("document.getElementById('detail-pane').offsetHeight > 0", "a card")
+        frames = "new Promise((seen) => requestAnimationFrame(() => requestAnimationFrame(seen)))"
+        page.evaluate(f"{frames}.then(() => null)")
+        assert page.evaluate(view) == before
+
+
 def test_the_map_fits_again_when_a_robot_leaves_it_until_the_view_is_moved(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
