@@ -26,7 +26,7 @@ const free = () => { // what the map shows by Fit is not covered
   const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
   const insets = [tools + hints, Math.max(legend, sheet), side('commands'), side('look')], isSame = `${insets}` === `${map.insets}`;
   map.insets = insets;
-  for (const [name, value] of [['--legend', legend], ['--tools', tools]]) document.documentElement.style.setProperty(name, `${value}px`);
+  for (const [name, value] of [['--legend', legend], ['--tools', tools], ['--above', tools + hints]]) document.documentElement.style.setProperty(name, `${value}px`);
   if (map.hasFitted && !map.isTouched && !isSame) map.fit();
 };
 for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(free).observe(element(id));
