@@ -109,7 +109,7 @@ class Results:
         self.errors = {run: dict(reasons) for run, reasons in custom.errors.items()}
         self._custom = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
-        self._report_units = custom.report_units
+        self.report_units = custom.report_units
         # Metrics measured from traces later, by (name, digest of the code) and by run.
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
@@ -154,7 +154,7 @@ class Results:
             return self._custom[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:
             return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
-        return metric_of(which, report_units=self._report_units)
+        return metric_of(which, report_units=self.report_units)
 
     def asked(self, name: str | Metric) -> Metric:
         """The metric of a name that the user gives: as `about`, but with the present code.
