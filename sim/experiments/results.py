@@ -301,7 +301,7 @@ class Results:
         return [(metric, summaries[metric.name]) for metric in metrics]
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
-        """A table for each variant with the metrics `names`, by default all."""
+        """A table for each variant with the metrics `names`; None: all that have a value."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
         count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
@@ -313,11 +313,22 @@ class Results:
             lines.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
         if self.kernels not in ("", "compiled"):
             lines.append(f"kernels: {self.kernels}")
-        for variant in self.variants:
+        tables = {variant: self._summaries(variant, names) for variant in self.variants}
+        has_runs = {
+            metric.name
+            for table in tables.values()
+            for metric, found in table
+            if found.n or found.never
+        }
+        # `names` were asked for; of all metrics, those without any value are one line.
+        shown = has_runs if names is None else {metric.name for metric in map(self.about, names)}
+        for variant, table in tables.items():
             lines += ["", variant] if variant else [""]
-            lines += statistics.aligned(
-                statistics.HEADER, statistics.summary_rows(self._summaries(variant, names))
-            )
+            rows = [row for row in table if row[0].name in shown]
+            lines += statistics.aligned(statistics.HEADER, statistics.summary_rows(rows))
+        left_out = [name for name in self.metrics if name not in shown] if names is None else []
+        if self._rows and left_out:
+            lines += ["", f"without a value in any run: {', '.join(left_out)}"]
         return "\n".join(lines)
 
     def __str__(self) -> str:
