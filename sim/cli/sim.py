@@ -118,8 +118,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
     Prints the driver and its options that a daemon needs to drive a robot of this world.
     """
-    import yaml
-
+    from swarmd.settings.yamlfile import text_of
     from swarmd.sim.live.fleet import Fleet, daemon_config, end_on_signals
 
     end_on_signals()
@@ -131,7 +130,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
         with suppress(KeyboardInterrupt):
             click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
             click.echo("add to the file of each daemon:")
-            click.echo(yaml.safe_dump(shown, sort_keys=False, default_flow_style=None).rstrip())
+            click.echo(text_of(shown, flow=None).rstrip())
             _report_ends(fleet)
         click.echo("ending the world")
 

@@ -325,7 +325,7 @@ def test_the_table_has_the_patterns_and_whole_reasons(
         ready(page, address, 4)
         swarm.change("tb3-002", State.RUNNING, reason=Reason.NO_REQUESTED_COMMAND)
         swarm.change("tb3-003", State.STOPPED, detail="by anna@desk", since=130.0)
-        swarm.change("tb3-004", State.ESTOPPED, detail="by anna@desk: from the page", since=130.0)
+        swarm.change("tb3-004", State.ESTOPPED, detail="by anna@desk", since=130.0)
         page.click("#robots-open")
         cell = "document.querySelector('tr[data-name=\"{}\"] td.{}')"
         first, why = cell.format("tb3-001", "pattern"), cell.format("tb3-003", "why")
