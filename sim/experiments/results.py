@@ -317,8 +317,8 @@ class Results:
         has_runs = {
             metric.name
             for table in tables.values()
-            for metric, found in table
-            if found.n or found.never
+            for metric, summary in table
+            if summary.n or summary.never
         }
         # `names` were asked for; of all metrics, those without any value are one line.
         shown = has_runs if names is None else {metric.name for metric in map(self.about, names)}

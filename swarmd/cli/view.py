@@ -161,9 +161,8 @@ def _play(files: tuple[Path, ...], page: WebOptions) -> None:
         warn(note)
 
     def describe() -> None:
-        platform = next(iter(source.timeline.tracks.values())).platform.name
         with suppress(SwarmError):  # such as a platform of another machine: units are left out
-            source.take_patterns(describe_patterns((), None, platform))
+            source.take_patterns(describe_patterns((), None, source.robots[0].platform))
 
     threading.Thread(target=describe, daemon=True).start()
     serve(source, None, page)

@@ -90,8 +90,10 @@ class Source(Protocol):
     """`live`, `world`, `run` or `recording`."""
     swarm: str
     patterns: Sequence[str]
-    descriptions: Mapping[str, Mapping[str, Any]]
-    """By pattern, if known, `summary`, `params` and `report_units` of `patterns show -o json`."""
+
+    @property
+    def descriptions(self) -> Mapping[str, Mapping[str, Any]]:
+        """By pattern, if known: `summary`, `params`, `report_units` of `patterns show -o json`."""
 
     @property
     def arena(self) -> ShownArena | None:
