@@ -160,7 +160,7 @@ def report(
 
     is_recording = place.suffix == ".mcap"
     path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
-    if path.suffix != ".html" or not path.parent.is_dir():
+    if out is not None and (path.suffix != ".html" or not path.parent.is_dir()):
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
 
     # 2. The text of the report.

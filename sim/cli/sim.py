@@ -118,6 +118,7 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
     Prints the driver and its options that a daemon needs to drive a robot of this world.
     """
+    from swarmd.settings.yamlfile import text_of
     from swarmd.sim.live.fleet import Fleet, daemon_config, end_on_signals
 
     end_on_signals()
@@ -126,10 +127,10 @@ def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
         config = daemon_config(spec, next(iter(spec.robots)), fleet.ready)
         names = list(spec.robots)
         shown = {key: config[key] for key in ("platform", "driver", "driver_options")}
-        lines = [(key, str(value)) for key, value in shown.items()]
         with suppress(KeyboardInterrupt):
             click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
-            print_section("In the file of each daemon:", lines)
+            click.echo("add to the file of each daemon:")
+            click.echo(text_of(shown, flow=None).rstrip())
             _report_ends(fleet)
         click.echo("ending the world")
 

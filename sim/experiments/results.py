@@ -109,7 +109,7 @@ class Results:
         self.errors = {run: dict(reasons) for run, reasons in custom.errors.items()}
         self._custom = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
-        self._report_units = custom.report_units
+        self.report_units = custom.report_units
         # Metrics measured from traces later, by (name, digest of the code) and by run.
         self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
@@ -154,7 +154,7 @@ class Results:
             return self._custom[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:
             return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
-        return metric_of(which, report_units=self._report_units)
+        return metric_of(which, report_units=self.report_units)
 
     def asked(self, name: str | Metric) -> Metric:
         """The metric of a name that the user gives: as `about`, but with the present code.
@@ -301,7 +301,7 @@ class Results:
         return [(metric, summaries[metric.name]) for metric in metrics]
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
-        """A table for each variant with the metrics `names`, by default all."""
+        """A table for each variant with the metrics `names`; None: all that have a value."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
         count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
@@ -313,11 +313,22 @@ class Results:
             lines.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
         if self.kernels not in ("", "compiled"):
             lines.append(f"kernels: {self.kernels}")
-        for variant in self.variants:
+        tables = {variant: self._summaries(variant, names) for variant in self.variants}
+        has_runs = {
+            metric.name
+            for table in tables.values()
+            for metric, summary in table
+            if summary.n or summary.never
+        }
+        # `names` were asked for; of all metrics, those without any value are one line.
+        shown = has_runs if names is None else {metric.name for metric in map(self.about, names)}
+        for variant, table in tables.items():
             lines += ["", variant] if variant else [""]
-            lines += statistics.aligned(
-                statistics.HEADER, statistics.summary_rows(self._summaries(variant, names))
-            )
+            rows = [row for row in table if row[0].name in shown]
+            lines += statistics.aligned(statistics.HEADER, statistics.summary_rows(rows))
+        left_out = [name for name in self.metrics if name not in shown] if names is None else []
+        if self._rows and left_out:
+            lines += ["", f"without a value in any run: {', '.join(left_out)}"]
         return "\n".join(lines)
 
     def __str__(self) -> str:

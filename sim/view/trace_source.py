@@ -27,6 +27,7 @@ from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field
+from swarmd.texts.values import quantity
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, points_of, standing_of
 
@@ -43,6 +44,7 @@ class RecordedRun:
     trace: Trace
     fields: Sequence[Field] = ()
     platforms: Mapping[str, Platform] = field(default_factory=dict)
+    report_units: Mapping[str, str] = field(default_factory=dict)  # by the keys of reports
 
 
 class TraceSource:
@@ -51,7 +53,6 @@ class TraceSource:
     kind = "run"
     patterns: Sequence[str] = ()
     programs: Sequence[str] = ()
-    descriptions: Mapping[str, Mapping[str, Any]] = {}
 
     def __init__(
         self,
@@ -74,6 +75,11 @@ class TraceSource:
         self._shown = shown
         self.playback.load(run, shown.duration)
         self.revision += 1
+
+    @property
+    def descriptions(self) -> Mapping[str, Mapping[str, Any]]:
+        """The units of reports by pattern; see `swarmd.view.source.Source`."""
+        return self._shown.descriptions
 
     @property
     def robots(self) -> Sequence[ShownRobot]:
@@ -141,6 +147,9 @@ class _ShownRun:
         self._contacts = contact_list(trace, CONTACT_TIME)
         self._present = presence(trace)
         self._names, self._patterns = patterns_of(trace)
+        self._units = run.report_units
+        described = {"report_units": run.report_units}
+        self.descriptions: Mapping[str, Mapping[str, Any]] = dict.fromkeys(self._names, described)
         self._limits = _largest(trace)  # (3,) the largest speeds, for the scale of a dial
         self._index = {name: i for i, name in enumerate(trace.ids)}
         self.link = cluster_link(trace)  # m, within which two robots are in one cluster
@@ -225,7 +234,8 @@ class _ShownRun:
             return None
         row = self.rows(now)[name]
         values = [["Platform", self._trace.platforms[index]], ["Pattern", row["pattern"] or "-"]]
-        values += [[f"Report {key}", _short(value)] for key, value in row["report"].items()]
+        units = self._units
+        values += [[f"Report {k}", quantity(v, units.get(k))] for k, v in row["report"].items()]
         values += [[f"Reading {key}", _short(value)] for key, value in row["readings"].items()]
         if self._sensors is not None:
             values.append(["Scan", "ideal: computed from positions, without noise"])
@@ -390,7 +400,8 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
         run = runs[name]
         effective = run.variant.effective
         fields = fields_of(Layered((str(folder), effective)), effective.get("fields", ()))
-        return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
+        trace, platforms = load_trace(trace_path(folder, run)), _platforms(effective)
+        return RecordedRun(trace, fields, platforms, results.report_units)
 
     plural = "s" if len(kept) > 1 else ""
     title = f"{results.plan.scenario}, {len(kept)} run{plural}"

@@ -268,7 +268,8 @@ class Calibration(Pattern[CalibrationParams]):
             side = self.params.floor
             raise _EndError(
                 f"the floor of {side:g} x {side:g} m is not free: something stands"
-                f" {float(ranges.min()):.2f} m from the axle at {bearing:.0f} deg"
+                f" {float(ranges.min()):.2f} m from the axle at {bearing:.0f} deg (90: left);"
+                " remove it, or put the robot elsewhere"
             )
 
     def _relative(self, pose: Pose) -> Pose:

@@ -130,10 +130,11 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
 def _print(lines: list[_Line], *, only_problems: bool) -> None:
     print_table(HEADER, rows_of(lines, only_problems=only_problems))
     count = {level: sum(line.finding.level is level for line in lines) for level in Level}
-    click.echo(
-        f"{len(lines)} checked: {count[Level.FAULT]} faults, {count[Level.WARNING]} warnings,"
-        f" {count[Level.UNKNOWN]} not known"
+    faults, warnings = (
+        f"{count[level]} {level}" if count[level] == 1 else f"{count[level]} {level}s"
+        for level in (Level.FAULT, Level.WARNING)
     )
+    click.echo(f"{len(lines)} checked: {faults}, {warnings}, {count[Level.UNKNOWN]} not known")
 
 
 def rows_of(

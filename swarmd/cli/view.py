@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -15,6 +16,7 @@ import click
 from swarmd.cli.options import EXISTING, CommonOptions, common_options
 from swarmd.cli.output import need_terminal, signals_end, warn
 from swarmd.cli.web import HOST, WebOptions, check_web, serve, web_options
+from swarmd.core.errors import SwarmError
 from swarmd.plugins import need, pattern_names
 
 if TYPE_CHECKING:
@@ -150,10 +152,17 @@ def _show(options: CommonOptions) -> int:
 
 
 def _play(files: tuple[Path, ...], page: WebOptions) -> None:
+    from swarmd.cli.plugin_check import describe_patterns
     from swarmd.cli.record_merge import parts_of
     from swarmd.view.recording_source import RecordingSource
 
     source = RecordingSource(parts_of(files))
     for note in source.timeline.notes:
         warn(note)
+
+    def describe() -> None:
+        with suppress(SwarmError):  # such as a platform of another machine: units are left out
+            source.take_patterns(describe_patterns((), None, source.robots[0].platform))
+
+    threading.Thread(target=describe, daemon=True).start()
     serve(source, None, page)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from html import escape
+from importlib import import_module
 from typing import Any
 
 from swarmd.client.states import Pose
 from swarmd.client.targets import check_known
 from swarmd.network.operator.exit_codes import code_of_answers
 from swarmd.network.operator.members_view import MembersView, SeenMember
+from swarmd.plugins import installed_patterns
 from swarmd.texts.members import HEADER, health, row
-from swarmd.texts.status import sections
+from swarmd.texts.status import NOT_DESCRIBED, sections
 from swarmd.texts.values import printable
 from swarmd.texts.why import why
 
@@ -62,7 +65,8 @@ class Members(Mapping[str, SeenMember]):
         """One robot in detail. RequestError, with the nearest name, if it is not known."""
         check_known(robot, self)
         member = self[robot]
-        parts = [] if member.status is None else sections(member, member.status)
+        status = member.status
+        parts = [] if status is None else sections(member, status, _described(status.pattern))
         return Description(robot, why(member), tuple((title, tuple(rows)) for title, rows in parts))
 
     def rows(self) -> list[dict[str, Any]]:
@@ -107,6 +111,17 @@ class Description:
 
     def _repr_html_(self) -> str:
         return f"<pre>{escape(str(self))}</pre>"
+
+
+def _described(pattern: str | None) -> Mapping[str, Any]:
+    """The units of the reports of a pattern that is installed here as a package; else empty."""
+    origin = installed_patterns().get(pattern or "")
+    if origin is None or origin.is_file:
+        return NOT_DESCRIBED
+    module, _, name = origin.value.partition(":")
+    with suppress(ImportError, AttributeError):  # the robot has another version of the package
+        return {"report_units": getattr(import_module(module), name).report_units}
+    return NOT_DESCRIBED
 
 
 def map_of(members: Members) -> str:

@@ -14,7 +14,7 @@ from swarmd.client.event_feed import EventLine, together
 from swarmd.core.messages import Member, Presence, Reason
 from swarmd.core.values import Array, Twist
 from swarmd.recording import messages
-from swarmd.texts.status import sections
+from swarmd.texts.status import NOT_DESCRIBED, sections
 from swarmd.texts.why import protection_word
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, link_of, points_of, row_of, standing_of
@@ -34,7 +34,7 @@ class RecordingSource:
     programs: Sequence[str] = ()
     descriptions: Mapping[str, Mapping[str, Any]] = {}
     link: float | None = None
-    revision = 0
+    revision = 0  # rises once patterns are described
     _marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
 
     def __init__(self, paths: Sequence[Path], clock: Callable[[], float] = time.monotonic) -> None:
@@ -52,6 +52,11 @@ class RecordingSource:
         run = paths[0].name
         self.playback = Playback([run], lambda _: None, clock)
         self.playback.load(run, self.timeline.duration)
+
+    def take_patterns(self, described: Sequence[Mapping[str, Any]]) -> None:
+        """Use the descriptions of `patterns show -o json` for units, from the next row on."""
+        self.descriptions = {row["name"]: row for row in described if "error" not in row}
+        self.revision += 1
 
     def frame(self) -> tuple[float, Array]:
         """The present time, and the pose of each robot that is recorded then."""
@@ -107,7 +112,9 @@ class RecordingSource:
         if (status := track.status(now)) is not None:
             alive = Presence.ALIVE
             member = Member(robot=name, instance=status.instance, presence=alive, age=0.0)
-            titled = [[title, rows] for title, rows in sections(member, status)[:-1] if rows]
+            described = self.descriptions.get(status.pattern or "", NOT_DESCRIBED)
+            *groups, _ = sections(member, status, described)
+            titled = [[title, rows] for title, rows in groups if rows]
         events = [[f"{at:.1f} s", text] for at, text in track.events(now, MAX_EVENTS)]
         return {"sections": titled, "events": events}
 

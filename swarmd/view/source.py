@@ -90,8 +90,10 @@ class Source(Protocol):
     """`live`, `world`, `run` or `recording`."""
     swarm: str
     patterns: Sequence[str]
-    descriptions: Mapping[str, Mapping[str, Any]]
-    """By pattern, if known, `summary`, `params` and `report_units` of `patterns show -o json`."""
+
+    @property
+    def descriptions(self) -> Mapping[str, Mapping[str, Any]]:
+        """By pattern, if known: `summary`, `params`, `report_units` of `patterns show -o json`."""
 
     @property
     def arena(self) -> ShownArena | None:
@@ -170,6 +172,11 @@ def hello_of(source: Source, role: str) -> dict[str, Any]:
         "robots": [robot.plain() for robot in source.robots],
         "arena": None if source.arena is None else source.arena.plain(),
         "patterns": [{**source.descriptions.get(p, {}), "name": p} for p in source.patterns],
+        "report_units": {
+            name: described["report_units"]
+            for name, described in source.descriptions.items()
+            if described.get("report_units")
+        },
         "runs": [] if playback is None else list(playback.runs),
         "playback": None if playback is None else playback.plain(),
     }

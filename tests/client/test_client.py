@@ -296,6 +296,13 @@ def test_what_robots_send_is_text_in_a_page() -> None:
     assert repr(shown).splitlines()[-1].startswith("# 1/1 alive")
 
 
+@pytest.mark.parametrize(("pattern", "text"), [("levy_walk", "0.25 m"), ("gone", "0.25")])
+def test_a_description_has_the_units_of_an_installed_pattern(pattern: str, text: str) -> None:
+    member = make_member(pattern=pattern, report={"left": 0.25})
+    described = Members(MembersView({"r1": member})).describe("r1")
+    assert dict(dict(described.sections)["Report"]) == {"left": text}
+
+
 def test_a_state_has_the_safe_command_with_its_speed_to_the_left() -> None:
     news: queue.Queue[RobotState] = queue.Queue()
     asked, safe = (0.4, 0.5, 0.6), (0.1, 0.2, -0.3)

@@ -175,11 +175,11 @@ def test_list_and_map_share_one_selection(page: Page, capsys: pytest.CaptureFixt
         )
         page.click("th[data-key='name']")
         page.until("document.querySelector('tr[data-name]').dataset.name === 'tb3-007'", "sorted")
-        x, y = place(page, "tb3-002")
+        x, y = place(page, "tb3-001")  # at the left: the card is at the right
         page.mouse(x, y)
-        page.until("swarm.model.selected.has('tb3-002')", "selected on the map")
+        page.until("swarm.model.selected.has('tb3-001')", "selected on the map")
         page.until(
-            "document.querySelector(\"tr[data-name='tb3-002']\").ariaSelected === 'true'",
+            "document.querySelector(\"tr[data-name='tb3-001']\").ariaSelected === 'true'",
             "selected in the list",
         )
         page.until("document.querySelectorAll('#detail-values dt').length > 10", "details")

@@ -17,7 +17,9 @@ pytestmark = [
     pytest.mark.skipif(FOUND is None, reason="no Chromium here"),
 ]
 
+LOST_BASE = Health(driver="/dev/ttyACM0: no such device", driver_up=False)
 WIDTHS = [(390, 844), (1280, 720), (1920, 1080)]
+FRAMES = "new Promise((seen) => requestAnimationFrame(() => requestAnimationFrame(seen)))"
 SHARE = (
     "(() => { const b = document.getElementById('map').getBoundingClientRect();"
     " return b.width * b.height / innerWidth / innerHeight; })()"
@@ -247,8 +249,7 @@ def test_no_panel_covers_a_notice(
     with shown(7, capsys, ["tb3-003"]) as (swarm, (address,)):
         page.resize(width, height, is_phone=width < 900)
         ready(page, address, 7)
-        health = Health(driver="/dev/ttyACM0: no such device", driver_up=False)
-        swarm.change("tb3-002", State.ESTOPPED, health=health)
+        swarm.change("tb3-002", State.ESTOPPED, health=LOST_BASE)
         page.click("#estop")
         page.until(f"{ESTOP}.textContent.includes('tb3-003') && !{ESTOP}.hidden", "not acked")
         page.until("!document.getElementById('lost').hidden", "a lost base")
@@ -315,18 +316,55 @@ def test_what_a_finger_touches_is_44_px_and_the_phone_names_swarm_and_silent_rob
         assert page.evaluate(TARGETS) == []
 
 
-def test_the_table_of_a_laptop_has_the_patterns(
-    page: Page, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("width", "height"), WIDTHS[1:])
+def test_the_table_has_the_patterns_and_whole_reasons(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
 ) -> None:
-    with shown(3, capsys) as (swarm, (address,)):
-        page.resize(1280, 720)
-        ready(page, address, 3)
+    with shown(4, capsys) as (swarm, (address,)):
+        page.resize(width, height)
+        ready(page, address, 4)
+        swarm.change("tb3-002", State.RUNNING, reason=Reason.NO_REQUESTED_COMMAND)
         swarm.change("tb3-003", State.STOPPED, detail="by anna@desk", since=130.0)
+        swarm.change("tb3-004", State.ESTOPPED, detail="by anna@desk", since=130.0)
         page.click("#robots-open")
         cell = "document.querySelector('tr[data-name=\"{}\"] td.{}')"
         first, why = cell.format("tb3-001", "pattern"), cell.format("tb3-003", "why")
         page.until(f"{first}.checkVisibility() && {first}.textContent === 'attraction'", "pattern")
         page.until(f"{why}.textContent === 'stopped by anna, 2 min ago'", "since when")
+        assert page.evaluate("document.querySelector('th.battery').checkVisibility()")
+        for name in ("tb3-002", "tb3-003", "tb3-004"):
+            why = cell.format(name, "why")
+            page.until(f"{why}.textContent.length > 20", f"the reason of {name}")
+            page.until(f"{why}.scrollWidth <= {why}.clientWidth", f"the whole reason of {name}")
+
+
+def test_the_card_of_a_silent_robot_says_since_when_and_its_last_state(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        ready(page, address, 3)
+        swarm.silent.add("tb3-002")
+        page.evaluate("swarm.model.select(['tb3-002'])")
+        why = "document.getElementById('detail-why').textContent"
+        page.until(f"{why}.includes('failed: it may still move); last state: running')", "told")
+        page.until("swarm.model.robots.get('tb3-002').detail.why.includes('forget')", "a detail")
+        page.until(f"!{why}.includes('Members')", "no command of swarmctl")
+
+
+def test_the_table_of_a_small_phone_has_rows_below_notices(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(7, capsys, ["tb3-003"]) as (swarm, (address,)):
+        page.resize(320, 640, is_phone=True)
+        ready(page, address, 7)
+        swarm.change("tb3-002", State.ESTOPPED, health=LOST_BASE)
+        page.click("#estop")
+        page.until(f"!{ESTOP}.hidden", "not acked")
+        page.until("document.getElementById('label').options.length > 1", "labels")
+        page.evaluate("swarm.panels.open('list-pane', true)")
+        bar = "document.querySelector('#list-pane .bar')"
+        page.until(f"{bar}.offsetHeight > 0 && {bar}.offsetHeight < 70", "a bar of one line")
+        assert page.evaluate(f"{bar}.scrollWidth <= {bar}.clientWidth")
 
 
 def described(platform: str) -> list[dict[str, Any]]:
@@ -423,6 +461,56 @@ def test_hints_cover_no_tool_of_the_map(
         page.evaluate("document.getElementById('align').click()")
         page.evaluate("document.getElementById('large').click()")
         page.until(f"{COVERED % repr('#tools button')}.length === 0", "all tools are free")
+
+
+@pytest.mark.parametrize(("width", "height"), [(320, 640), (390, 844)])
+def test_the_card_of_a_robot_covers_no_robot_on_a_phone(
+    page: Page, capsys: pytest.CaptureFixture[str], width: int, height: int
+) -> None:
+    places = (
+        "[...swarm.model.robots.values()].map((one) => {"
+        " const box = document.getElementById('map').getBoundingClientRect();"
+        " const [x, y] = swarm.map.toScreen(one.x, one.y).map((it) => it / swarm.map.ratio);"
+        " const hints = document.getElementById('hints').getBoundingClientRect();"
+        " return box.y + y > hints.bottom && document.elementFromPoint(box.x + x, box.y + y)?.id;"
+        " }).every((id) => id === 'map')"
+    )
+    with shown(7, capsys) as (swarm, (address,)):
+        page.resize(width, height, is_phone=True)
+        ready(page, address, 7)
+        swarm.change("tb3-005", State.ESTOPPED, health=LOST_BASE)
+        page.until("!document.getElementById('lost').hidden", "a notice")
+        page.evaluate(
+            "(() => { const hint = document.getElementById('overload');"
+            " hint.textContent = 'This computer is overloaded (load 19, 2 cores): robots are late';"
+            " hint.hidden = false; })()"
+        )
+        page.until(places, "all robots are seen")
+        page.evaluate("document.getElementById('detail-more').open = true")
+        page.evaluate("swarm.model.select(['tb3-003'])")
+        page.until("document.getElementById('detail-pane').offsetHeight > 100", "a card")
+        page.until(places, "all robots are seen beside the card")
+        page.evaluate("document.getElementById('detail-close').click()")
+        page.until("document.getElementById('detail-pane').offsetHeight === 0", "no card")
+        page.until(places, "all robots are seen")
+
+
+def test_a_selection_does_not_move_the_map_of_a_wide_window(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        # Hints that appear may move the map: none appears from here on.
+        page.until("document.getElementById('caveat').checkVisibility()", "the caveat")
+        page.evaluate("document.getElementById('overload').style.display = 'none'")
+        view = "[...swarm.map.centre, swarm.map.scale]"
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        before = page.evaluate(f"(() => {{ swarm.map.fit(); return {view}; }})()")
+        near = "swarm.model.robots.get('tb3-002').offset = [0.2, 0, 0]"
+        page.evaluate(f"(() => {{ {near}; swarm.model.select(['tb3-003']); }})()")
+        page.until("document.getElementById('detail-pane').offsetHeight > 0", "a card")
+        page.evaluate(f"{FRAMES}.then(() => null)")
+        assert page.evaluate(view) == before
 
 
 def test_the_map_fits_again_when_a_robot_leaves_it_until_the_view_is_moved(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,6 +24,8 @@ from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
 from swarmd.view.recording_source import RecordingSource
+from swarmd.view.source import hello_of
+from tests.support.statuses import status
 
 BURGER = load_platform("burger")
 SPEED = 0.1
@@ -56,6 +60,7 @@ def recorded(
     seconds: float,
     clock: str = "boot",
     avoided: Avoided | None = None,
+    more: Sequence[frames.TextEntry] = (),
 ) -> Path:
     """A robot that drives along x with SPEED, and records until it is stopped at half time."""
     texts = head(robot, clock).texts()
@@ -87,6 +92,8 @@ def recorded(
         ranges = np.full(len(BURGER.scan.bearings), 1.0 + k)
         scan = Scan(k, at, ranges, BURGER.scan.bearings, 0.1, 3.5)
         converter.add(frames.input_entry(ScanInput(scan), at))
+    for entry in more:
+        converter.add(entry)
     converter.add(frames.EventEntry(begin + seconds / 2, "stopped by anna"))
     converter.writer.close()
     assert converter.writer.path is not None
@@ -204,3 +211,23 @@ def test_another_file_is_refused(tmp_path: Path) -> None:
     path.write_text("no recording")
     with pytest.raises(ConfigError, match=r"notes\.mcap"):
         RecordingSource([path])
+
+
+def test_reports_have_the_units_of_their_patterns_once_these_are_described(tmp_path: Path) -> None:
+    told = status("tb3-01", pattern="levy_walk", report={"left": 0.25})
+    entry = frames.TextEntry(51.0, "/status", msgspec.json.encode(told))
+    source = RecordingSource([recorded(tmp_path, "tb3-01", 50.0, 4.0, more=(entry,))])
+    source.playback.seek(1.5)
+
+    def report() -> dict[str, str]:
+        detail = source.detail("tb3-01")
+        assert detail is not None
+        return dict(dict(detail["sections"])["Report"])
+
+    assert report() == {"left": "0.25"}
+    before = source.revision
+    row = {"name": "levy_walk", "report_units": {"left": "m"}, "params": []}
+    source.take_patterns([row, {"name": "drive", "error": "cannot be loaded"}])
+    assert report() == {"left": "0.25 m"}
+    assert source.revision > before
+    assert hello_of(source, "viewer")["report_units"] == {"levy_walk": {"left": "m"}}

@@ -38,9 +38,12 @@ export class Detail {
     const reason = reasonOf(row, this.model.time), word = wordOf(row);
     const short = `${word || '?'}${reason ? `: ${reason}` : ''}${row.touches ? `; touches ${row.touches}` : ''}`;
     const age = this.model.age(robot, performance.now());
-    const old = isHeard ? '' : `Not heard ${Number.isFinite(age) ? `for ${age.toFixed(0)} s` : 'at all'}; before that: `;
+    // A robot that left or failed has this as its reason; swarmctl's sentence names a command that the page lacks.
+    const isAlive = row.presence === 'alive', last = isAlive ? short : word;
+    const passed = this.model.playback ? '' : Number.isFinite(age) ? ` for ${age.toFixed(0)} s` : ' at all';
+    const old = `Not heard${passed}${isAlive ? '' : ` (${plain(row.why || row.presence)})`}${last ? `; last state: ${last}` : ''}`;
     const isLong = detail.why && word !== 'at rest' && this.model.past === null;
-    set('detail-why', `${signOf(word)} ${old}${isLong ? plain(detail.why) : short}`);
+    set('detail-why', `${signOf(word)} ${!isHeard ? old : isLong ? plain(detail.why) : short}`);
     const needsReset = isHeard && ['estopped', 'faulted'].includes(row.state) && this.model.past === null;
     document.getElementById('detail-reset').hidden = !needsReset;
     if (this.shown !== detail) this.drawValues(detail);

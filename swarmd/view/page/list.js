@@ -4,9 +4,11 @@ import { colourOf, reasonOf, signOf, wordOf } from './states.js';
 
 const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
+const NOW = 2; // s within which a robot was heard now
+const CALM = 10000; // ms for which all robots are heard before their column leaves its room
 
 const { compare } = new Intl.Collator(undefined, { numeric: true });
-const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(0)} s ago` : 'never');
+const heard = (age) => (age < NOW ? 'now' : Number.isFinite(age) ? `${age.toFixed(0)} s ago` : 'never');
 
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
@@ -27,6 +29,7 @@ export class RobotList {
     this.sort = 'name';
     this.direction = 1;
     this.words = [];
+    this.lateAt = -Infinity; // when a robot was last silent, in ms
     this.pool = []; // rows that are used again
     [this.before, this.after] = [spacer(), spacer()];
     this.pane = document.getElementById('rows');
@@ -108,6 +111,8 @@ export class RobotList {
     this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
     const all = [...this.model.robots.values()]; // a column without values leaves its room to the others
     this.body.parentElement.classList.toggle('no-battery', all.every((robot) => robot.row.battery === undefined));
+    if (this.sort === 'age' || all.some((robot) => this.model.age(robot, now) >= NOW)) this.lateAt = now;
+    this.body.parentElement.classList.toggle('no-age', now - this.lateAt > CALM);
     this.body.parentElement.classList.toggle('no-pattern', all.every((robot) => !robot.row.pattern));
   }
 

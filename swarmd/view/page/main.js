@@ -22,13 +22,14 @@ const free = () => { // what the map shows by Fit is not covered
   const size = (id, key) => (element(id)[key] ? element(id)[key] + 12 : 0), isPhone = isOnPhone();
   const [tools, hints, legend] = ['tools', 'hints', 'legend'].map((id) => size(id, 'offsetHeight'));
   const side = (...ids) => (isPhone ? 0 : Math.max(...ids.map((id) => size(id, 'offsetWidth'))));
-  const sheet = isPhone ? Math.max(...['look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
-  // The card of a robot does not count: a click that selects a robot must not move the map.
-  map.insets = [tools + hints, Math.max(legend, sheet), side('commands'), side('look')];
-  for (const [name, value] of [['--legend', legend], ['--tools', tools]]) document.documentElement.style.setProperty(name, `${value}px`);
-  if (map.hasFitted && !map.isTouched) map.fit();
+  // The card of a robot counts on a phone alone: in a wide window a click that selects a robot must not move the map.
+  const sheet = isPhone ? Math.max(...['detail-pane', 'look', 'list-pane'].map((id) => element(id).offsetHeight)) : 0;
+  const insets = [tools + hints, Math.max(legend, sheet), side('commands'), side('look')], isSame = `${insets}` === `${map.insets}`;
+  map.insets = insets;
+  for (const [name, value] of [['--legend', legend], ['--tools', tools], ['--above', tools + hints]]) document.documentElement.style.setProperty(name, `${value}px`);
+  if (map.hasFitted && !map.isTouched && !isSame) map.fit();
 };
-for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'list-pane']) new ResizeObserver(free).observe(element(id));
+for (const id of ['tools', 'hints', 'legend', 'commands', 'look', 'detail-pane', 'list-pane']) new ResizeObserver(free).observe(element(id));
 
 const actions = new Actions(model, (message) => link.send(message), () => panels.open('commands', false));
 const link = new Link(model, {

@@ -14,6 +14,7 @@ const TRACK = '#0072b2'; // of a moving object that a robot avoids
 const OLD = 3000; // ms after which a scan is not shown
 const STEPS = [0.1, 0.5, 1, 5, 10, 50, 100, 500]; // m between two lines of the grid, and of the scale bar
 const BAR = 140, ABOVE_SCALE = 30; // pixels: the length of the scale bar, at most; its height
+const LEAST_ROOM = 24; // pixels: the smallest side of the part of the map in which robots are fitted
 const EDGE = 0.6; // m around what is shown by Fit
 const NEAR = 10; // pixels from an edge within which a robot leaves the map
 const REFIT = 1000; // ms from one fit to the next, while nobody has moved the view
@@ -140,7 +141,7 @@ export class SwarmMap {
     if (left > right) return;
     const { clientWidth: w, clientHeight: h } = this.canvas, [above, under, before, after] = this.insets, below = under + ABOVE_SCALE;
     const edge = arena ? EDGE / 3 : EDGE;
-    this.scale = Math.min(Math.max(w - before - after, 60) / (right - left + 2 * edge), Math.max(h - above - below, 60) / (top - bottom + 2 * edge), 220);
+    this.scale = Math.min(Math.max(w - before - after, LEAST_ROOM) / (right - left + 2 * edge), Math.max(h - above - below, LEAST_ROOM) / (top - bottom + 2 * edge), 220);
     this.centre = [(left + right) / 2 + (after - before) / 2 / this.scale, (bottom + top) / 2 + (above - below) / 2 / this.scale];
     this.fittedAt = performance.now();
     this.hasFitted = true;

@@ -47,7 +47,7 @@ export class Model extends EventTarget {
     this.source = message.source;
     this.role = message.role;
     this.patterns = message.patterns || [];
-    this.reportUnits = new Map(this.patterns.map((one) => [one.name, one.report_units || {}]));
+    this.reportUnits = new Map(Object.entries(message.report_units || {}));
     this.runs = message.runs;
     this.playback = message.playback;
     if (isOther) { this.boxes = []; this.marks = []; this.plots = { times: [], values: {}, next: 0 }; }

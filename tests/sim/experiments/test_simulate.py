@@ -52,6 +52,11 @@ def test_results_have_rows_statistics_and_traces(plain: Results) -> None:
     text = str(plain)
     assert f"{plain.plan.scenario}: 2 of 2 runs" in text
     assert "path_length" in text
+    *rows, left_out = text.splitlines()
+    assert not any(row.startswith("items_delivered") for row in rows)
+    assert left_out.startswith("without a value")
+    assert "items_delivered" in left_out
+    assert "items_delivered" in plain.text(["items_delivered"]).splitlines()[-1]
     with pytest.raises(ConfigError, match="'path_length'"):
         plain.metric("path_lenght")
     with pytest.raises(ConfigError, match="'s0009'"):

@@ -20,6 +20,7 @@ from swarmd.sim.view import shown
 from swarmd.sim.view.trace_source import RecordedRun, TraceSource
 from swarmd.sim.world.floor import FloorField, Patch
 from swarmd.sim.world.scalar_fields import LinearField
+from swarmd.view.source import hello_of
 
 BURGER = load_platform("burger")
 IDS = ("a", "b")
@@ -87,6 +88,18 @@ def test_rows_have_reports_readings_and_presence(source: TraceSource) -> None:
     assert (a["presence"], a["state"], a["pattern"]) == ("alive", "running", "flocking")
     assert (b["presence"], b["state"]) == ("absent", "")
     json.dumps(source.rows(), allow_nan=False)
+
+
+def test_reports_have_the_units_that_their_experiment_declares() -> None:
+    trace = recorded(
+        report={"left": np.full((41, 2), 0.25)}, words={"mood": np.full((41, 2), "calm")}
+    )
+    source = source_of({"one": RecordedRun(trace, report_units={"left": "m", "mood": "m"})})
+    detail = source.detail("a")
+    assert detail is not None
+    assert ["Report left", "0.25 m"] in detail["values"]
+    assert ["Report mood", "calm"] in detail["values"]
+    assert hello_of(source, "viewer")["report_units"]["flocking"]["left"] == "m"
 
 
 def test_contacts_are_shown_while_they_last_and_listed_after(source: TraceSource) -> None:
