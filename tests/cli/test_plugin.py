@@ -41,7 +41,7 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.processes import wait_until
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
 
 CODE = """
 from swarmd.api import *

@@ -129,6 +129,13 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="module")
+def workers(request: pytest.FixtureRequest) -> None:
+    """Workers of this process's experiments are forks, but for the tests of their start."""
+    if request.path.name != "test_pool.py":
+        request.getfixturevalue("forked_starts")
+
+
 @pytest.fixture
 def duo(tmp_path: Path) -> Path:
     """The scenario of `write_duo`."""
