@@ -377,20 +377,30 @@ def _load(what: str, group: str, name: str) -> object:
 def entry_points_of(group: str) -> EntryPoints:
     """The entry points of a group.
 
-    The process keeps them until the time stamp of a folder of sys.path changes. It does not keep
-    them if a folder changed less than SETTLED ago, since an installation writes the metadata after
-    it makes the folder.
+    The process keeps them until the time stamp of a folder of sys.path with metadata changes. It
+    does not keep them if any folder changed less than SETTLED ago, since an installation writes the
+    metadata after it makes the folder.
     """
-    times = tuple((path, _time(path)) for path in sys.path)
-    is_settled = max(at for _, at in times) + SETTLED <= time.time_ns()
-    return (_entry_points if is_settled else _entry_points.__wrapped__)(group, times)
+    times = {path: _time(path) for path in map(os.path.abspath, sys.path)}
+    if max(times.values()) + SETTLED > time.time_ns():
+        return _entry_points.__wrapped__(group, ())
+    return _entry_points(group, tuple(one for one in times.items() if _has_metadata(*one)))
 
 
 @lru_cache(maxsize=8)
-def _entry_points(group: str, _times: tuple[tuple[str, int], ...]) -> EntryPoints:
+def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> EntryPoints:
     from importlib.metadata import entry_points  # it takes 2 MB; a pattern host reads no metadata
 
     return entry_points(group=group)
+
+
+@lru_cache(maxsize=64)
+def _has_metadata(path: str, _changed: int) -> bool:
+    """Whether a folder holds metadata of packages; True for what is no readable folder."""
+    try:
+        return any(name.endswith((".dist-info", ".egg-info")) for name in os.listdir(path))
+    except OSError:
+        return True
 
 
 def _source(point: EntryPoint) -> str:

@@ -166,8 +166,8 @@ def _enter(request: dict[str, Any], descriptors: list[int]) -> None:
     for source, target in zip(moved, request["targets"], strict=True):
         os.dup2(source, target)
         os.close(source)
-    sys.stdin, sys.stdout = open(0, closefd=False), open(1, "w", closefd=False)
-    sys.stderr = open(2, "w", buffering=1, errors="backslashreplace", closefd=False)
+    sys.stdin, sys.stdout = os.fdopen(0, closefd=False), os.fdopen(1, "w", closefd=False)
+    sys.stderr = os.fdopen(2, "w", buffering=1, errors="backslashreplace", closefd=False)
     sys.argv = request["words"]
     np.random.seed()  # a process that starts takes it from the system, too
 
