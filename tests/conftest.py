@@ -192,6 +192,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             terminalreporter.write_line(f"{spent:8.1f} s  {folder}")
 
 
+REAL_POPEN = subprocess.Popen
+
+
 @pytest.fixture(scope="session")
 def forked_popen() -> Iterator[type[ForkedPython]]:
     """The class that forks the modules of `tests/support/forked_python.py`."""
@@ -201,10 +204,16 @@ def forked_popen() -> Iterator[type[ForkedPython]]:
 
 @pytest.fixture(scope="module")
 def forked_starts(forked_popen: type[ForkedPython]) -> Iterator[None]:
-    """Modules that this process starts are forks; the tests of such a start do without."""
+    """Modules that this process starts are forks, but for tests with `real_starts`."""
     with pytest.MonkeyPatch.context() as here:
         here.setattr(subprocess, "Popen", forked_popen)
         yield
+
+
+@pytest.fixture
+def real_starts(monkeypatch: pytest.MonkeyPatch, forked_starts: None) -> None:
+    """Modules that this process starts begin without imports, as for users."""
+    monkeypatch.setattr(subprocess, "Popen", REAL_POPEN)
 
 
 @pytest.fixture

@@ -110,6 +110,7 @@ def faults(points: dict[str, Point]) -> dict[str, str]:
     return {name: text for name, text in rows.items() if name != IMPORTS}
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_new_plugin_of_each_kind_passes_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -485,6 +486,7 @@ def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:
         checked(tmp_path, 0.001)
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_check_reads_the_folder_of_the_file_and_never_the_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

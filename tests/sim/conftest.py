@@ -150,10 +150,8 @@ def provenance_of_code() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def workers(request: pytest.FixtureRequest) -> None:
-    """Workers of this process's experiments are forks, but for the tests of their start."""
-    if request.path.name != "test_pool.py":
-        request.getfixturevalue("forked_starts")
+def workers(forked_starts: None) -> None:
+    """Workers of this process's experiments are forks."""
 
 
 @pytest.fixture

@@ -16,6 +16,7 @@ import runpy
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -65,11 +66,20 @@ class ForkedPython(subprocess.Popen[Any]):
 
 
 class Server:
-    """The process from which commands are forked; it begins with the first of them."""
+    """The process from which commands are forked."""
 
     def __init__(self) -> None:
         self._environ = {name: os.environ.get(name) for name in _READ_AT_START}
-        self._socket: socket.socket | None = None
+        self._lock = threading.Lock()
+        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", __file__, str(theirs.fileno())],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                process_group=0,
+            )
 
     def has_imports_of(self, command: Any, environ: dict[str, str]) -> bool:
         """Whether the command runs one of MODULES, with what Python reads at its start."""
@@ -81,32 +91,18 @@ class Server:
 
     def fork(self, request: dict[str, Any], descriptors: list[int]) -> int:
         """The process id of a fork that runs the command."""
-        if self._socket is None:
-            self._start()
-        assert self._socket is not None
-        _become_subreaper(True)
-        try:
-            socket.send_fds(self._socket, [json.dumps(request).encode()], descriptors)
-            return int(self._socket.recv(100))
-        finally:
-            _become_subreaper(False)
-
-    def _start(self) -> None:
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", __file__, str(theirs.fileno())],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                process_group=0,
-            )
+        with self._lock:
+            _become_subreaper(True)
+            try:
+                socket.send_fds(self._socket, [json.dumps(request).encode()], descriptors)
+                return int(self._socket.recv(100))
+            finally:
+                _become_subreaper(False)
 
     def end(self) -> None:
         """End the server."""
-        if self._socket is not None:
-            self._socket.close()
-            self._process.wait()
+        self._socket.close()
+        self._process.wait()
 
 
 @contextmanager
