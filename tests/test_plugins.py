@@ -14,6 +14,9 @@ from swarmd import plugins
 from swarmd.core.errors import PluginError
 
 
+ROOT = Path(__file__).resolve().parents[1]
+
+
 @pytest.fixture
 def outsider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An installed distribution `outsider` 2.1 with a plugin of every kind."""
@@ -68,9 +71,14 @@ def test_metadata_is_read_once_until_a_package_is_installed(
     outsider: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     entry_points, reads = metadata.entry_points, list[str]()
-    monkeypatch.setattr(
-        metadata, "entry_points", lambda group: reads.append(group) or entry_points(group=group)
-    )
+
+    def read(*, group: str) -> metadata.EntryPoints:
+        reads.append(group)
+        return entry_points(group=group)
+
+    monkeypatch.setattr(metadata, "entry_points", read)
+    # Without the checkout, in whose folder another process may make a file.
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(ROOT)])
 
     def reads_of(count: int) -> int:
         before = len(reads)
