@@ -13,7 +13,6 @@ import pytest
 from swarmd import plugins
 from swarmd.core.errors import PluginError
 
-
 ROOT = Path(__file__).resolve().parents[1]
 
 
