@@ -51,8 +51,8 @@ class ForkedPython(subprocess.Popen[Any]):
         streams = [end if end >= 0 else number for number, end in enumerate(pipe_ends)]
         passed = sorted(given["pass_fds"])
         request = {
-            "words": command[3:],
-            "folder": given["cwd"] or os.getcwd(),
+            "words": [os.fsdecode(word) for word in command[3:]],
+            "folder": os.fsdecode(given["cwd"] or os.getcwd()),
             "environ": environ,
             "parent": os.getpid(),
             "group": given["process_group"],
