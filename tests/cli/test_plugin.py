@@ -481,6 +481,7 @@ def test_a_description_has_the_units_of_reports() -> None:
     assert [row["report_units"] for row in rows] == [{"left": "m"}, {"distance": "m"}]
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"0\.001 s"):
         checked(tmp_path, 0.001)
