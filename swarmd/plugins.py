@@ -377,14 +377,14 @@ def _load(what: str, group: str, name: str) -> object:
 def entry_points_of(group: str) -> EntryPoints:
     """The entry points of a group.
 
-    The process keeps them until the time stamp of a folder of sys.path with metadata changes. It
-    does not keep them if any folder changed less than SETTLED ago, since an installation writes the
-    metadata after it makes the folder.
+    The process keeps the result until the time stamp of a folder of sys.path with metadata changes.
+    A folder that changed less than SETTLED ago may belong to an unfinished installation; then the
+    process keeps nothing.
     """
     times = {path: _time(path) for path in map(os.path.abspath, sys.path)}
     if max(times.values()) + SETTLED > time.time_ns():
         return _entry_points.__wrapped__(group, ())
-    return _entry_points(group, tuple(one for one in times.items() if _has_metadata(*one)))
+    return _entry_points(group, tuple(item for item in times.items() if _has_metadata(*item)))
 
 
 @lru_cache(maxsize=8)
