@@ -11,7 +11,7 @@ Plugins are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swar
 4. a mission: `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or a mission of swarmd.
 
 Reading the metadata of all installed packages takes 40 ms and more, so that the command line calls
-these functions only where necessary.
+these functions only where necessary, and a process reads the metadata once.
 """
 
 from __future__ import annotations
@@ -22,10 +22,12 @@ import keyword
 import os
 import re
 import sys
+import time
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from pathlib import Path
@@ -54,6 +56,8 @@ PATTERN_FILE = "pattern.py"
 IN_WHEEL = "//"
 """Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
+SETTLED = 2_000_000_000
+"""The time in ns after which an installation has written the metadata into a new folder."""
 MAX_SUMMARIES = 1 << 20  # bytes of the file of the cache
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
@@ -103,7 +107,7 @@ def pattern_folders() -> Mapping[str, PatternFolder]:
     """The patterns that lie in folders of installed packages, by name."""
     return {
         folder.path.name: folder
-        for point in _entry_points(group=PATTERNS)
+        for point in entry_points_of(PATTERNS)
         if not point.attr
         for folder in _folders(point)
     }
@@ -196,7 +200,7 @@ def load_emulator(name: str) -> EmulatorFactory:
 
 def command_names() -> Mapping[str, EntryPoint]:
     """The verbs that plugins add to swarmctl."""
-    return {point.name: point for point in sorted(_entry_points(group=COMMANDS))}
+    return {point.name: point for point in sorted(entry_points_of(COMMANDS))}
 
 
 def command_summaries() -> Mapping[str, str]:
@@ -281,7 +285,7 @@ def load_command(name: str) -> click.Command:
 
 def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
     """The text for a plugin that needs the module `missing`, with the command that installs it."""
-    point = next(iter(_entry_points(group=group, name=name)), None)
+    point = next(iter(entry_points_of(group).select(name=name)), None)
     extra = _extra_with(point, missing) if point is not None else None
     dist = point.dist.name if point is not None and point.dist is not None else ""
     wanted = f"'{dist}[{extra}]'" if extra else missing
@@ -298,14 +302,11 @@ def need(*modules: str, extra: str) -> None:
 
 
 def _installed() -> Iterator[tuple[str, Origin]]:
-    sources: dict[Distribution | None, str] = {}  # reading a distribution's metadata takes 1 ms
-    for point in _entry_points(group=PATTERNS):
+    for point in entry_points_of(PATTERNS):
         if not point.attr:
             yield from ((folder.path.name, folder.origin) for folder in _folders(point))
             continue
-        if point.dist is None or point.dist not in sources:
-            sources[point.dist] = _source(point)
-        yield point.name, Origin(point.value, sources[point.dist])
+        yield point.name, Origin(point.value, _source(point))
     for path in mission_files(Path(swarmd.config.__path__[0]) / "missions"):
         yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
@@ -355,10 +356,10 @@ def _bad_file_name(name: str, plugin_dir: Path | None) -> str:
 
 
 def _load(what: str, group: str, name: str) -> object:
-    points = _entry_points(group=group, name=name)
+    known = entry_points_of(group)
+    points = known.select(name=name)
     if not points:
-        known = (point.name for point in _entry_points(group=group))
-        raise PluginError(unknown(what, name, known))
+        raise PluginError(unknown(what, name, known.names))
     if len(points) > 1:
         sources = " and ".join(_source(point) for point in points)
         raise PluginError(f"two packages have a {what} {name!r}: {sources}; uninstall one")
@@ -373,14 +374,43 @@ def _load(what: str, group: str, name: str) -> object:
         raise PluginError(f"{text}; reinstall it or report it to its authors") from error
 
 
-def _entry_points(*, group: str, name: str | None = None) -> EntryPoints:
+def entry_points_of(group: str) -> EntryPoints:
+    """The entry points of a group.
+
+    The process keeps the result until the time stamp of a folder of sys.path with metadata changes.
+    A folder that changed less than SETTLED ago may belong to an unfinished installation; then the
+    process keeps nothing.
+    """
+    times = {path: _time(path) for path in map(os.path.abspath, sys.path)}
+    if max(times.values()) + SETTLED > time.time_ns():
+        return _entry_points.__wrapped__(group, ())
+    return _entry_points(group, tuple(item for item in times.items() if _has_metadata(*item)))
+
+
+@lru_cache(maxsize=8)
+def _entry_points(group: str, _folders: tuple[tuple[str, int], ...]) -> EntryPoints:
     from importlib.metadata import entry_points  # it takes 2 MB; a pattern host reads no metadata
 
-    return entry_points(group=group) if name is None else entry_points(group=group, name=name)
+    return entry_points(group=group)
+
+
+@lru_cache(maxsize=64)
+def _has_metadata(path: str, _changed: int) -> bool:
+    """Whether a folder holds metadata of packages; True for what is no readable folder."""
+    try:
+        return any(name.endswith((".dist-info", ".egg-info")) for name in os.listdir(path))
+    except OSError:
+        return True
 
 
 def _source(point: EntryPoint) -> str:
-    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
+    return _label(point.dist) if point.dist is not None else point.value
+
+
+@lru_cache(maxsize=32)
+def _label(dist: Distribution) -> str:
+    """The name and version of a distribution; reading its metadata takes 1 ms."""
+    return f"{dist.name} {dist.version}"
 
 
 def _extra_with(point: EntryPoint, module: str) -> str | None:

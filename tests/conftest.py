@@ -8,6 +8,7 @@ import gc
 import inspect
 import os
 import signal
+import subprocess
 from collections import Counter
 from collections.abc import Generator, Iterator
 from multiprocessing import forkserver
@@ -22,6 +23,7 @@ from swarmd.core.kernels import describe_kernels
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
+from tests.support.forked_python import ForkedPython, forked_python
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
@@ -188,6 +190,30 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
         terminalreporter.section(f"CPU time by folder, {seconds.total():.0f} s in all")
         for folder, spent in seconds.most_common():
             terminalreporter.write_line(f"{spent:8.1f} s  {folder}")
+
+
+REAL_POPEN = subprocess.Popen
+
+
+@pytest.fixture(scope="session")
+def forked_popen() -> Iterator[type[ForkedPython]]:
+    """The class that forks the modules of `tests/support/forked_python.py`."""
+    with forked_python() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def forked_starts(forked_popen: type[ForkedPython]) -> Iterator[None]:
+    """Modules that this process starts are forks, but for tests with `real_starts`."""
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr(subprocess, "Popen", forked_popen)
+        yield
+
+
+@pytest.fixture
+def real_starts(monkeypatch: pytest.MonkeyPatch, forked_starts: None) -> None:
+    """Modules that this process starts begin without imports, as for users."""
+    monkeypatch.setattr(subprocess, "Popen", REAL_POPEN)
 
 
 @pytest.fixture

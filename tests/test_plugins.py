@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from swarmd import plugins
 from swarmd.core.errors import PluginError
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -61,6 +64,35 @@ def test_finds_installed_patterns_of_any_package() -> None:
     assert drive.source.startswith("swarmd ")
     swirl = plugins.Origin("outsider_ok:Swirl", "outsider 2.1")
     assert plugins.find_pattern("swirl", None) == swirl
+
+
+def test_metadata_is_read_once_until_a_package_is_installed(
+    outsider: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    entry_points, reads = metadata.entry_points, list[str]()
+
+    def read(*, group: str) -> metadata.EntryPoints:
+        reads.append(group)
+        return entry_points(group=group)
+
+    monkeypatch.setattr(metadata, "entry_points", read)
+    # Without the checkout, in whose folder another process may make a file.
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path != str(ROOT)])
+
+    def reads_of(count: int) -> int:
+        before = len(reads)
+        assert [plugins.find_pattern("swirl", None).source for _ in range(count)]
+        return len(reads) - before
+
+    monkeypatch.setattr(plugins, "SETTLED", 1 << 62)
+    assert reads_of(3) == 3  # a folder has just changed: a package may be incomplete
+    monkeypatch.setattr(plugins, "SETTLED", 0)
+    assert reads_of(3) == 1
+    (outsider / "outsider-2.1.dist-info").rename(outsider / "outsider-2.2.dist-info")
+    metadata_file = outsider / "outsider-2.2.dist-info" / "METADATA"
+    metadata_file.write_text(metadata_file.read_text().replace("2.1\n", "2.2\n", 2))
+    os.utime(outsider, ns=(1, 1))
+    assert plugins.find_pattern("swirl", None).source == "outsider 2.2"
 
 
 def test_finds_patterns_in_the_plugin_folder_and_ignores_other_files(folder: Path) -> None:

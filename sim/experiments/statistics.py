@@ -115,14 +115,19 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
 
 def mean_interval(values: Array) -> Interval | None:
     """The BCa interval of the mean of values (n,); None with fewer than two or infinite values."""
-    if values.size >= 2 and np.isfinite(values).all() and np.ptp(values) == 0.0:
-        return Interval(float(values[0]), float(values[0]))
-    return _bootstrap((values,), np.mean, "BCa")
+    return _of_equal(values) or _bootstrap((values,), np.mean, "BCa")
 
 
 def median_interval(values: Array) -> Interval | None:
     """The percentile interval of the median of values (n,); None as for `mean_interval`."""
-    return _bootstrap((values,), np.median, "percentile")
+    return _of_equal(values) or _bootstrap((values,), np.median, "percentile")
+
+
+def _of_equal(values: Array) -> Interval | None:
+    """The interval of two or more equal finite values; None for other values."""
+    if values.size >= 2 and np.isfinite(values).all() and np.ptp(values) == 0.0:
+        return Interval(float(values[0]), float(values[0]))
+    return None
 
 
 def difference_interval(a: Array, b: Array) -> Interval | None:

@@ -5,6 +5,14 @@ from __future__ import annotations
 from swarmd.cli import daemon
 from swarmd.core.fork_server import SERVER_PATH
 from swarmd.pattern_host.forked import fork_host
+from swarmd.plugins import DRIVERS, entry_points_of, pattern_names
+from swarmd.settings.platforms import load_platform
+
+# The server of the forks imports this module. Its forks then have the metadata of packages, and the
+# caches of types that a platform's file fills: 20 ms of CPU less for each daemon.
+pattern_names(None)
+entry_points_of(DRIVERS)
+load_platform("burger")
 
 
 def main() -> None:

@@ -23,7 +23,6 @@ import hashlib
 import inspect
 import traceback
 from collections.abc import Callable, Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -32,6 +31,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError, named, unknown
 from swarmd.core.values import Array
 from swarmd.pattern_host.loader import import_file
+from swarmd.plugins import entry_points_of
 from swarmd.sim.metrics.metric import Better, Metric, over_time
 from swarmd.sim.trace import Trace
 
@@ -95,7 +95,7 @@ def metric_of_file(text: str, digest: str = "") -> Metric:
 def installed_metrics() -> Mapping[str, Metric]:
     """The metrics of installed packages by name; ConfigError if an import fails."""
     metrics = {}
-    for point in sorted(entry_points(group=GROUP)):
+    for point in sorted(entry_points_of(GROUP)):
         try:
             function = point.load()
             source = inspect.getsourcefile(function)

@@ -12,7 +12,12 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
 from swarmd.core.values import Platform
 from swarmd.settings.layered import Keys, Layered, dotted
-from swarmd.settings.platforms import PlatformFile, platform_names, platform_of, platform_sources
+from swarmd.settings.platforms import (
+    platform_file,
+    platform_names,
+    platform_of,
+    platform_sources,
+)
 from swarmd.settings.yamlfile import Data
 from swarmd.sim.scenarios.environment import blamed
 from swarmd.sim.scenarios.schema import GroupSection, ScenarioFile
@@ -147,5 +152,5 @@ def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platfor
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
     whole = Layered(*sources)
     platform = platform_of(name, whole)
-    plain = json.decode(json.encode(whole.build(PlatformFile)))
+    plain = json.decode(json.encode(platform_file(whole)))
     return platform, {**plain, "extends": None}

@@ -193,6 +193,11 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     words: dict[str, dict[Word, Line]] = {}
 
 
+MAX_CHECKED = 64
+_CHECKED: dict[str, PlatformFile] = {}
+"""The checked files of `platform_file`, at most MAX_CHECKED, by their content."""
+
+
 def platform_names() -> tuple[str, ...]:
     """The names of the shipped platforms."""
     return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
@@ -215,7 +220,21 @@ def platform_sources(name: str, near: Path | None = None) -> tuple[tuple[str, Da
 
 def platform_of(name: str, layers: Layered) -> Platform:
     """The platform that the layers describe; ConfigError as `load_platform`."""
-    return _platform(name, layers.build(PlatformFile, _check))
+    return _platform(name, platform_file(layers))
+
+
+def platform_file(layers: Layered) -> PlatformFile:
+    """The keys of the platform that the layers describe; ConfigError as `load_platform`.
+
+    The process keeps the result: the check takes 2 ms, and a scenario asks twice for each platform.
+    """
+    content = repr(layers.data)
+    if content not in _CHECKED:
+        file = layers.build(PlatformFile, _check)
+        if len(_CHECKED) >= MAX_CHECKED:
+            _CHECKED.clear()
+        _CHECKED[content] = file
+    return _CHECKED[content]
 
 
 def _folder() -> Path:

@@ -41,7 +41,7 @@ from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.processes import wait_until
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
 
 CODE = """
 from swarmd.api import *
@@ -110,6 +110,7 @@ def faults(points: dict[str, Point]) -> dict[str, str]:
     return {name: text for name, text in rows.items() if name != IMPORTS}
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_new_plugin_of_each_kind_passes_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -480,11 +481,13 @@ def test_a_description_has_the_units_of_reports() -> None:
     assert [row["report_units"] for row in rows] == [{"left": "m"}, {"distance": "m"}]
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"0\.001 s"):
         checked(tmp_path, 0.001)
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_a_check_reads_the_folder_of_the_file_and_never_the_home(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -28,6 +28,8 @@ from swarmd.daemon.driver import make_driver
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
+pytestmark = pytest.mark.usefixtures("forked_starts")
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 

@@ -7,14 +7,16 @@ import os
 import signal
 import subprocess
 import sys
+from importlib.util import find_spec
 from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
-from tests.support.processes import wait_until
+from tests.support.processes import MODULES, wait_until
 
 MODULE = "tests.support.forked_module"
 PARENT = f"""
@@ -49,6 +51,11 @@ folder = Path(__file__).parent
 while not (folder / "go").exists():
     pass
 """
+
+
+def test_the_modules_of_the_servers_exist() -> None:
+    """A server says nothing about a module that it cannot import."""
+    assert [name for name in {*DAEMON_MODULES, *MODULES} if find_spec(name) is None] == []
 
 
 def fork(folder: Path, *arguments: str) -> ForkedProcess:

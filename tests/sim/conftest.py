@@ -8,11 +8,14 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
+from functools import cache
 from pathlib import Path
 
 import pytest
 
+import swarmd
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.sim.experiments import manifest, provenance
 
 DUO = """\
 description: Two Burgers gather.
@@ -127,6 +130,28 @@ def state(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as here:
         here.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
+
+
+CODE = Path(swarmd.__file__).resolve().parent
+_digest_of_code, _git_state = cache(provenance.digest_of_code), cache(provenance.git_state)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def provenance_of_code() -> Iterator[None]:
+    """The digest and the commit of swarmd's code are read once a session: 30 ms a manifest."""
+
+    def git_state(folder: Path) -> provenance.GitState | None:
+        return (_git_state if folder == CODE else provenance.git_state)(folder)
+
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr(provenance, "digest_of_code", _digest_of_code)
+        here.setattr(manifest, "git_state", git_state)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def workers(forked_starts: None) -> None:
+    """Workers of this process's experiments are forks."""
 
 
 @pytest.fixture

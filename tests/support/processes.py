@@ -31,7 +31,8 @@ DAEMON = ("swarmd.cli.daemon",)
 FORKED = "tests.support.forked"
 MODULES = (
     *DAEMON_MODULES,
-    *("swarmd.cli.swarmctl", "swarmd.cli.requests", "swarmd.cli.run", "swarmd.cli.members"),
+    *("swarmd.cli.swarmctl", "swarmd.cli.send", "swarmd.cli.run", "swarmd.cli.members"),
+    "swarmd.network.operator.operator",
 )
 """What the server of forks imports."""
 _READ_AT_START = {"SWARMD_COMPILED", "PYTHONPATH", "LD_PRELOAD"}

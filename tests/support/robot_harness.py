@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
 ScanSource = Callable[[int, float], Scan | None]
+_platform = cache(load_platform)  # each story has a robot of its own
 
 
 def acted(robot: Robot, input: Input, now: float) -> Actions:
@@ -86,7 +88,7 @@ class RobotHarness:
         take: Callable[[Robot, Input, float], Actions | None] = Robot.step,
         is_provisional: Callable[[int], bool] = lambda generation: False,
     ) -> None:
-        self.platform = load_platform(platform)
+        self.platform = _platform(platform)
         self.on_low_battery = on_low_battery
         self.now = 1000.0
         self.twist = ZERO

@@ -20,12 +20,15 @@ _WAITING = {
 
 
 LONGEST = (
-    *("core/test_kernel_forms", "network/test_udp", "cli/test_calibrate"),
-    *("examples/test_notebooks", "sim/cli/test_tour", "swarm/test_watching", "swarm/test_garbage"),
-    *("network_faults/test_mesh", "network_faults/test_links", "drivers/test_daemons"),
-    *("sim/live/test_emulators", "sim/experiments/test_cluster", "sim/cli/test_classroom"),
-    *("network_faults/test_splits", "faults/test_daemon", "swarm/test_stolen_robot"),
-    *("network_faults/test_addresses", "swarm/test_estop", "sim/test_portable", "swarm/test_goals"),
+    *("core/test_kernel_forms", "network/test_udp", "drivers/crazyflie/test_swarm"),
+    *("cli/test_calibrate", "cli/test_plugin", "examples/test_notebooks", "drivers/test_daemons"),
+    *("faults/test_pattern_host", "swarm/test_watching", "network_faults/test_links"),
+    *("network_faults/test_addresses", "network_faults/test_mesh", "swarm/test_garbage"),
+    *("sim/cli/test_classroom", "view/test_page", "sim/live/test_emulators"),
+    *("drivers/ros2/test_frozen_hub", "network_faults/test_splits", "calibration/test_lockstep"),
+    *("faults/test_daemon", "swarm/test_stolen_robot", "sim/experiments/test_cluster"),
+    *("drivers/crazyflie/test_driver", "swarm/test_estop", "swarm/test_mcp", "swarm/test_goals"),
+    *("sim/cli/test_tour", "sim/test_portable", "testing/test_driver_contract"),
 )
 """Files of tests that take 50 s to 12 s with two cores, the longest first."""
 _LONG_FOLDERS = {"protection", "sim", "studies"}

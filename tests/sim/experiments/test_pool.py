@@ -48,6 +48,7 @@ def done(jobs: list[Job], processes: int, timeout: float = STEP_TIMEOUT) -> dict
     return {result.run: result for result in listed}
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_every_job_is_done_once_whatever_the_others_do(duo: Path, tmp_path: Path) -> None:
     """They end, hang, leave something behind, find no room: in one worker, and its successor."""
     (tmp_path / ".s5.npz.partial").write_bytes(b"half")  # ended while it wrote
@@ -90,6 +91,7 @@ def test_a_trace_that_cannot_be_written_is_a_write_error(duo: Path, tmp_path: Pa
     assert list(tmp_path.glob(".*")) == []
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_several_processes_for_a_run_give_its_metrics(duo: Path) -> None:
     before = set(children(os.getpid()))
     forking = job(duo, 2, None, {END: "fork"})
@@ -131,6 +133,7 @@ def test_a_process_of_a_run_that_fails_is_named(duo: Path, end: str, words: str)
     assert set(children(os.getpid())) <= before
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
     worker = _Worker()
     try:
@@ -172,6 +175,7 @@ def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
     assert found["s1"].metrics is not None
 
 
+@pytest.mark.usefixtures("real_starts")
 def test_closing_ends_all_processes(duo: Path) -> None:
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]

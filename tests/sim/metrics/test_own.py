@@ -130,7 +130,7 @@ def test_metrics_of_packages_are_found_by_name(
 ) -> None:
     point = EntryPoint("span", f"{__name__}:span", own.GROUP)
     monkeypatch.setattr(EntryPoint, "load", lambda self: span)
-    monkeypatch.setattr(own, "entry_points", lambda group: [point] if group == own.GROUP else [])
+    monkeypatch.setattr(own, "entry_points_of", lambda group: [point] if group == own.GROUP else [])
     assert measure(trace, ["span"]) == {"span": pytest.approx(0.4)}
     assert metric_of("span").digest
     with pytest.raises(ConfigError, match="span"):
