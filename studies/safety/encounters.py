@@ -1,7 +1,9 @@
 """Getting past each other: named tasks, each with the share of robots that arrive and when.
 
 The tasks are those in which robots hinder each other: goals, swaps on a circle, a door, a corridor,
-crossing flows, a wall driven along and a parked robot on the way.
+crossing flows, a wall driven along and a parked robot on the way. Doorway, hallway and intersection
+have the form of the social mini-games (Chandra et al. 2025, arXiv 2508.13459): two robots, gaps and
+streets of three bodies, a hallway of seven.
 """
 
 from __future__ import annotations
@@ -130,6 +132,10 @@ def _swap(count: int) -> Callable[[str], Scenario]:
     return made
 
 
+def _passage(bodies: float, **given: Any) -> Callable[[str], Scenario]:
+    return lambda mode: passage_scenario(Passage(bodies * _BODY, mode=mode, **given))
+
+
 def _goals(*, is_sparse: bool) -> Callable[[str], Scenario]:
     return lambda mode: scenario(Scene("goals", KIND, "body", mode, is_sparse, 90.0))
 
@@ -141,6 +147,14 @@ def _crossing(mode: str) -> Scenario:
         "north": [(x, -_START, 90.0) for x in along],
     }
     return _scenario("crossing", mode, 60.0, flows)
+
+
+def _intersection(mode: str) -> Scenario:
+    corner = 0.5 * (SIDE - 3.0 * _BODY)  # m, side of the boxes between two streets
+    at = 0.5 * (SIDE - corner)
+    boxes = [{"at": [x, y], "size": [corner, corner]} for x in (-at, at) for y in (-at, at)]
+    flows = {"east": [(-_START, 0.0, 0.0)], "north": [(0.0, -_START, 90.0)]}
+    return _scenario("intersection", mode, 60.0, flows, {"boxes": boxes})
 
 
 def _wall(mode: str) -> Scenario:
@@ -170,12 +184,16 @@ TASKS: Mapping[str, Callable[[str], Scenario]] = {
     "swap of 8": _swap(8),
     "swap of 12": _swap(12),
     "swap of 16": _swap(16),
-    "door of 2 bodies, 4 against 4": lambda mode: passage_scenario(
-        Passage(2.0 * _BODY, left=4, right=4, mode=mode)
+    "swap of 20": _swap(20),
+    "a door of 2 bodies, alone": _passage(2.0, duration=60.0),
+    "door of 2 bodies, 4 against 4": _passage(2.0, left=4, right=4),
+    "corridor of 2.5 bodies, 2 against 2": _passage(
+        2.5, length=1.0, left=2, right=2, duration=120.0
     ),
-    "corridor of 2.5 bodies, 2 against 2": lambda mode: passage_scenario(
-        Passage(2.5 * _BODY, 1.0, left=2, right=2, mode=mode, duration=120.0)
-    ),
+    "two that swap in a lane": _passage(2.5, length=1.0, right=1, duration=1200.0),
+    "doorway": _passage(3.0, right=1, duration=60.0),
+    "hallway": _passage(3.0, length=7.0 * _BODY, right=1, duration=60.0),
+    "intersection": _intersection,
     "crossing flows, 5 against 5": _crossing,
     "along a wall": _wall,
     "past a parked robot": _parked(0.0),
