@@ -114,7 +114,7 @@ class LimitingRows:
         return LimitingObstacle(bearing, gap, rows.cap[row], age, cost)
 
     @cython.cfunc
-    @cython.exceptval(check=False)
+    @cython.exceptval(-1.0, check=True)
     def _age_cost(
         self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t
     ) -> cython.double:
@@ -130,7 +130,7 @@ class LimitingRows:
         return maximum(self._closing_cap(rows, placed, row, REACTION) - rows.cap[row], 0.0)
 
     @cython.cfunc
-    @cython.exceptval(check=False)
+    @cython.exceptval(-1.0, check=True)
     def _closing_cap(
         self,
         rows: ConstraintRows,
