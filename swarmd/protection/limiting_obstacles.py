@@ -46,7 +46,8 @@ class LimitingRows:
     def __init__(
         self, assumptions: Assumptions, constraints: Constraints, outline: Outline
     ) -> None:
-        self._assumptions, self._constraints, self._outline = assumptions, constraints, outline
+        self._assumptions, self._constraints = assumptions, constraints
+        self._outline = outline
 
     def check_indices(self) -> None:
         """ValueError unless the ranked rows are within the array."""
