@@ -136,9 +136,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.verb in ("hours", "encounters") and options.first_seed is not None:
         seeds = range(options.first_seed, options.first_seed + len(ACCEPTANCE_SEEDS))
     if options.verb == "encounters":
-        words, chosen = (options.tasks, options.modes), seeds[: options.seeds]
-        file = options.out / "encounters.jsonl"
-        print(encounters.table(encounters.carry_out(*words, chosen, options.jobs, file)))
+        chosen, file = seeds[: options.seeds], options.out / "encounters.jsonl"
+        found = encounters.carry_out(options.tasks, options.modes, chosen, options.jobs, file)
+        print(encounters.table(found))
         return
     if options.verb == "tracks":
         print(tracking.table(seeds[: options.seeds], options.duration))
