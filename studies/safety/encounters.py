@@ -150,8 +150,8 @@ def _crossing(mode: str) -> Scenario:
 
 
 def _intersection(mode: str) -> Scenario:
-    corner = 0.5 * (SIDE - 3.0 * _BODY)  # m, side of the boxes between two streets
-    at = 0.5 * (SIDE - corner)
+    corner = 3.5 * _BODY  # m, side of the boxes at the corners of two streets of three bodies
+    at = 0.5 * (3.0 * _BODY + corner)
     boxes = [{"at": [x, y], "size": [corner, corner]} for x in (-at, at) for y in (-at, at)]
     flows = {"east": [(-_START, 0.0, 0.0)], "north": [(0.0, -_START, 90.0)]}
     return _scenario("intersection", mode, 60.0, flows, {"boxes": boxes})
@@ -192,7 +192,7 @@ TASKS: Mapping[str, Callable[[str], Scenario]] = {
     ),
     "two that swap in a lane": _passage(2.5, length=1.0, right=1, duration=1200.0),
     "doorway": _passage(3.0, right=1, duration=60.0),
-    "hallway": _passage(3.0, length=7.0 * _BODY, right=1, duration=60.0),
+    "hallway": _passage(3.0, length=7.0 * _BODY, right=1, duration=120.0),
     "intersection": _intersection,
     "crossing flows, 5 against 5": _crossing,
     "along a wall": _wall,
