@@ -12,7 +12,6 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, SwarmError
@@ -353,7 +352,7 @@ def decision_values(
         decision.is_recovering,
         np.nan if gap is None else gap,
         np.nan if age is None else age,
-        astuple(rows[0]) if rows else NO_DECISION[-1],
+        (rows[0].bearing, rows[0].gap, rows[0].cap) if rows else NO_DECISION[-1],
     )
 
 

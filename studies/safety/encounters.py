@@ -1,7 +1,9 @@
 """Getting past each other: named tasks, each with the share of robots that arrive and when.
 
 The tasks are those in which robots hinder each other: goals, swaps on a circle, a door, a corridor,
-crossing flows, a wall driven along and a parked robot on the way.
+crossing flows, a wall driven along and a parked robot on the way. Doorway, hallway and intersection
+have the form of the social mini-games (Chandra et al. 2025, arXiv 2508.13459): two robots, gaps and
+streets of three bodies, a hallway of seven.
 """
 
 from __future__ import annotations
@@ -9,11 +11,13 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
@@ -21,6 +25,7 @@ from benchmarks.table import markdown
 from studies.safety.driven import faults
 from studies.safety.judge import collisions, stuck_windows
 from studies.safety.passages import Passage, passage_scenario
+from studies.safety.runs import commit, fingerprint
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
@@ -34,7 +39,7 @@ KIND = "burger"
 SIDE = 4.0  # m, of the arena
 TRUTH = "orca_true"
 """Mode: avoidance with the true places of robots in place of the tracks of its scans."""
-MODES = ("ghost", "barrier", "stop_zone", "orca", TRUTH)
+MODES = ("ghost", "barrier", "stop_zone", "orca", "walls_stand", TRUTH)
 _BODY = float(np.ptp(load_platform(KIND).footprint[:, 1]))
 _PARKED = "parked"
 _START = 1.5  # m from the middle
@@ -43,14 +48,14 @@ _START = 1.5  # m from the middle
 class Found(Struct, frozen=True, kw_only=True):
     """What one run gave; robots that are parked do not count.
 
-    `arrived` of `robots` reached a goal, the last at `last` s (inf: not all did). `goals` in all.
+    `arrived` of `robots` reached a goal, the last at `last` s (None: not all did). `goals` in all.
     `recovering` and `avoiding`: shares of the instants. `stuck` of `windows` of 10 s. `faults` of
     `touches`. `cpu` in s.
     """
 
     arrived: int
     robots: int
-    last: float
+    last: float | None
     goals: int
     recovering: float
     stuck: int
@@ -58,6 +63,23 @@ class Found(Struct, frozen=True, kw_only=True):
     touches: int
     faults: int
     cpu: float
+
+
+class Run(Struct, frozen=True, order=True):
+    """A run to do: one of TASKS in a mode, with a seed."""
+
+    task: str
+    mode: str
+    seed: int
+
+
+class Record(Struct, frozen=True, kw_only=True):
+    """A finished run: `code` is the digest of the sources, `commit` that of the checkout."""
+
+    run: Run
+    code: str
+    commit: str
+    found: Found
 
 
 def _scenario(
@@ -110,6 +132,10 @@ def _swap(count: int) -> Callable[[str], Scenario]:
     return made
 
 
+def _passage(bodies: float, **given: Any) -> Callable[[str], Scenario]:
+    return lambda mode: passage_scenario(Passage(bodies * _BODY, mode=mode, **given))
+
+
 def _goals(*, is_sparse: bool) -> Callable[[str], Scenario]:
     return lambda mode: scenario(Scene("goals", KIND, "body", mode, is_sparse, 90.0))
 
@@ -121,6 +147,14 @@ def _crossing(mode: str) -> Scenario:
         "north": [(x, -_START, 90.0) for x in along],
     }
     return _scenario("crossing", mode, 60.0, flows)
+
+
+def _intersection(mode: str) -> Scenario:
+    corner = 3.5 * _BODY  # m, side of the boxes at the corners of two streets of three bodies
+    at = 0.5 * (3.0 * _BODY + corner)
+    boxes = [{"at": [x, y], "size": [corner, corner]} for x in (-at, at) for y in (-at, at)]
+    flows = {"east": [(-_START, 0.0, 0.0)], "north": [(0.0, -_START, 90.0)]}
+    return _scenario("intersection", mode, 60.0, flows, {"boxes": boxes})
 
 
 def _wall(mode: str) -> Scenario:
@@ -150,12 +184,16 @@ TASKS: Mapping[str, Callable[[str], Scenario]] = {
     "swap of 8": _swap(8),
     "swap of 12": _swap(12),
     "swap of 16": _swap(16),
-    "door of 2 bodies, 4 against 4": lambda mode: passage_scenario(
-        Passage(2.0 * _BODY, left=4, right=4, mode=mode)
+    "swap of 20": _swap(20),
+    "a door of 2 bodies, alone": _passage(2.0, duration=60.0),
+    "door of 2 bodies, 4 against 4": _passage(2.0, left=4, right=4),
+    "corridor of 2.5 bodies, 2 against 2": _passage(
+        2.5, length=1.0, left=2, right=2, duration=120.0
     ),
-    "corridor of 2.5 bodies, 2 against 2": lambda mode: passage_scenario(
-        Passage(2.5 * _BODY, 1.0, left=2, right=2, mode=mode, duration=120.0)
-    ),
+    "two that swap in a lane": _passage(2.5, length=1.0, right=1, duration=1200.0),
+    "doorway": _passage(3.0, right=1, duration=60.0),
+    "hallway": _passage(3.0, length=7.0 * _BODY, right=1, duration=120.0),
+    "intersection": _intersection,
     "crossing flows, 5 against 5": _crossing,
     "along a wall": _wall,
     "past a parked robot": _parked(0.0),
@@ -181,7 +219,7 @@ def measure(trace: Trace, cpu: float) -> Found:
     return Found(
         arrived=int(np.isfinite(first).sum()),
         robots=len(rows),
-        last=float(first.max()),
+        last=float(first.max()) if np.isfinite(first).all() else None,
         goals=int(goals.max(axis=0).sum()),
         recovering=0.0 if recovering is None else float(recovering[:, rows].mean()),
         stuck=stuck,
@@ -204,35 +242,63 @@ def perform(task: str, mode: str, seed: int) -> Found:
 
 
 def carry_out(
-    tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int
+    tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int, file: Path
 ) -> dict[tuple[str, str], list[Found]]:
-    """The runs of each task and mode, one for each seed."""
+    """The runs of each task and mode, one for each seed.
+
+    Runs with a record of the same sources in `file` are not repeated. Each record is written when
+    the run is finished. Seeds come first: after an interruption all cells have as many runs.
+    """
     cells = [(task, mode) for task in tasks for mode in modes]
-    runs = [(*cell, seed) for cell in cells for seed in seeds]
+    runs = [Run(*cell, seed) for seed in seeds for cell in cells]
+    code, at = fingerprint(), commit()
+    known = {one.run: one.found for one in _read(file) if one.code == code}
+    missing = [run for run in runs if run not in known]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("ab") as out:
+        for run, found in _done(missing, jobs):
+            known[run] = found
+            record = Record(run=run, code=code, commit=at, found=found)
+            out.write(msgspec.json.encode(record) + b"\n")
+            out.flush()
+    return {cell: [known[Run(*cell, seed)] for seed in seeds] for cell in cells}
+
+
+def _done(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Found]]:
     if jobs == 1:
-        done = [perform(*run) for run in runs]
-    else:
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            done = list(pool.map(perform, *zip(*runs, strict=True)))
-    found: dict[tuple[str, str], list[Found]] = {cell: [] for cell in cells}
-    for (task, mode, _), one in zip(runs, done, strict=True):
-        found[task, mode].append(one)
-    return found
+        yield from ((run, perform(run.task, run.mode, run.seed)) for run in runs)
+        return
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        of = {pool.submit(perform, run.task, run.mode, run.seed): run for run in runs}
+        try:
+            for future in as_completed(of):
+                yield of[future], future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _read(file: Path) -> list[Record]:
+    lines = file.read_bytes().splitlines() if file.exists() else []
+    return [msgspec.json.decode(line, type=Record) for line in lines]
 
 
 def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
-    """Markdown, a row for each task and mode."""
+    """Markdown, a row for each task and mode.
+
+    `60, 120 s`: in how many runs all robots arrived within this time. `median`: of the time in
+    which all robots of a run arrived.
+    """
     rows = [
         [
-            *("task", "mode", "arrived", "of ghosts", "all within [s]", "goals", "recovering"),
-            *("stuck", "touches", "at fault", "CPU [s]"),
+            *("task", "mode", "arrived", "of ghosts", "all within [s]", "60, 120 s", "median [s]"),
+            *("goals", "recovering", "stuck", "touches", "at fault", "CPU [s]"),
         ]
     ]
     for (task, mode), runs in found.items():
         goals = sum(one.goals for one in runs)
         ghosts = sum(one.goals for one in found.get((task, "ghost"), ()))
-        last = [one.last for one in runs]
+        last = [math.inf if one.last is None else one.last for one in runs]
         complete = sum(map(math.isfinite, last))
         worst = f"{max(one for one in last if math.isfinite(one)):.0f}" if complete else "-"
         robots = sum(one.robots for one in runs)
@@ -241,6 +307,8 @@ def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
                 *(task, mode, f"{sum(one.arrived for one in runs)} of {robots}"),
                 f"{goals / ghosts:.0%}" if ghosts else "-",
                 f"{worst} ({complete} of {len(runs)} runs)",
+                ", ".join(str(sum(one <= within for one in last)) for within in (60.0, 120.0)),
+                f"{float(np.median(last)):.0f}",
                 str(goals),
                 f"{float(np.mean([one.recovering for one in runs])):.0%}",
                 f"{sum(one.stuck for one in runs) / sum(one.windows for one in runs):.1%}",

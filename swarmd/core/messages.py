@@ -168,12 +168,16 @@ class LimitingObstacle(Struct, frozen=True, gc=False):
     """One obstacle that constrains the command.
 
     `bearing` in rad from the axle. `gap` in m to the footprint. `cap` in m/s: the limit of the
-    outline's speed towards the obstacle.
+    outline's speed towards the obstacle. `age` in s: how long before the decision the obstacle was
+    seen; None if the mode does not use it. `age_cost` in m/s: by how much the cap would be higher
+    with an age of 0.
     """
 
     bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
     gap: Metres
     cap: Speed
+    age: Seconds | None = None
+    age_cost: Speed = 0.0
 
 
 class DecisionSummary(Struct, frozen=True, kw_only=True):

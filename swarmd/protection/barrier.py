@@ -122,7 +122,7 @@ class Barrier:
         self._feasible = feasible = FeasibleSet(assumptions, outline, self._walls)
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
-        self._limiting = LimitingRows(feasible.constraints, outline)
+        self._limiting = LimitingRows(assumptions, feasible.constraints, outline)
         self._asked, self._speeds = Speeds(), Speeds()
         self._decision = ModeDecision(ZERO, is_active=False)
 

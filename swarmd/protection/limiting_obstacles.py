@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.messages import LimitingObstacle
-from swarmd.protection.buffers import checked
-from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints
+from swarmd.protection.barrier_assumptions import REACTION, Assumptions
+from swarmd.protection.buffers import checked, maximum
+from swarmd.protection.closing_speed import closing_cap, closing_deceleration, wall_cap
+from swarmd.protection.constraints import ConstraintRows, Constraints, PlacedPoints, SpeedAxes
 from swarmd.protection.outline import Outline
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -37,11 +39,15 @@ class LimitingRows:
 
     count: cython.Py_ssize_t
     row: cython.Py_ssize_t[4]
+    _assumptions: Assumptions
     _constraints: Constraints
     _outline: Outline
 
-    def __init__(self, constraints: Constraints, outline: Outline) -> None:
-        self._constraints, self._outline = constraints, outline
+    def __init__(
+        self, assumptions: Assumptions, constraints: Constraints, outline: Outline
+    ) -> None:
+        self._assumptions, self._constraints = assumptions, constraints
+        self._outline = outline
 
     def check_indices(self) -> None:
         """ValueError unless the ranked rows are within the array."""
@@ -103,7 +109,51 @@ class LimitingRows:
         x: cython.double = placed.x[point] - radius * placed.normal_x[point]
         y: cython.double = placed.y[point] - radius * placed.normal_y[point]
         bearing: cython.double = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
-        return LimitingObstacle(bearing, self._outline.gap_of(x, y), rows.cap[row])
+        gap: cython.double = self._outline.gap_of(x, y)
+        age: cython.double = maximum(placed.age[point] - REACTION, 0.0)
+        cost: cython.double = self._age_cost(rows, placed, row)
+        return LimitingObstacle(bearing, gap, rows.cap[row], age, cost)
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _age_cost(
+        self, rows: ConstraintRows, placed: PlacedPoints, row: cython.Py_ssize_t
+    ) -> cython.double:
+        """The m/s by which the cap of a constraint would be higher for an obstacle seen just now.
+
+        0 for constraints of another kind than a limit of the closing speed, such as those of
+        sides.
+        """
+        point: cython.Py_ssize_t = rows.source[row]
+        cap: cython.double = self._closing_cap(rows, placed, row, placed.age[point])
+        if row != placed.first_row[point] and cap != rows.cap[row]:
+            return 0.0
+        return maximum(self._closing_cap(rows, placed, row, REACTION) - rows.cap[row], 0.0)
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _closing_cap(
+        self,
+        rows: ConstraintRows,
+        placed: PlacedPoints,
+        row: cython.Py_ssize_t,
+        unseen: cython.double,
+    ) -> cython.double:
+        """The cap in m/s of a constraint as Constraints sets it, for a point not seen for s."""
+        assumptions: Assumptions = self._assumptions
+        axes: SpeedAxes = self._constraints.axes
+        point: cython.Py_ssize_t = rows.source[row]
+        others: cython.double = placed.others[point]
+        room: cython.double = rows.gap[row] + placed.radius[point] - placed.free[point]
+        braking: cython.double = closing_deceleration(
+            rows.x[row] / axes.limit,
+            rows.y[row] / axes.angular_limit,
+            assumptions.braking_linear,
+            assumptions.braking_angular,
+        )
+        if others < assumptions.others_speed:
+            return wall_cap(room, braking, unseen, others)
+        return closing_cap(room, braking, unseen, others, assumptions.is_passive)
 
     @cython.cfunc
     @cython.exceptval(-1)

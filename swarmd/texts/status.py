@@ -11,6 +11,7 @@ from swarmd.core.messages import (
     BatterySummary,
     Body,
     FenceSummary,
+    LimitingObstacle,
     Member,
     NarrowestPassage,
     Presence,
@@ -22,6 +23,8 @@ from swarmd.core.messages import (
 from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, quantity, sandbox_text, seconds, short_number
 from swarmd.texts.why import activity, obstacles
+
+_LEAST_COST = 0.005  # m/s that the text names
 
 NOT_DESCRIBED: Mapping[str, Any] = MappingProxyType({})
 
@@ -147,7 +150,7 @@ def _titled(title: str, texts: Iterable[str]) -> list[tuple[str, str]]:
 def _protection(status: Status) -> list[tuple[str, str]]:
     decision = status.decision
     gap, age = decision.min_gap, decision.scan_age
-    limits = [f"{text}, at most {row.cap:z.2f} m/s" for text, row in obstacles(decision.rows)]
+    limits = [f"{text}, {_cap_text(row)}" for text, row in obstacles(decision.rows)]
     return [
         ("mode", f"{decision.mode}, {activity(decision)}"),
         (
@@ -168,6 +171,15 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
+
+
+def _cap_text(row: LimitingObstacle) -> str:
+    """The cap of a limiting obstacle, and what the age of its ray takes off the cap."""
+    text = f"at most {row.cap:z.2f} m/s"
+    if row.age is None:
+        return text
+    cost = f", which costs {row.age_cost:.2f} m/s" if row.age_cost >= _LEAST_COST else ""
+    return f"{text}; seen {row.age:.2f} s ago{cost}"
 
 
 def _walls_stand(walls: WallsStandSummary | None) -> list[tuple[str, str]]:

@@ -27,7 +27,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
 from swarmd.texts.why import absence, why
 from swarmd.view.history import SPAN
-from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
+from swarmd.view.source import ShownArena, ShownRobot, limits_of, points_of, row_of
 
 PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint in m of a robot whose platform file is not on this machine."""
@@ -179,7 +179,7 @@ class LiveSource:
                 row |= {
                     "requested": list(motion.requested),
                     "safe": list(motion.safe),
-                    "rows": [list(astuple(obstacle)) for obstacle in motion.rows],
+                    "rows": limits_of(motion.rows),
                 }
             row["tracks"] = self._tracks_of(name)
             platform = self._platform(status.platform)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from swarmd.core.messages import Reason, State, Status
+from swarmd.core.messages import LimitingObstacle, Reason, State, Status
 from swarmd.core.values import Array, Platform
 from swarmd.texts.why import lost_base, protection_word_of
 from swarmd.view.playback import Playback
@@ -232,7 +232,7 @@ def row_of(status: Status) -> dict[str, Any]:
             decision.requested_lateral,
         ],
         "safe": [decision.safe_linear, decision.safe_angular, decision.safe_lateral],
-        "rows": [[obstacle.bearing, obstacle.gap, obstacle.cap] for obstacle in decision.rows],
+        "rows": limits_of(decision.rows),
     }
     if decision.min_gap is not None:
         row["near"] = decision.min_gap
@@ -241,6 +241,11 @@ def row_of(status: Status) -> dict[str, Any]:
     if status.fence is not None:
         row["fence"] = status.fence.polygons
     return row
+
+
+def limits_of(rows: Iterable[LimitingObstacle]) -> list[list[float]]:
+    """Bearing (rad), gap (m) and cap (m/s) of each limiting obstacle."""
+    return [[obstacle.bearing, obstacle.gap, obstacle.cap] for obstacle in rows]
 
 
 def standing_of(state: str, reason: str) -> str:

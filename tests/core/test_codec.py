@@ -76,6 +76,8 @@ def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: by
                 LimitingObstacle(9.0, 0.1, 0.1),
                 LimitingObstacle(0.0, math.inf, 0.1),
                 LimitingObstacle(0.0, 0.1, 1e9),
+                LimitingObstacle(0.0, 0.1, 0.1, age=-1.0),
+                LimitingObstacle(0.0, 0.1, 0.1, age_cost=1e9),
             )
         ),
     ],
@@ -96,7 +98,7 @@ class OlderSummary(Struct):
 
 def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> None:
     summary = DecisionSummary(
-        rows=(LimitingObstacle(-0.5, 0.21, 0.0), LimitingObstacle(3.0, 0.4, 0.1)),
+        rows=(LimitingObstacle(-0.5, 0.21, 0.0), LimitingObstacle(3.0, 0.4, 0.1, 0.3, 0.05)),
         is_recovering=True,
     )
     assert Decoder(DecisionSummary)(encode(summary)) == summary

@@ -15,13 +15,15 @@ from msgspec import structs
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.barrier import SLOW_REQUEST
+from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.protection.closing_speed import CREEP_SPEED
+from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext, Permit, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.protection import Protection
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
-from tests.support.barrier_parts import outline_of, separation
+from tests.support.barrier_parts import outline_of, passive_cap, separation
 from tests.support.filter_sim import decided, outline_point, under_barrier
 
 TICK = 0.05
@@ -358,6 +360,28 @@ def test_surface_speed_holds_near_every_obstacle(
         math.hypot(safe.linear - safe.angular * y, safe.angular * x) for x, y in platform.footprint
     ]
     assert max(speeds) <= platform.protection["barrier"]["others_speed"] + 1e-9
+
+
+@pytest.mark.parametrize("bearing", [0, 30, 150, 180])
+def test_a_limiting_obstacle_has_its_age_and_what_the_age_costs(bearing: int) -> None:
+    platform = under_barrier(BURGER, unseen_extent=0.0)
+    assumed = barrier_settings(platform)
+    assert assumed is not None
+    scan = seeing(platform, [(bearing, 0.05)])
+    requested = request_of(platform, math.copysign(1.0, math.cos(math.radians(bearing))), 0.0)
+    first, later = (decided(platform, scan, requested, age=age).rows[0] for age in (0.0, 0.04))
+    assert later.age is not None
+    assert first.age is not None
+    assert later.age - first.age == pytest.approx(0.04)
+    assert 0.0 < first.age_cost < later.age_cost
+    # Both costs lead to the cap of a return that is seen at the time of the decision.
+    seen_now = first.cap + first.age_cost
+    assert later.cap + later.age_cost == pytest.approx(seen_now)
+    if bearing == 0:
+        room = first.gap - assumed.margin
+        assert seen_now == pytest.approx(
+            passive_cap(room, assumed.braking_linear, assumed.others_speed, REACTION_TIME)
+        )
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE)

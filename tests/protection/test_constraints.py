@@ -255,6 +255,7 @@ def test_reported_constraints_bind_and_have_a_return() -> None:
     barrier = Barrier(replace(KINDS[0], footprint=square))
     constraints = barrier._feasible.constraints
     rows, placed = constraints.rows, constraints.placed
+    constraints.axes.limit = KINDS[0].limits.linear
     placed.seen = rows.count = 4
     rows.all = 5  # the last row is of the envelope
     rows.cap = [0.3, 0.1, 0.2, 0.0, 0.0]

@@ -79,15 +79,23 @@ def test_shows_each_obstacle_that_limits_the_command() -> None:
         LimitingObstacle(math.radians(-30.4), 0.208, 0.0),
         LimitingObstacle(math.radians(-33.0), 0.208, 0.01),  # the same wall
         LimitingObstacle(math.pi, 0.4, 0.123),
+        LimitingObstacle(1.0, 0.3, 0.05, age=0.314, age_cost=0.0961),
+        LimitingObstacle(2.0, 0.3, 0.05, age=0.02, age_cost=0.004),
     )
     decision = DecisionSummary(mode="barrier", is_active=True, is_recovering=True, rows=rows)
     member = make_member(decision=decision)
     assert member.status is not None
     shown_rows = dict(sections(member, member.status))["Protection"]
     assert shown_rows[0] == ("mode", "barrier, recovering")
-    assert shown_rows[3:5] == [
+    assert shown_rows[3:7] == [
         ("limited by", "an obstacle at -30 deg, 0.21 m, at most 0.00 m/s"),
         ("", "an obstacle at 180 deg, 0.40 m, at most 0.12 m/s"),
+        (
+            "",
+            "an obstacle at 57 deg, 0.30 m, at most 0.05 m/s; seen 0.31 s ago, which costs"
+            " 0.10 m/s",
+        ),
+        ("", "an obstacle at 115 deg, 0.30 m, at most 0.05 m/s; seen 0.02 s ago"),
     ]
 
 

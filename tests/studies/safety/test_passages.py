@@ -54,6 +54,12 @@ def test_a_robot_passes_the_narrowest_corridor_and_none_much_narrower(
     assert (crossings(corridor, 1) > 0) == is_passed
 
 
+def test_two_robots_swap_in_a_lane_again_and_again() -> None:
+    """The short form of `python -m studies.safety encounters --tasks "two that swap in a lane"`."""
+    lane = Passage(2.5 * 0.178, 1.0, 1, 1, mode="walls_stand", duration=150.0)
+    assert crossings(lane, 1) >= 4
+
+
 def test_of_two_that_meet_in_a_corridor_one_yields() -> None:
     assert crossings(Passage(0.445, 1.0, 1, 1, duration=75.0), 1) > 0
 
