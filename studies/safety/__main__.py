@@ -2,8 +2,8 @@
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. encounters: how robots get
 past each other in each mode. tracks: the errors of tracks. one: a single run with every collision
-and those at fault. Runs of hours and progress that build/safety has from the same sources are not
-repeated.
+and those at fault. Runs of hours, progress and encounters that build/safety has from the same
+sources are not repeated.
 """
 
 from __future__ import annotations
@@ -107,7 +107,9 @@ def _parser() -> argparse.ArgumentParser:
     verb.add_argument("--modes", nargs="+", choices=modes, default=encounters.MODES)
     verb.add_argument("--seeds", type=_count, default=20, help="how many")
     verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
+    verb.add_argument("--first-seed", type=_seed, help="counts up from it")
     verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
+    verb.add_argument("--out", type=Path, default=Path("build/safety"))
     verb = verbs.add_parser("tracks", help="Errors of tracks, for several lidars.")
     verb.add_argument("--seeds", type=_count, default=3, help="how many")
     verb.add_argument("--duration", type=float, default=60.0, help="of a run in s")
@@ -131,16 +133,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _run_one(options)
         return
     seeds = DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS
+    if options.verb in ("hours", "encounters") and options.first_seed is not None:
+        seeds = range(options.first_seed, options.first_seed + len(ACCEPTANCE_SEEDS))
     if options.verb == "encounters":
-        chosen = seeds[: options.seeds]
-        found = encounters.carry_out(options.tasks, options.modes, chosen, options.jobs)
-        print(encounters.table(found))
+        words, chosen = (options.tasks, options.modes), seeds[: options.seeds]
+        file = options.out / "encounters.jsonl"
+        print(encounters.table(encounters.carry_out(*words, chosen, options.jobs, file)))
         return
     if options.verb == "tracks":
         print(tracking.table(seeds[: options.seeds], options.duration))
         return
-    if options.verb == "hours" and options.first_seed is not None:
-        seeds = range(options.first_seed, options.first_seed + len(ACCEPTANCE_SEEDS))
     tasks = options.plan(options, seeds)
     if not tasks:
         raise ConfigError(

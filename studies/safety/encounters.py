@@ -10,10 +10,12 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from msgspec import Struct
 
@@ -21,6 +23,7 @@ from benchmarks.table import markdown
 from studies.safety.driven import faults
 from studies.safety.judge import collisions, stuck_windows
 from studies.safety.passages import Passage, passage_scenario
+from studies.safety.runs import commit, fingerprint
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
@@ -34,7 +37,7 @@ KIND = "burger"
 SIDE = 4.0  # m, of the arena
 TRUTH = "orca_true"
 """Mode: avoidance with the true places of robots in place of the tracks of its scans."""
-MODES = ("ghost", "barrier", "stop_zone", "orca", TRUTH)
+MODES = ("ghost", "barrier", "stop_zone", "orca", "walls_stand", TRUTH)
 _BODY = float(np.ptp(load_platform(KIND).footprint[:, 1]))
 _PARKED = "parked"
 _START = 1.5  # m from the middle
@@ -58,6 +61,23 @@ class Found(Struct, frozen=True, kw_only=True):
     touches: int
     faults: int
     cpu: float
+
+
+class Run(Struct, frozen=True, order=True):
+    """A run to do: one of TASKS in a mode, with a seed."""
+
+    task: str
+    mode: str
+    seed: int
+
+
+class Record(Struct, frozen=True, kw_only=True):
+    """A finished run: `code` is the digest of the sources, `commit` that of the checkout."""
+
+    run: Run
+    code: str
+    commit: str
+    found: Found
 
 
 def _scenario(
@@ -204,29 +224,52 @@ def perform(task: str, mode: str, seed: int) -> Found:
 
 
 def carry_out(
-    tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int
+    tasks: Sequence[str], modes: Sequence[str], seeds: Sequence[int], jobs: int, file: Path
 ) -> dict[tuple[str, str], list[Found]]:
-    """The runs of each task and mode, one for each seed."""
+    """The runs of each task and mode, one for each seed.
+
+    Runs with a record of the same sources in `file` are not repeated. Each record is written when
+    the run is finished. Seeds come first: after an interruption all cells have as many runs.
+    """
     cells = [(task, mode) for task in tasks for mode in modes]
-    runs = [(*cell, seed) for cell in cells for seed in seeds]
-    if jobs == 1:
-        done = [perform(*run) for run in runs]
-    else:
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            done = list(pool.map(perform, *zip(*runs, strict=True)))
-    found: dict[tuple[str, str], list[Found]] = {cell: [] for cell in cells}
-    for (task, mode, _), one in zip(runs, done, strict=True):
-        found[task, mode].append(one)
-    return found
+    runs = [Run(*cell, seed) for seed in seeds for cell in cells]
+    code, at = fingerprint(), commit()
+    known = {one.run: one.found for one in _read(file) if one.code == code}
+    missing = [run for run in runs if run not in known]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
+    with (
+        file.open("ab") as out,
+        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
+    ):
+        of = {pool.submit(perform, run.task, run.mode, run.seed): run for run in missing}
+        try:
+            for future in as_completed(of):
+                run = of[future]
+                known[run] = found = future.result()
+                record = Record(run=run, code=code, commit=at, found=found)
+                out.write(msgspec.json.encode(record) + b"\n")
+                out.flush()
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return {cell: [known[Run(*cell, seed)] for seed in seeds] for cell in cells}
+
+
+def _read(file: Path) -> list[Record]:
+    lines = file.read_bytes().splitlines() if file.exists() else []
+    return [msgspec.json.decode(line, type=Record) for line in lines]
 
 
 def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
-    """Markdown, a row for each task and mode."""
+    """Markdown, a row for each task and mode.
+
+    `60, 120 s`: in how many runs all robots arrived within this time. `median`: of the time in
+    which all robots of a run arrived.
+    """
     rows = [
         [
-            *("task", "mode", "arrived", "of ghosts", "all within [s]", "goals", "recovering"),
-            *("stuck", "touches", "at fault", "CPU [s]"),
+            *("task", "mode", "arrived", "of ghosts", "all within [s]", "60, 120 s", "median [s]"),
+            *("goals", "recovering", "stuck", "touches", "at fault", "CPU [s]"),
         ]
     ]
     for (task, mode), runs in found.items():
@@ -241,6 +284,8 @@ def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
                 *(task, mode, f"{sum(one.arrived for one in runs)} of {robots}"),
                 f"{goals / ghosts:.0%}" if ghosts else "-",
                 f"{worst} ({complete} of {len(runs)} runs)",
+                ", ".join(str(sum(one <= within for one in last)) for within in (60.0, 120.0)),
+                f"{float(np.median(last)):.0f}",
                 str(goals),
                 f"{float(np.mean([one.recovering for one in runs])):.0%}",
                 f"{sum(one.stuck for one in runs) / sum(one.windows for one in runs):.1%}",

@@ -26,7 +26,16 @@ KINDS = (*MIXED, "turtlebot4", "rosbot_xl")
 TURTLEBOTS = ("burger", "waffle_pi")
 PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
-MODES = ("barrier", "orca", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
+MODES = (
+    "barrier",
+    "orca",
+    "walls_stand",
+    "reciprocal",
+    "potential_field",
+    "stop_zone",
+    "off",
+    "ghost",
+)
 ATTACKERS = "attackers"
 """The group of attacking robots, and the prefix of their platform."""
 DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
@@ -277,13 +286,17 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
 def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any]:
     """A platform under one of MODES, with these settings of the barrier.
 
-    orca: the barrier with avoidance. ghost: no protection, and a body that others pass through.
+    orca: the barrier with avoidance. walls_stand: the same, and walls that have stood are assumed
+    to stand. ghost: no protection, and a body that others pass through.
     """
-    of_mode = {"reciprocal": "barrier", "orca": "barrier", "ghost": "off"}.get(mode, mode)
+    avoiding = ("orca", "walls_stand")
+    of_barrier = ("reciprocal", *avoiding)
+    of_mode = "barrier" if mode in of_barrier else "off" if mode == "ghost" else mode
     protection: dict[str, Any] = {"mode": of_mode}
-    protection["avoidance"] = "orca" if mode == "orca" else "none"
-    if barrier:
-        protection["barrier"] = dict(barrier)
+    protection["avoidance"] = "orca" if mode in avoiding else "none"
+    walls: dict[str, Any] = {"walls_stand": {}} if mode == "walls_stand" else {}
+    if barrier or walls:
+        protection["barrier"] = {**barrier, **walls}
     found: dict[str, Any] = {"extends": kind, "protection": protection}
     if mode == "ghost":
         found["body"] = {"solid": 0}
