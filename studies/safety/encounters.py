@@ -46,14 +46,14 @@ _START = 1.5  # m from the middle
 class Found(Struct, frozen=True, kw_only=True):
     """What one run gave; robots that are parked do not count.
 
-    `arrived` of `robots` reached a goal, the last at `last` s (inf: not all did). `goals` in all.
+    `arrived` of `robots` reached a goal, the last at `last` s (None: not all did). `goals` in all.
     `recovering` and `avoiding`: shares of the instants. `stuck` of `windows` of 10 s. `faults` of
     `touches`. `cpu` in s.
     """
 
     arrived: int
     robots: int
-    last: float
+    last: float | None
     goals: int
     recovering: float
     stuck: int
@@ -201,7 +201,7 @@ def measure(trace: Trace, cpu: float) -> Found:
     return Found(
         arrived=int(np.isfinite(first).sum()),
         robots=len(rows),
-        last=float(first.max()),
+        last=float(first.max()) if np.isfinite(first).all() else None,
         goals=int(goals.max(axis=0).sum()),
         recovering=0.0 if recovering is None else float(recovering[:, rows].mean()),
         stuck=stuck,
@@ -275,7 +275,7 @@ def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
     for (task, mode), runs in found.items():
         goals = sum(one.goals for one in runs)
         ghosts = sum(one.goals for one in found.get((task, "ghost"), ()))
-        last = [one.last for one in runs]
+        last = [math.inf if one.last is None else one.last for one in runs]
         complete = sum(map(math.isfinite, last))
         worst = f"{max(one for one in last if math.isfinite(one)):.0f}" if complete else "-"
         robots = sum(one.robots for one in runs)

@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
-import math
+from pathlib import Path
 
 import pytest
 
-from studies.safety.encounters import MODES, TASKS, Found, perform, scenario_for, table
+from studies.safety import encounters
+from studies.safety.encounters import (
+    MODES,
+    TASKS,
+    Found,
+    carry_out,
+    perform,
+    scenario_for,
+    table,
+)
 from tests.support.examples import part
 
 
@@ -21,7 +30,23 @@ def test_a_ghost_passes_a_parked_robot_and_the_parked_one_does_not_count() -> No
     found = perform("past a parked robot", "ghost", 0)
     assert (found.arrived, found.robots, found.faults) == (1, 1, 0)
     assert found.goals >= 3
+    assert found.last is not None
     assert found.last < 16.0
+
+
+def test_an_interrupted_study_repeats_no_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "runs.jsonl"
+    cell = ("a parked robot on the goal", "barrier")
+    first = carry_out(cell[:1], cell[1:], [0], 1, file)
+    assert first[cell][0].last is None
+    both = carry_out(cell[:1], cell[1:], [0, 1], 1, file)
+    assert both[cell][:1] == first[cell]
+    assert len(file.read_bytes().splitlines()) == 2
+    monkeypatch.setattr(encounters, "fingerprint", lambda: "other sources")
+    carry_out(cell[:1], cell[1:], [0], 1, file)
+    assert len(file.read_bytes().splitlines()) == 3
 
 
 def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
@@ -30,7 +55,7 @@ def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
         touches=0, faults=0, cpu=1.0,
     )  # fmt: skip
     late = Found(
-        arrived=3, robots=8, last=math.inf, goals=4, recovering=0.5, stuck=3, windows=6,
+        arrived=3, robots=8, last=None, goals=4, recovering=0.5, stuck=3, windows=6,
         touches=1, faults=1, cpu=1.0,
     )  # fmt: skip
     text = table({("swap of 8", "ghost"): [one], ("swap of 8", "barrier"): [late]})
