@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -237,22 +237,27 @@ def carry_out(
     known = {one.run: one.found for one in _read(file) if one.code == code}
     missing = [run for run in runs if run not in known]
     file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("ab") as out:
+        for run, found in _done(missing, jobs):
+            known[run] = found
+            record = Record(run=run, code=code, commit=at, found=found)
+            out.write(msgspec.json.encode(record) + b"\n")
+            out.flush()
+    return {cell: [known[Run(*cell, seed)] for seed in seeds] for cell in cells}
+
+
+def _done(runs: Sequence[Run], jobs: int) -> Iterator[tuple[Run, Found]]:
+    if jobs == 1:
+        yield from ((run, perform(run.task, run.mode, run.seed)) for run in runs)
+        return
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
-    with (
-        file.open("ab") as out,
-        ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool,
-    ):
-        of = {pool.submit(perform, run.task, run.mode, run.seed): run for run in missing}
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        of = {pool.submit(perform, run.task, run.mode, run.seed): run for run in runs}
         try:
             for future in as_completed(of):
-                run = of[future]
-                known[run] = found = future.result()
-                record = Record(run=run, code=code, commit=at, found=found)
-                out.write(msgspec.json.encode(record) + b"\n")
-                out.flush()
+                yield of[future], future.result()
         finally:
             pool.shutdown(cancel_futures=True)
-    return {cell: [known[Run(*cell, seed)] for seed in seeds] for cell in cells}
 
 
 def _read(file: Path) -> list[Record]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,12 @@ from studies.safety.encounters import (
     table,
 )
 from tests.support.examples import part
+
+
+LATE = Found(
+    arrived=3, robots=8, last=None, goals=4, recovering=0.5, stuck=3, windows=6, touches=1,
+    faults=1, cpu=1.0,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -37,16 +44,20 @@ def test_a_ghost_passes_a_parked_robot_and_the_parked_one_does_not_count() -> No
 def test_an_interrupted_study_repeats_no_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "runs.jsonl"
-    cell = ("a parked robot on the goal", "barrier")
-    first = carry_out(cell[:1], cell[1:], [0], 1, file)
-    assert first[cell][0].last is None
-    both = carry_out(cell[:1], cell[1:], [0, 1], 1, file)
-    assert both[cell][:1] == first[cell]
-    assert len(file.read_bytes().splitlines()) == 2
+    done: list[tuple[str, str, int]] = []
+
+    def simulated(*run: Any) -> Found:
+        done.append(run)
+        return LATE
+
+    monkeypatch.setattr(encounters, "perform", simulated)
+    file, cell = tmp_path / "some" / "runs.jsonl", ("swap of 8", "barrier")
+    carry_out(cell[:1], cell[1:], [0], 1, file)
+    assert carry_out(cell[:1], cell[1:], [0, 1], 1, file) == {cell: [LATE, LATE]}
+    assert done == [(*cell, 0), (*cell, 1)]
     monkeypatch.setattr(encounters, "fingerprint", lambda: "other sources")
     carry_out(cell[:1], cell[1:], [0], 1, file)
-    assert len(file.read_bytes().splitlines()) == 3
+    assert done[2:] == [(*cell, 0)]
 
 
 def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
@@ -54,11 +65,7 @@ def test_the_table_has_a_row_for_each_cell_with_the_share_of_ghosts() -> None:
         arrived=8, robots=8, last=20.0, goals=10, recovering=0.0, stuck=0, windows=6,
         touches=0, faults=0, cpu=1.0,
     )  # fmt: skip
-    late = Found(
-        arrived=3, robots=8, last=None, goals=4, recovering=0.5, stuck=3, windows=6,
-        touches=1, faults=1, cpu=1.0,
-    )  # fmt: skip
-    text = table({("swap of 8", "ghost"): [one], ("swap of 8", "barrier"): [late]})
+    text = table({("swap of 8", "ghost"): [one], ("swap of 8", "barrier"): [LATE]})
     assert "40%" in text
     assert "3 of 8" in text
     assert "0 of 1 runs" in text
