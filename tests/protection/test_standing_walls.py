@@ -79,9 +79,11 @@ class Robot:
         told: Pose | None = None,
         noise: Array | float = 0.0,
         ages: Array | None = None,
+        odometry_age: float = 0.0,
     ) -> None:
         """Take in a scan at `pose`, which odometry tells as `told`."""
-        self.now, self.odometry = now, Odometry(now, pose if told is None else told, ZERO)
+        odometry = Odometry(now - odometry_age, pose if told is None else told, ZERO)
+        self.now, self.odometry = now, odometry
         ranges = ranges_at(pose, segments, noise)
         spec = BURGER.scan
         scan = Scan(round(now / PERIOD), now, ranges, spec.bearings, 0.12, 3.5, ages, 0.0)
@@ -143,18 +145,47 @@ def moved(x: float) -> Segment:
     return (0.2 + x, -1.0, 0.2 + x, 1.0)
 
 
+def at_times(*parts: tuple[float, Sequence[Segment]]) -> Scene:
+    """What is there from each time in s on."""
+    return lambda t: [scene for since, scene in parts if t >= since - 1e-6][-1]
+
+
 HIDING: Segment = (0.1, -0.1, 0.1, 0.1)
+SHORT: Segment = (0.2, -0.22, 0.2, 0.22)
+GRAZED: Segment = (0.2, 0.03, 1.4, 0.03)
+"""A wall that begins ahead. Its returns lie more than 12 cm apart from 0.45 m on."""
 
 STANDS: dict[str, tuple[Scene, float]] = {
     "it has stood for the time": (still(AHEAD), 2.0),
     "as long as it must be": (still((0.2, -0.26, 0.2, 0.26)), 3.0),
     "it stands again after a time": (after(1.0, [moved(0.1)], [AHEAD]), 3.0),
     "a lost ray and a thin pole behind do not matter": (still(AHEAD, BESIDE), 3.0),
+    "it bends with a radius of 2.5 m": (still(*arc(2.5)), 3.0),
+    "its end, where a ray happens to meet it": (
+        after(3.0, [(0.2, -1.0, 0.2, 0.03)], [(0.2, -1.0, 0.2, 0.07)]),
+        3.0,
+    ),
+    "one scan did not show it": (at_times((0.0, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])), 3.0),
 }
 CHARGED: dict[str, tuple[Scene, float]] = {
     "it has not stood for the time": (still(AHEAD), 1.8),
-    "it is shorter": (still((0.2, -0.22, 0.2, 0.22)), 3.0),
+    "it is shorter": (still(SHORT), 3.0),
     "it is curved": (still(*arc(0.35)), 3.0),
+    "it is a tank of 1 m radius": (still(*arc(1.0)), 3.0),
+    "it bends with a radius of 1.4 m": (still(*arc(1.4)), 3.0),
+    "most of it is seen at a grazing angle": (still(GRAZED), 3.0),
+    "its end has become longer than by a bin": (
+        after(3.0, [(0.2, -1.0, 0.2, -0.06)], [(0.2, -1.0, 0.2, 0.08)]),
+        3.0,
+    ),
+    "two scans did not show it": (
+        at_times((0.0, [AHEAD]), (2.4, [SHORT]), (2.8, [AHEAD])),
+        3.0,
+    ),
+    "one scan showed it elsewhere": (
+        at_times((0.0, [AHEAD]), (2.6, [moved(0.06)]), (2.8, [AHEAD])),
+        3.0,
+    ),
     "it has a bulge of 45 mm": (still(AHEAD, (0.155, -0.03, 0.155, 0.03)), 3.0),
     "a row of bodies": (still(*row(0.05)), 3.0),
     "it appears": (after(3.0, [BESIDE], [AHEAD, BESIDE]), 3.0),
@@ -166,7 +197,7 @@ CHARGED: dict[str, tuple[Scene, float]] = {
     ),
     "it has moved before": (after(2.0, [moved(0.04)], [AHEAD]), 3.0),
     "it moves slowly": (lambda t: [moved(0.02 * (4.0 - t))], 4.0),
-    "it has become shorter": (after(3.0, [AHEAD], [(0.2, -0.22, 0.2, 0.22)]), 3.0),
+    "it has become shorter": (after(3.0, [AHEAD], [SHORT]), 3.0),
     "it turns": (after(3.0, [AHEAD], [(0.2, -1.0, 0.2, 0.0), (0.2, 0.0, 0.35, 1.0)]), 3.0),
 }
 
@@ -205,15 +236,22 @@ def test_a_wall_that_stands_keeps_its_margin(kernel: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_noise_of_ranges_does_not_take_the_status(kernel: Any) -> None:
+@pytest.mark.parametrize(
+    ("scene", "least", "most"),
+    [([AHEAD, BESIDE], 8, 10), (arc(1.0), 0, 0)],
+    ids=["a wall", "a tank of 1 m radius"],
+)
+def test_noise_of_ranges_does_not_change_the_status(
+    kernel: Any, scene: Sequence[Segment], least: int, most: int
+) -> None:
+    """Before how many of ten robots the surface stands after 3 s."""
     fast = 0
     for seed in range(10):
         rng, robot = np.random.default_rng(seed), Robot(kernel)
         for k in range(16):
-            noise = rng.normal(0.0, 0.01, 360)
-            robot.see(1.0 + PERIOD * k, [AHEAD, BESIDE], noise=noise)
+            robot.see(1.0 + PERIOD * k, scene, noise=rng.normal(0.0, 0.01, 360))
         fast += robot.speed() > FAST
-    assert fast >= 8
+    assert least <= fast <= most
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -242,6 +280,15 @@ def test_odometry_or_a_scan_that_contradicts_takes_the_status(
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize(("age", "stands"), [(0.5 * PERIOD, True), (1.5 * PERIOD, False)])
+def test_a_reset_of_odometry_takes_the_status(kernel: Any, age: float, stands: bool) -> None:
+    """The clock of odometry goes back to before the last reading, while the pose fits the scan."""
+    robot = watch(kernel, still(AHEAD, BESIDE))
+    robot.see(robot.now + PERIOD, [AHEAD, BESIDE], odometry_age=age)
+    assert (robot.speed() > FAST) == stands
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("step", [(0.06, 0.0), (0.0, 0.06)], ids=["way", "turn"])
 @pytest.mark.parametrize(("scale", "stands"), [(1.06, True), (1.16, False), (0.84, False)])
 def test_odometry_of_a_wrong_scale_takes_the_status(
@@ -264,6 +311,14 @@ def test_the_edge_of_a_wall_belongs_to_it(kernel: Any, gap: float, stands: bool)
     face: Segment = (0.2, -0.11, 0.2, -0.2)
     robot = watch(kernel, still(wall, face), 4.0)
     assert (robot.speed() > FAST) == stands
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_body_that_stands_at_a_wall_does_not_belong_to_it(kernel: Any) -> None:
+    """The side of the body meets the wall within 4 cm, as a post does, but is before the wall."""
+    wall: Segment = (-1.0, -0.2, 0.22, -0.2)
+    robot = watch(kernel, still(wall, (0.2, -0.18, 0.2, 0.05)), 4.0)
+    assert robot.speed() < FAST
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -313,6 +368,13 @@ def test_a_wall_that_moves_is_told_once_another_wall_has_stood(kernel: Any) -> N
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
+def test_a_wall_that_is_less_than_5_cm_elsewhere_is_not_told(kernel: Any) -> None:
+    for step, count in ((0.04, 0), (0.06, 1)):
+        scene = after(3.0, [moved(0.4), BESIDE], [moved(0.4 - step), BESIDE])
+        assert len(watch(kernel, scene, 4.0).moved) == count
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
 def test_wrong_odometry_is_no_wall_that_moves(kernel: Any) -> None:
     robot = Robot(kernel)
     for k in range(30):
@@ -342,6 +404,10 @@ def test_two_moving_walls_are_a_finding_until_it_ends() -> None:
             robot.now, robot.odometry = now, odometry
         events.extend(protection.events)
 
+    def backward() -> float:
+        context = DecisionContext(robot.now, 0.0, robot.odometry, 0.0)
+        return protection.decide(Twist(-0.1), context, True, None).safe.linear
+
     run(after(3.0, [moved(0.4), BESIDE], [moved(0.3), BESIDE]), 1.0, 8.0)
     assert ["moving_wall" in text for text in events] == [True]
     assert not protection.findings
@@ -349,10 +415,12 @@ def test_two_moving_walls_are_a_finding_until_it_ends() -> None:
     (finding,) = list(protection.findings)
     assert finding.startswith("moving_wall: 2 walls moved at 0.25 m/s or faster")
     run(still(AHEAD, BESIDE), 17.0, 4.0)
+    assert backward() == pytest.approx(-0.2 * 0.1)  # the lowest share
     assert robot.speed() < FAST
     protection.forget_findings(protection.findings)
     run(still(AHEAD, BESIDE), 21.0, 3.0)  # the decision before was later than this scan
     assert protection.findings == ()
+    assert backward() == pytest.approx(-0.1)
     assert robot.speed() > FAST
 
 
