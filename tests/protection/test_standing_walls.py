@@ -169,6 +169,10 @@ STANDS: dict[str, tuple[Scene, float]] = {
         after(3.0, [(0.2, -1.0, 0.2, 0.03)], [(0.2, -1.0, 0.2, 0.07)]),
         3.0,
     ),
+    "scans that do not follow each other did not show it": (
+        at_times((0.0, [AHEAD]), (1.0, [SHORT]), (1.2, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])),
+        3.0,
+    ),
     "one scan did not show it": (at_times((0.0, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])), 3.0),
 }
 CHARGED: dict[str, tuple[Scene, float]] = {
@@ -202,6 +206,8 @@ CHARGED: dict[str, tuple[Scene, float]] = {
     "it has moved before": (after(2.0, [moved(0.04)], [AHEAD]), 3.0),
     "it moves slowly": (lambda t: [moved(0.02 * (4.0 - t))], 4.0),
     "it has become shorter": (after(3.0, [AHEAD], [SHORT]), 3.0),
+    "it has become curved": (after(3.0, [AHEAD], arc(1.0)), 3.0),
+    "it is hidden": (after(3.0, [AHEAD], [AHEAD, HIDING]), 3.0),
     "it turns": (after(3.0, [AHEAD], [(0.2, -1.0, 0.2, 0.0), (0.2, 0.0, 0.35, 1.0)]), 3.0),
 }
 
