@@ -111,7 +111,7 @@ _UNTOLD: Mapping[str, Any] = {
     "visibilities": ("real",),
 }
 # Burgers, nose to tail and side by side: 14 cm deep, 17.8 cm wide.
-_BODY = {"depth": 0.14, "width": 0.178, "rests": 60.0, "ahead": 1.0}
+_BODY = {"depth": 0.14, "width": 0.178, "rests": 15.0, "ahead": 1.0}
 
 
 def _movers(**values: Any) -> dict[str, Any]:
@@ -179,10 +179,10 @@ FAMILIES: Mapping[str, Family] = {
     ),
     # What protection may take for a wall, or for a part of one.
     "beside_wall": Family(
-        **_movers(places=_at_walls(0.09), **{**_BODY, "rests": 10.0}, moves=3.0),
+        **_movers(places=_at_walls(0.09), **{**_BODY, "rests": 4.0}, moves=3.0),
     ),
     "box_along_wall": Family(
-        **_movers(places=_at_walls(0.16), depth=0.3, width=0.3, rests=10.0, moves=3.0, aside=1.0)
+        **_movers(places=_at_walls(0.16), depth=0.3, width=0.3, rests=4.0, moves=3.0, aside=1.0)
     ),
     "train": Family(**_movers(places=_line(6, 0.19, 0.0), **_BODY, moves=3.0)),
     "rank": Family(**_movers(places=_line(5, 0.228, 90.0), **_BODY, moves=4.0)),
@@ -197,16 +197,14 @@ FAMILIES: Mapping[str, Family] = {
             places=[(-0.4, 0.0, 0.0), (0.4, 0.3, 90.0), (0.2, -0.5, 180.0)],
             depth=0.04,
             width=0.8,
-            rests=20.0,
+            rests=4.0,
             moves=2.0,
             ahead=1.0,
         ),
         is_claimed=False,
     ),
     "panel": Family(
-        **_movers(
-            places=[(0.0, 0.0, 0.0)], depth=0.04, width=0.3, rests=20.0, moves=3.0, ahead=1.0
-        ),
+        **_movers(places=[(0.0, 0.0, 0.0)], depth=0.04, width=0.3, rests=4.0, moves=3.0, ahead=1.0),
         door=1.8,
         is_claimed=False,
     ),
@@ -215,7 +213,7 @@ FAMILIES: Mapping[str, Family] = {
             places=[(0.0, -0.19, 0.0)],
             depth=0.04,
             width=0.76,
-            rests=20.0,
+            rests=4.0,
             moves=4.0,
             is_hinged=True,
             turning=1.0,
@@ -225,7 +223,7 @@ FAMILIES: Mapping[str, Family] = {
     ),
     "sliding_door": Family(
         **_movers(
-            places=[(0.02, 0.0, 0.0)], depth=0.04, width=0.8, rests=20.0, moves=3.0, aside=1.0
+            places=[(0.02, 0.0, 0.0)], depth=0.04, width=0.8, rests=4.0, moves=3.0, aside=1.0
         ),
         door=4.4,
         is_claimed=False,
