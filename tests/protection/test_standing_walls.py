@@ -135,6 +135,15 @@ def row(gap: float) -> list[Segment]:
     return boxes
 
 
+def staggered(depth: float) -> list[Segment]:
+    """Twelve faces of 12 cm side by side ahead, every second `depth` m farther back."""
+    lines: list[Segment] = []
+    for k in range(-6, 6):
+        x = 0.2 + depth * (k % 2)
+        lines += [(x, 0.12 * k, x, 0.12 * (k + 1)), (0.2, 0.12 * k, 0.2 + depth, 0.12 * k)]
+    return lines
+
+
 def bend(angle: float) -> list[Segment]:
     """Two faces of 30 cm ahead that meet at an angle."""
     x, y = 0.2 + 0.3 * math.sin(0.5 * angle), 0.3 * math.cos(0.5 * angle)
@@ -227,8 +236,8 @@ def test_all_else_is_charged_as_before(kernel: Any, name: str) -> None:
     assert robot.speed() == watch(kernel, scene, seconds, walls_stand=None).speed() < FAST
 
 
-@pytest.mark.parametrize("surface", [arc(0.25), arc(0.35), bend(0.7), bend(1.05)])
-def test_no_part_of_a_curved_surface_stands(surface: list[Segment]) -> None:
+@pytest.mark.parametrize("surface", [arc(0.25), arc(0.35), bend(0.7), bend(1.05), staggered(0.06)])
+def test_no_part_of_a_curved_or_rough_surface_stands(surface: list[Segment]) -> None:
     robot = watch(FORMS[0], still(*surface))
     assert not any(robot.barrier._walls.standing)
 
