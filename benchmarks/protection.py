@@ -43,6 +43,7 @@ from swarmd.robot.settings import RobotSettings
 from swarmd.sensing.scan_pipeline import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
+from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
@@ -148,8 +149,13 @@ class Decider:
         return DecisionContext(now, self._age, Odometry(now, Pose(), REQUESTED), 0.0)
 
 
-def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
-    """Scans of that many Waffle Pis in a ring, so near that all of them bind."""
+def among(
+    platform: Platform, neighbors: int, count: int = 100, room: float | None = None
+) -> list[Scan]:
+    """Scans of that many Waffle Pis in a ring, so near that all of them bind.
+
+    `room`: the side of the room in m; None without walls.
+    """
     rng = np.random.default_rng(neighbors)
     scans = []
     for seq in range(count):
@@ -159,7 +165,7 @@ def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
             Disc(r * math.cos(a), r * math.sin(a), 0.15)
             for r, a in zip(away.tolist(), around.tolist(), strict=True)
         ]
-        scans.append(scan_of(platform, discs, seq=seq, noise=0.01, rng=rng))
+        scans.append(scan_of(platform, discs, room=room, seq=seq, noise=0.01, rng=rng))
     return scans
 
 
@@ -252,12 +258,28 @@ def mode_rows(platform: Platform) -> Iterator[Row]:
             yield Row(f"decision alone, {what}", measure(decider.requested), budget)
 
 
+def wall_rows(platform: Platform) -> Iterator[Row]:
+    """A scan and a decision in a room, without and with `walls_stand`, in alternation."""
+    standing = under_barrier(platform, walls_stand={"length": 0.5, "seconds": 2.0})
+    for neighbors, room in ((8, 2.4), (0, 1.2)):
+        scans = among(platform, neighbors, room=room)
+        deciders = [Decider(one, scans) for one in (platform, standing)]
+        times: list[list[float]] = [[], []]
+        for _ in range(3):
+            for decider, times_of in zip(deciders, times, strict=True):
+                times_of += measure(decider.scan)
+        for what, times_of in zip(("", ", walls_stand"), times, strict=True):
+            name = f"scan and decision, barrier, {neighbors} neighbours in a room of {room} m{what}"
+            yield Row(name, times_of)
+
+
 def rows() -> Iterator[Row]:
     platform = load_platform("waffle_pi")
     scans = in_an_arena(platform, 100)
     loop = measure(map(partial(loop_field, range_max=0.5), cycle(scans)).__next__)
     yield Row("the field ray by ray in plain Python", loop, note="yardstick")
     yield from mode_rows(platform)
+    yield from wall_rows(platform)
     yield from moving_rows(load_platform("burger"))
     conditioner = ScanConditioner(platform.scan)
     yield Row(

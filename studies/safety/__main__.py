@@ -21,7 +21,7 @@ from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from studies.safety.judgement import judge
-from studies.safety.runs import Task, attackers, carry_out
+from studies.safety.runs import Task, attackers, carry_out, simulate
 from studies.safety.scenes import (
     ACCEPTANCE_SEEDS,
     DEV_SEEDS,
@@ -33,7 +33,6 @@ from studies.safety.scenes import (
     scenario,
 )
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.lockstep.lockstep import simulate_run
 
 Options = argparse.Namespace
 
@@ -159,11 +158,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _run_one(options: Options) -> None:
     words = (options.family, options.platform, options.visibility, options.mode)
     made = scenario(Scene(*words, duration=options.duration))
-    trace = simulate_run(made, options.seed)
+    trace, told = simulate(made, options.seed)
     among, actuation = attackers(trace), made.realism.actuation
     print("Touches:", *(one.text for one in collisions(trace, among)), sep="\n")
     print("At fault:", *(one.text for one in faults(trace, among, actuation)), sep="\n")
     found = judge(trace, among, actuation)
+    if told:
+        print("Told:", *told, sep="\n")
     print("Sums:", *(f"  {name}: {cell(found)}" for name, cell in COLUMNS.items()), sep="\n")
 
 

@@ -23,7 +23,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
     `seconds`: the sum over these robots. Collisions with robots, and contacts with walls, boxes
     and poles, each with the number at fault and their fastest own surface in m/s (0: none);
     `hits`: collisions that began with a fault, and the fastest. `pushed`: collisions and contacts
-    into which a robot was pushed.
+    into which a robot was pushed. `told`: events of robots that a wall moved, at most ten a robot.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
     requested command, times `seconds`.
@@ -46,6 +46,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
     stuck: int
     altered: float
     min_gap: float
+    told: int = 0
 
 
 def judge(

@@ -22,8 +22,10 @@ import swarmd.config
 from studies.safety.judgement import Judgement, judge
 from studies.safety.scenes import ATTACKERS, Scene, scenario
 from swarmd.core.errors import ConfigError
+from swarmd.protection.decision import MOVING_WALL
 from swarmd.sim.experiments.provenance import digest_of_code, git_state
-from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
 
 
@@ -86,13 +88,28 @@ def attackers(trace: Trace) -> frozenset[str]:
     return frozenset(robot for name, ids in groups if name.startswith(ATTACKERS) for robot in ids)
 
 
+def simulate(made: Scenario, seed: int) -> tuple[Trace, list[str]]:
+    """A run in this process: its trace, and the events of robots that name a wall that moved."""
+    run = Lockstep(made, seed)
+    run.advance(made.duration)
+    told = [
+        f"{event.at:8.2f} s  {run.world.ids[shell.row]}: {event.text}"
+        for shell in run.shells
+        if shell is not None
+        for event in shell.robot.status(run.world.time).events
+        if MOVING_WALL in event.text
+    ]
+    return run.trace(), sorted(told)
+
+
 def perform(task: Task, code: str, *, at: str) -> Record:
     """Simulate and evaluate, in this process; `at` is the commit."""
     begin = time.process_time()
     made = scenario(task.scene)
-    trace = simulate_run(made, task.seed)
+    trace, told = simulate(made, task.seed)
     cpu = time.process_time() - begin
     found = judge(trace, attackers(trace), made.realism.actuation)
+    found = structs.replace(found, told=len(told))
     today = str(date.today())
     return Record(task=task, code=code, cpu=cpu, date=today, commit=at, found=found)
 

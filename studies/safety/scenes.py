@@ -7,7 +7,7 @@ evidence is one entry of `FAMILIES`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +42,35 @@ DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
 """Seeds for development, and seeds with which nothing was chosen: those from 1000 on have been
 looked at by now."""
 
+_LEAST_WALL = 0.5  # m, the default of `walls_stand.length`
 _MIXED_SPEED = 0.4  # m/s: the speed that all robots of a mixed swarm assume of others
 _MIXED_KEEP_OUT = 0.92  # m: keeps robots out of a Jackal's blind zone
+
+
+class Movers(Struct, frozen=True, kw_only=True):
+    """Rectangles that attack by moving off from where they have stood, and back again.
+
+    places: poses, x and y as shares of half the side of the room, and the heading in degrees.
+    depth, width: m ahead and across. is_hinged: the right end of the rectangle is its axle.
+    rests, moves: s. ahead, aside, turning: which part of the body's speed; a turning end has it.
+    """
+
+    places: Sequence[tuple[float, float, float]]
+    depth: float
+    width: float
+    rests: float
+    moves: float
+    is_hinged: bool = False
+    ahead: float = 0.0
+    aside: float = 0.0
+    turning: float = 0.0
+
+    @property
+    def footprint(self) -> list[list[float]]:
+        """The corners in m, counter-clockwise."""
+        x, low = 0.5 * self.depth, 0.0 if self.is_hinged else -0.5 * self.width
+        high = low + self.width
+        return [[-x, low], [x, low], [x, high], [-x, high]]
 
 
 class Family(Struct, frozen=True, kw_only=True):
@@ -51,6 +78,7 @@ class Family(Struct, frozen=True, kw_only=True):
 
     pattern, parameters: of the protected robots; goals get the place of their arena.
     attack: how a third of the robots attacks (`plugins/attack.py`); empty: no attackers.
+    movers: what attacks in place of that third.
     speed: that of the attackers' surfaces, as a multiple of `others_speed`.
     lidar, actuation: values over realism `realistic`. door: width of the opening of an inner wall
     through the middle, in bodies. poles: their radii in m. tells: whether attackers tell Jackals
@@ -61,6 +89,7 @@ class Family(Struct, frozen=True, kw_only=True):
     pattern: str = "goals"
     parameters: Mapping[str, Any] = {}
     attack: str = ""
+    movers: Movers | None = None
     speed: float = 1.0
     lidar: Mapping[str, float] = {}
     actuation: Mapping[str, float] = {}
@@ -81,6 +110,39 @@ _UNTOLD: Mapping[str, Any] = {
     "platforms": ("jackal",),
     "visibilities": ("real",),
 }
+# Burgers, nose to tail and side by side: 14 cm deep, 17.8 cm wide.
+_BODY = {"depth": 0.14, "width": 0.178, "rests": 15.0, "ahead": 1.0}
+
+
+def _movers(**values: Any) -> dict[str, Any]:
+    """A family of Burgers among movers, with full visibility."""
+    return {
+        "attack": "move_off",
+        "movers": Movers(**values),
+        "platforms": ("burger",),
+        "visibilities": ("body",),
+    }
+
+
+def _line(count: int, pitch: float, heading: float) -> Sequence[tuple[float, float, float]]:
+    """Places `pitch` m apart in a line along x, in a room of 4 m."""
+    first = -0.5 * pitch * (count - 1)
+    return [((first + pitch * i) / 2.0, -0.4, heading) for i in range(count)]
+
+
+_SIDES = (0.0, 90.0, 180.0, -90.0)  # degrees, headings away from the four walls
+
+
+def _at_walls(inset: float, along: float = 0.0) -> Sequence[tuple[float, float, float]]:
+    """Places `inset` m from the middle of each wall and `along` m beside, in a room of 4 m."""
+    places = []
+    for side in _SIDES:
+        cos, sin = np.cos(np.radians(side)), np.sin(np.radians(side))
+        x, y = inset - 2.0, along
+        places.append((float(cos * x - sin * y) / 2.0, float(sin * x + cos * y) / 2.0, side))
+    return places
+
+
 FAMILIES: Mapping[str, Family] = {
     "goals": Family(),
     "twists": Family(pattern="random_twists"),
@@ -113,6 +175,57 @@ FAMILIES: Mapping[str, Family] = {
     "weak_brakes": Family(
         attack="lead",
         actuation={"linear_acceleration": 0.7, "angular_acceleration": 2.1},
+        is_claimed=False,
+    ),
+    # What protection may take for a wall, or for a part of one.
+    "beside_wall": Family(
+        **_movers(places=_at_walls(0.09), **{**_BODY, "rests": 4.0}, moves=3.0),
+    ),
+    "box_along_wall": Family(
+        **_movers(places=_at_walls(0.16), depth=0.3, width=0.3, rests=4.0, moves=3.0, aside=1.0)
+    ),
+    "train": Family(**_movers(places=_line(6, 0.19, 0.0), **_BODY, moves=3.0)),
+    "rank": Family(**_movers(places=_line(5, 0.228, 90.0), **_BODY, moves=4.0)),
+    "train_close": Family(
+        **_movers(places=_line(6, 0.15, 0.0), **_BODY, moves=3.0), is_claimed=False
+    ),
+    "rank_close": Family(
+        **_movers(places=_line(5, 0.188, 90.0), **_BODY, moves=4.0), is_claimed=False
+    ),
+    "plates": Family(
+        **_movers(
+            places=[(-0.4, 0.0, 0.0), (0.4, 0.3, 90.0), (0.2, -0.5, 180.0)],
+            depth=0.04,
+            width=0.8,
+            rests=4.0,
+            moves=2.0,
+            ahead=1.0,
+        ),
+        is_claimed=False,
+    ),
+    "panel": Family(
+        **_movers(places=[(0.0, 0.0, 0.0)], depth=0.04, width=0.3, rests=4.0, moves=3.0, ahead=1.0),
+        door=1.8,
+        is_claimed=False,
+    ),
+    "leaf": Family(
+        **_movers(
+            places=[(0.0, -0.19, 0.0)],
+            depth=0.04,
+            width=0.76,
+            rests=4.0,
+            moves=4.0,
+            is_hinged=True,
+            turning=1.0,
+        ),
+        door=4.6,
+        is_claimed=False,
+    ),
+    "sliding_door": Family(
+        **_movers(
+            places=[(0.02, 0.0, 0.0)], depth=0.04, width=0.8, rests=4.0, moves=3.0, aside=1.0
+        ),
+        door=4.4,
         is_claimed=False,
     ),
 }
@@ -195,7 +308,9 @@ class Scene(Struct, frozen=True, order=True):
 
     @property
     def attackers(self) -> int:
-        """How many of each kind attack the others: a third."""
+        """How many of each kind attack the others: a third, or the movers."""
+        if self.of.movers is not None:
+            return len(self.of.movers.places)
         each = self.room.robots // len(kinds_of(self.platform))
         return each // 3 if self.of.attack else 0
 
@@ -270,6 +385,8 @@ def kinds_of(platform: str) -> tuple[str, ...]:
 
 def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     barrier: dict[str, Any] = {"unseen_extent": 0.0} if scene.visibility == "body" else {}
+    if scene.mode == "walls_stand":
+        barrier |= {"walls_stand": _walls_stand(kinds_of(scene.platform))}
     if scene.platform == "mixed":
         barrier |= {"others_speed": _MIXED_SPEED}
         barrier |= {} if scene.is_told else {"keep_out": _MIXED_KEEP_OUT}
@@ -279,8 +396,17 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     for kind in kinds_of(scene.platform):
         found[kind] = protected(kind, scene.mode, barrier)
         if scene.of.attack:
-            found[f"{ATTACKERS}-{kind}"] = _attacker(kind, attack_speed(scene, kind))
+            attacker = _attacker(kind, attack_speed(scene, kind))
+            if scene.of.movers is not None:
+                attacker["footprint"] = scene.of.movers.footprint
+            found[f"{ATTACKERS}-{kind}"] = attacker
     return found
+
+
+def _walls_stand(kinds: Iterable[str]) -> dict[str, float]:
+    """The declaration that walls stand: these are longer than any of these kinds of robots."""
+    extents = [np.hypot(*np.ptp(load_platform(kind).footprint, axis=0)) for kind in kinds]
+    return {"length": max(_LEAST_WALL, 1.1 * float(max(extents)))}
 
 
 def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any]:
@@ -294,9 +420,9 @@ def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any
     of_mode = "barrier" if mode in of_barrier else "off" if mode == "ghost" else mode
     protection: dict[str, Any] = {"mode": of_mode}
     protection["avoidance"] = "orca" if mode in avoiding else "none"
-    walls: dict[str, Any] = {"walls_stand": {}} if mode == "walls_stand" else {}
+    walls = {"walls_stand": _walls_stand((kind,))} if mode == "walls_stand" else {}
     if barrier or walls:
-        protection["barrier"] = {**barrier, **walls}
+        protection["barrier"] = {**walls, **barrier}
     found: dict[str, Any] = {"extends": kind, "protection": protection}
     if mode == "ghost":
         found["body"] = {"solid": 0}
@@ -335,10 +461,32 @@ def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
             groups[f"{ATTACKERS}-{kind}"] = {
                 "platform": f"{ATTACKERS}-{kind}",
                 "count": scene.attackers,
-                "pattern": "attack",
-                "parameters": {"speed": attack_speed(scene, kind), "way": scene.of.attack},
+                **_attack(scene, attack_speed(scene, kind)),
             }
     return groups
+
+
+def _attack(scene: Scene, speed: float) -> dict[str, Any]:
+    """Pattern, parameters and starts of attackers that move at `speed` m/s."""
+    movers = scene.of.movers
+    if movers is None:
+        return {"pattern": "attack", "parameters": {"speed": speed, "way": scene.of.attack}}
+    half = 0.5 * scene.room.side
+    turning = movers.turning * speed / movers.width
+    return {
+        "pattern": "move_off",
+        "parameters": {
+            "rests": movers.rests,
+            "moves": movers.moves,
+            "linear": movers.ahead * speed,
+            "lateral": movers.aside * speed,
+            "angular": turning,
+        },
+        "start": {
+            "layout": "list",
+            "poses": [[half * x, half * y, heading] for x, y, heading in movers.places],
+        },
+    }
 
 
 def _parameters(scene: Scene) -> dict[str, Any]:

@@ -11,6 +11,9 @@ returns are charged `others_speed`, as without the declaration.
    keeps the time since which the bin has been covered in each scan; each other bin of the wall
    loses this time.
 3. A return of the run stands if its bin, or the next one, has been covered for `seconds`.
+4. A wall that no run continues in one scan is kept with its times, unless a run shows the wall
+   elsewhere: while a robot turns fast, or sees a wall at a grazing angle, single scans split the
+   run. No return of the wall stands in such a scan.
 
 So a surface that is new, hidden, shorter than `length`, curved, nearer or farther than expected, or
 seen through wrong odometry has lost the status in that very scan.
@@ -56,19 +59,23 @@ _odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
 _still = cython.declare(cython.double, STILL)
 _NEAR = cython.declare(cython.double, 0.5)  # m from the lidar, within which `ripe_at` counts
 _LATE_TURN = cython.declare(cython.double, 1.6)  # periods between two scans: more is a lost turn
+_MISSED = cython.declare(cython.double, 1.0)  # scans in a row that need not show a wall
 _BIN = cython.declare(cython.double, 0.04)  # m along a wall
 _BINS = cython.declare(cython.Py_ssize_t, 128)  # of a wall
 _WALLS = cython.declare(cython.Py_ssize_t, 16)  # the most walls
 _PARALLEL = cython.declare(cython.double, 0.3)  # sine of the angle by which a wall may have turned
 _FASTEST_WALL = cython.declare(cython.double, 1.0)  # m/s at which a moving wall is recognised
 _SHOWN_TWICE = cython.declare(cython.double, 2.0)  # scans in a row that show a wall elsewhere
+# m by which a wall must be elsewhere to have moved. The lines of robots that turned among walls at
+# rest were up to 4 cm off in two scans in a row.
+_MOVED = cython.declare(cython.double, 0.05)
 _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
 
 # The fields of a wall in `_walls`: the middle of its bins and its direction in the odometry frame;
 # the same in the base frame of the present scan; time, and way and turn by odometry, at which its
 # line was measured; the time since which it stands; the time at which it was last confirmed; how
 # far its line then was off; 1 if a run of this scan continues it; in how many scans in a row it was
-# seen elsewhere; its first and its last covered bin.
+# seen elsewhere; its first and its last covered bin; how many scans in a row have not shown it.
 _W_X = cython.declare(cython.Py_ssize_t, 0)
 _W_Y = cython.declare(cython.Py_ssize_t, 1)
 _W_UX = cython.declare(cython.Py_ssize_t, 2)
@@ -87,7 +94,8 @@ _W_SEEN = cython.declare(cython.Py_ssize_t, 14)
 _W_MOVES = cython.declare(cython.Py_ssize_t, 15)
 _W_LOW = cython.declare(cython.Py_ssize_t, 16)
 _W_HIGH = cython.declare(cython.Py_ssize_t, 17)
-_W_FIELDS = cython.declare(cython.Py_ssize_t, 18)
+_W_MISSED = cython.declare(cython.Py_ssize_t, 18)
+_W_FIELDS = cython.declare(cython.Py_ssize_t, 19)
 
 
 @cython.final
@@ -472,7 +480,10 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _drop_walls(self) -> cython.int:
-        """Keep the walls that this scan shows in place or elsewhere, with the covered bins."""
+        """Keep the walls that this scan shows, there or elsewhere, with the bins that it covers.
+
+        A wall that this scan does not show keeps all its bins, up to _MISSED scans in a row.
+        """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -480,18 +491,26 @@ class StandingWalls:
         kept: cython.Py_ssize_t = 0
         for i in range(self._wall_count):
             wall: cython.Py_ssize_t = _W_FIELDS * i
-            has_moved: cython.bint = walls[wall + _W_MOVES] > 0.0
-            if not (has_moved or walls[wall + _W_SEEN] > 0.0):
-                continue
+            keeps_bins: cython.bint = walls[wall + _W_SEEN] == 0.0
+            if keeps_bins and walls[wall + _W_MOVES] == 0.0:
+                walls[wall + _W_MISSED] += 1.0
+                if walls[wall + _W_MISSED] > _MISSED:
+                    continue
+            elif keeps_bins:  # seen elsewhere: the next scan confirms that, or the wall is dropped
+                walls[wall + _W_MISSED] = _MISSED
+            else:
+                walls[wall + _W_MISSED] = 0.0
             to: cython.Py_ssize_t = _W_FIELDS * kept
             for j in range(_W_FIELDS):
                 walls[to + j] = walls[wall + j]
-            if not has_moved:
+            if not keeps_bins:
                 walls[to + _W_LOW], walls[to + _W_HIGH] = _BINS, -1.0
             for k in range(_BINS):
-                since: cython.double = self._next_since[_BINS * i + k]
+                since: cython.double = (
+                    self._since[_BINS * i + k] if keeps_bins else self._next_since[_BINS * i + k]
+                )
                 self._since[_BINS * kept + k] = since
-                if since < INFINITY and not has_moved:
+                if since < INFINITY and not keeps_bins:
                     walls[to + _W_HIGH] = k
                     if walls[to + _W_LOW] == _BINS:
                         walls[to + _W_LOW] = k
@@ -514,6 +533,7 @@ class StandingWalls:
         self._set_line(at, run, runs[run + RUN_FROM] + half, 1.0, motion)
         walls[at + _W_SINCE] = walls[at + _W_CONFIRMED] = motion.measured_at
         walls[at + _W_SEEN], walls[at + _W_OFF], walls[at + _W_MOVES] = 1.0, 0.0, 0.0
+        walls[at + _W_MISSED] = 0.0
         walls[at + _W_LOW], walls[at + _W_HIGH] = 0.5 * _BINS - bins, 0.5 * _BINS + bins - 1.0
         for k in range(_BINS):
             is_covered: cython.bint = walls[at + _W_LOW] <= k <= walls[at + _W_HIGH]
@@ -573,8 +593,6 @@ class StandingWalls:
             if not least < nearest:
                 continue
             walls[at + _W_MOVES] = moves + 1.0
-            for j in range(_BINS):
-                self._next_since[_BINS * i + j] = self._since[_BINS * i + j]
-            if moves + 1.0 >= _SHOWN_TWICE:
+            if moves + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
                 self.moved = MovedWall(stood, least, least / seconds)
         return 0

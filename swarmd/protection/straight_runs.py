@@ -5,6 +5,8 @@
 2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
    line by total least squares. Parts on one line are joined again over returns that are off the
    line, unless a ray passes through between the parts. The result is a run.
+3. A run is long if its ends are `length` m apart and its returns do not bend. The parts of a round
+   surface are runs, too: the parabola through their returns tells these from parts of a wall.
 
 Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """
@@ -35,6 +37,10 @@ _STRAIGHT = cython.declare(cython.double, 0.05)  # m by which a return may be of
 _ROUGH = cython.declare(cython.double, 0.025)  # m, root mean square of the residuals of a run
 _ON_LINE = cython.declare(cython.double, 0.035)  # m by which a return that stands may be off
 _THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray passed through it
+# m: a long run bends with a larger radius. Noise of 1 cm in 40 returns over 0.5 m changes
+# 1 / radius by 0.17 / m (one standard deviation): such a wall is refused in 1 scan of 10,000, a
+# tank of 1 m radius in 97 of 100.
+_LEAST_RADIUS = cython.declare(cython.double, 1.5)
 _FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
 # Periods: an older ray is of an earlier turn. If the robot turns against the lidar, the newest ray
 # of some directions is older than a period.
@@ -44,7 +50,7 @@ _STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part tha
 
 # The fields of a run: its first return, and how many returns follow it up to the last one, as whole
 # numbers; count and sums of x, y, xx, xy, yy; the place and the direction of its line; the places
-# of its ends along the line in m; 1 once it belongs to a wall; 1 for a run of `length` m or more.
+# of its ends along the line in m; 1 once it belongs to a wall; 1 for a long run.
 RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)
 RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)
 RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)
@@ -76,6 +82,7 @@ class StraightRuns:
     _returns: cython.Py_ssize_t
     _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
     _sums: cython.double[::1]  # running sums over the returns
+    _places: cython.double[::1]  # of the returns on the line of a run: m along and across the line
     _stack: cython.longlong[::1]
 
     def __init__(self, platform: Platform, length: float) -> None:
@@ -88,6 +95,7 @@ class StraightRuns:
         """Make the arrays of a scan anew, for so many rays."""
         self.ray, self._is_cut = indices(rays), indices(rays)
         self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(6 * (rays + 1))
+        self._places = doubles(2 * rays)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -109,8 +117,48 @@ class StraightRuns:
             run: cython.Py_ssize_t = RUN_FIELDS * j
             runs[run + RUN_TAKEN] = 0.0
             is_long: cython.bint = runs[run + RUN_TO] - runs[run + RUN_FROM] >= self._length
-            runs[run + RUN_IS_LONG] = 1.0 if is_long else 0.0
+            runs[run + RUN_IS_LONG] = 1.0 if is_long and self._is_straight(run) else 0.0
         return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_straight(self, run: cython.Py_ssize_t) -> cython.int:
+        """1 unless the returns of a run bend with a radius below _LEAST_RADIUS m.
+
+        The radius is that of the parabola that fits the returns on the line best.
+        """
+        k: cython.Py_ssize_t
+        on_line: cython.Py_ssize_t = 0
+        runs: cython.double[::1] = self.fields
+        places: cython.double[::1] = self._places
+        # 1. The returns on the line, and the moments of their places along the line.
+        first: cython.double = 0.0
+        second: cython.double = 0.0
+        third: cython.double = 0.0
+        for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
+            t: cython.double = self.along(run, k)
+            if t != t:
+                continue
+            places[2 * on_line] = t
+            places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
+            first, second, third = first + t, second + t * t, third + t * t * t
+            on_line += 1
+        if on_line < _FEWEST:
+            return 0
+        mean: cython.double = first / on_line
+        variance: cython.double = second / on_line - mean * mean
+        skew: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
+        if not variance > 0.0:
+            return 0
+        # 2. Least squares of the part that neither a shift nor a turn of the line explains.
+        fitted: cython.double = 0.0
+        square: cython.double = 0.0
+        for k in range(on_line):
+            t = places[2 * k] - mean
+            shape: cython.double = t * t - t * skew / variance - variance
+            fitted += shape * places[2 * k + 1]
+            square += shape * shape
+        return 2.0 * fabs(fitted) * _LEAST_RADIUS <= square
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -322,12 +370,6 @@ class StraightRuns:
         if not (overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
             return 0
         # 2. No ray between both passes through the line.
-        x: cython.double = runs[run + RUN_X]
-        y: cython.double = runs[run + RUN_Y]
-        nx: cython.double = -runs[run + RUN_UY]
-        ny: cython.double = runs[run + RUN_UX]
-        side: cython.double = nx * (self.lidar_x - x) + ny * (self.lidar_y - y)
-        sign_of_side: cython.double = 1.0 if side >= 0.0 else -1.0
         between: cython.Py_ssize_t = first - last
         if between <= 0:
             between += self._returns
@@ -336,8 +378,7 @@ class StraightRuns:
             place = place - self._returns if place >= self._returns else place
             if self._is_cut[place]:
                 return 0
-            off: cython.double = nx * (self.x[place] - x) + ny * (self.y[place] - y)
-            if off * sign_of_side < -_THROUGH:
+            if self._before(run, place) < -_THROUGH:
                 return 0
         # 3. Both have one line.
         kept: cython.double = runs[run + RUN_LENGTH]
@@ -354,7 +395,11 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-2)
     def corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The return of a long run that meets run `number` at a corner; -1 without one."""
+        """The return of a long run that meets run `number` at a corner; -1 without one.
+
+        The run leads away behind the line of the long run, as the post of a door does. A run that
+        stands out before the line may be a body that stands at a wall.
+        """
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields
         run: cython.Py_ssize_t = RUN_FIELDS * number
@@ -369,9 +414,22 @@ class StraightRuns:
                 beside_start, 0.0 if k else runs[beside_start + RUN_LENGTH]
             )
             own: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH] if k else 0.0)
-            if self._are_within(_CORNER, near, own):
+            far: cython.Py_ssize_t = self.return_of(run, 0.0 if k else runs[run + RUN_LENGTH])
+            if self._are_within(_CORNER, near, own) and self._before(beside_start, far) <= _ON_LINE:
                 return near
         return -1
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _before(self, run: cython.Py_ssize_t, place: cython.Py_ssize_t) -> cython.double:
+        """m by which a return lies before the line of a run, seen from the lidar; < 0: behind."""
+        runs: cython.double[::1] = self.fields
+        nx: cython.double = -runs[run + RUN_UY]
+        ny: cython.double = runs[run + RUN_UX]
+        x: cython.double = runs[run + RUN_X]
+        y: cython.double = runs[run + RUN_Y]
+        off: cython.double = nx * (self.x[place] - x) + ny * (self.y[place] - y)
+        return off if nx * (self.lidar_x - x) + ny * (self.lidar_y - y) >= 0.0 else -off
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

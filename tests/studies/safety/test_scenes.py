@@ -59,9 +59,9 @@ def test_sparse_scenes_have_more_room(platform: str) -> None:
 def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     scene = Scene("goals", "burger", mode=mode)
     protection = next(iter(scenario(scene).robots.values())).protection
-    words = {"ghost": "off", "reciprocal": "barrier", "orca": "barrier"}
+    words = {"ghost": "off"} | dict.fromkeys(("reciprocal", "orca", "walls_stand"), "barrier")
     assert protection["mode"] == words.get(mode, mode)
-    assert protection["avoidance"] == ("orca" if mode == "orca" else "none")
+    assert protection["avoidance"] == ("orca" if mode in ("orca", "walls_stand") else "none")
     shares = {"reciprocal": "reciprocal"}.get(mode, "passive")
     assert protection["barrier"]["responsibility"] == shares
 
@@ -217,3 +217,27 @@ def test_attackers_drive_into_unprotected_robots(family: str, duration: float) -
         if robot in attack and pair[1] >= 0 and not attack >= set(pair)
     ]
     assert max(hits) > 0.1
+
+
+@pytest.mark.parametrize("family", ["box_along_wall", "leaf"])
+def test_movers_stand_and_then_move_at_the_speed_of_their_cell(family: str) -> None:
+    scene = Scene(family, "burger", mode="ghost")
+    movers = scene.of.movers
+    assert movers is not None
+    lab = Lockstep(scenario(scene), 1)
+    rows = [i for i, one in enumerate(lab.world.platforms) if one.name.startswith(ATTACKERS)]
+    assert len(rows) == len(movers.places) == scene.attackers
+    begin = lab.world.poses()[rows]
+    lab.advance(movers.rests - 1.0)
+    assert np.abs(lab.world.poses()[rows] - begin).max() < 1e-3
+    fastest = fastest_points(lab, rows, 2.0)
+    assert fastest == pytest.approx(attack_speed(scene, "burger"), rel=0.03)
+
+
+@pytest.mark.parametrize("platform", ["burger", "jackal", "mixed"])
+def test_a_wall_that_stands_is_longer_than_each_robot_of_the_scene(platform: str) -> None:
+    robots = scenario(Scene("goals", platform, mode="walls_stand")).robots.values()
+    longest = max(float(np.hypot(*np.ptp(one.footprint, axis=0))) for one in robots)
+    declared = {one.protection["barrier"]["walls_stand"]["length"] for one in robots}
+    assert len(declared) == 1
+    assert declared.pop() > longest
