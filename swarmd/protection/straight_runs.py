@@ -141,7 +141,9 @@ class StraightRuns:
                 continue
             places[2 * on_line] = t
             places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
-            first, second, third = first + t, second + t * t, third + t * t * t
+            first += t
+            second += t * t
+            third += t * t * t
             on_line += 1
         if on_line < _FEWEST:
             return 0
