@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -193,9 +194,12 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     words: dict[str, dict[Word, Line]] = {}
 
 
-MAX_CHECKED = 64
-_CHECKED: dict[str, PlatformFile] = {}
-"""The checked files of `platform_file`, at most MAX_CHECKED, by their content."""
+@dataclass(frozen=True)
+class _Content:
+    """The layers of a platform, compared by what they hold."""
+
+    text: str
+    layers: Layered = field(compare=False)
 
 
 def platform_names() -> tuple[str, ...]:
@@ -228,13 +232,12 @@ def platform_file(layers: Layered) -> PlatformFile:
 
     The process keeps the result: the check takes 2 ms, and a scenario asks twice for each platform.
     """
-    content = repr(layers.data)
-    if content not in _CHECKED:
-        file = layers.build(PlatformFile, _check)
-        if len(_CHECKED) >= MAX_CHECKED:
-            _CHECKED.clear()
-        _CHECKED[content] = file
-    return _CHECKED[content]
+    return _checked(_Content(repr(layers.data), layers))
+
+
+@lru_cache(maxsize=64)
+def _checked(content: _Content) -> PlatformFile:
+    return content.layers.build(PlatformFile, _check)
 
 
 def _folder() -> Path:
