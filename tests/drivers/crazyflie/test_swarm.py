@@ -122,9 +122,14 @@ def test_seven_drones_survive_a_lost_link_and_a_killed_daemon_and_land(tmp_path:
             await_applied(ask, f"they run {pattern}")
 
         def do_all_fly() -> bool:
-            """Whether all fly; a drone that landed during its take-off gets a new run."""
-            told = {robot: one.health.driver for robot, one in statuses().items()}
-            again = [robot for robot, text in told.items() if "waits for the next run" in text]
+            """Whether all fly; a drone that landed, or whose run has ended, gets a new run."""
+            heard = statuses()
+            told = {robot: one.health.driver for robot, one in heard.items()}
+            again = [
+                robot
+                for robot, one in heard.items()
+                if one.state is not State.RUNNING or "waits for the next run" in told[robot]
+            ]
             if again:
                 stop(operator, again)
                 run("dispersion", again, distance=DISTANCE)
