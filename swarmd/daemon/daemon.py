@@ -636,7 +636,7 @@ class Daemon:
         if actions.goals is not None:
             self._goals.store(actions.goals)
         is_stored = actions.latches is None or self._latches.store(actions.latches)
-        self._tools.storage = self._latches.fault
+        self._tools.storage_fault = self._latches.fault
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)

@@ -449,7 +449,7 @@ class Network:
         a swarm without keys. `is_any`: the datagram addresses robots of all swarms, such as a query
         for the names of swarms.
         """
-        effects = peer.on_datagram(
+        actions = peer.on_datagram(
             body,
             source,
             boottime(),
@@ -458,17 +458,17 @@ class Network:
             author=author,
             waited=waited,
         )
-        for stop, sender in effects.stops:
+        for stop, sender in actions.stops:
             # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
             # which an attacker may have replayed, counts as relayed, too.
             hops = stop.hops
-            if effects.is_repeated:
+            if actions.is_repeated:
                 hops = max(hops, 1)
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(replace(stop, hops=hops), sender, answer)
         if self._guard is not None:
-            self._note_flaws(self._guard, body, source, author, effects)
-        self._carry_out(effects, source, author)
+            self._note_flaws(self._guard, body, source, author, actions)
+        self._carry_out(actions, source, author)
 
     def _note_flaws(
         self,
@@ -476,16 +476,16 @@ class Network:
         body: Datagram,
         source: Address,
         author: Author | None,
-        effects: PeerActions,
+        actions: PeerActions,
     ) -> None:
         """In a secured swarm: count the flaws of a datagram, and refuse a replayed stop."""
         now = boottime()
-        if effects.flaw is not None:
-            guard.count(effects.flaw, source, now)
+        if actions.flaw is not None:
+            guard.count(actions.flaw, source, now)
         is_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
-        if effects.flaw is None and is_member and self._carrier is not None:
+        if actions.flaw is None and is_member and self._carrier is not None:
             self._carrier.confirm(source)
-        for stop, sender in effects.replayed:
+        for stop, sender in actions.replayed:
             ack = Ack(
                 id=stop.id, robot=self._robot, instance=self._instance, revision=0, code="refused"
             )
@@ -494,46 +494,46 @@ class Network:
                 self._send(refusal, sender, author)
 
     def _carry_out(
-        self, effects: PeerActions, source: Address | None = None, author: Author | None = None
+        self, actions: PeerActions, source: Address | None = None, author: Author | None = None
     ) -> None:
         """Send the datagrams of the protocol, and hand its results to the daemon.
 
-        `source`, `author`: sender and signer of the datagram that led to `effects`; None if time
+        `source`, `author`: sender and signer of the datagram that led to `actions`; None if time
         has led to them.
         """
         # 1. Datagrams to send. An answer to `source` is signed for `author`.
-        for body, address in effects.sends:
+        for body, address in actions.sends:
             self._send(body, address, author if address == source else None)
         # Robots that only other robots have heard (their member lists have the addresses) get
         # datagrams from now on, too.
         if self._carrier is not None:
-            for address in effects.indirect_addresses:
+            for address in actions.indirect_addresses:
                 self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
-        self._lost += effects.lost
+        self._lost += actions.lost
 
         # 2. Inputs of the robot.
-        if effects.latches:
-            self._owner.on_input(LatchesInput(dict(effects.latches)))
-        for received in effects.goals:
+        if actions.latches:
+            self._owner.on_input(LatchesInput(dict(actions.latches)))
+        for received in actions.goals:
             self._owner.on_input(GoalInput(received.goal, received.age, received.may_join))
-        for lease in effects.leases:
+        for lease in actions.leases:
             self._owner.on_input(LeaseInput(lease.id, lease.count))
-        for _ in range(effects.invalid_goals):
+        for _ in range(actions.invalid_goals):
             self.drops.add("goal:invalid")
-        for message in effects.messages:
+        for message in actions.messages:
             self._take_message(message)
-        for place in effects.places:
+        for place in actions.places:
             self._owner.on_input(PlaceInput(place))
 
         # 3. Clocks, beacons (which show digests of a peer's records), and changes of the members.
-        for sample in effects.clocks:
+        for sample in actions.clocks:
             self._owner.on_clock(sample)
-        if effects.beacon is not None and source is not None:
-            self._owner.on_beacon(effects.beacon, self._connection.local(source))
-        if effects.duplicate:
+        if actions.beacon is not None and source is not None:
+            self._owner.on_beacon(actions.beacon, self._connection.local(source))
+        if actions.duplicate:
             self._is_duplicate = True
-            self._owner.on_input(DuplicateInput(f"instance {effects.duplicate}"))
-        if effects.changed:
+            self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
+        if actions.changed:
             self._owner.on_members()
 
     def _take_message(self, message: Message) -> None:

@@ -193,26 +193,29 @@ class PatternIntake:
 
         # `refusing` counts an exception of the block and hands it to `refuse`.
         with self._drops.refusing("control/push", refuse):
-            # Check the manifest again, since the entry may have waited in the queue.
+            # 1. Check the manifest again, since the entry may have waited in the queue. Delete the
+            # files of patterns that are no longer in use. Check and write the code.
             refusal_and_text = self._refusal_of(entry)
-            reply = None
+            reply = None  # None until the end of this block: a trial follows
             try:
-                # Delete the files of patterns that are no longer in use.
                 await asyncio.to_thread(self._state.files.prune, self._state.in_use())
                 if refusal_and_text is None:
                     refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
+                # 2. Refuse the entry, or adopt it at once: a removal, and code that the robot has
+                # and need not run again, need no trial.
                 if refusal_and_text is not None:
                     refusal, text = refusal_and_text
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)  # a known entry needs no new trial
+                    reply = await self._adopt(id, entry)
             finally:
                 self._is_taking = False  # during the trial that may follow, `candidate` is set
+            # 3. Reply, or begin the trial, which replies at its end.
             if reply is not None:
                 self._state.control.reply(reply)
-            else:  # the reply follows after the trial
+            else:
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 
@@ -457,7 +460,7 @@ class PatternPull:
         is pulled from `robot` at `address`. An entry with a false signature of an operator of the
         roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
         """
-        known = set(self._state.table)  # checked before: a check takes 4 ms
+        known = set(self._state.table)  # not checked again: to verify a signature takes 4 ms
         operators = self._state.operators()  # public keys by name; None: no keys in this swarm
 
         def check_signatures() -> _CheckedTable:

@@ -104,17 +104,13 @@ CHANGED = "its file was changed or damaged on the disk"
 
 
 class Candidate(Struct, frozen=True):
-    """A version of a pattern whose code is being tried, and the stage of its trial.
+    """A version of a pattern whose code is being tried, and the stage of its trial."""
 
-    `id`: of the request (a push, or a pull from a peer) that the trial answers. First the trial
-    runs. Then, `is_passed`, the version is being written to disk. Then, `is_accepted`, it is there.
-    """
-
-    id: str
+    id: str  # of the request (a push, or a pull from a peer) that the trial answers
     entry: pattern_manifest.Entry
     version: Version
-    is_passed: bool = False
-    is_accepted: bool = False
+    is_passed: bool = False  # the trial has succeeded; the version is being written to disk
+    is_accepted: bool = False  # the version has been written to disk
 
 
 class PatternVersions:

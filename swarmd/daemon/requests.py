@@ -299,9 +299,12 @@ class RequestServer:
         """Reply to a request that could not be decoded, or whose handler failed; audit it.
 
         `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
-        fields may have wrong types. A request without a readable head, or for other robots, is
-        dropped. The reply to a request without a readable id has the id UNREADABLE. The reply is
-        kept for repeats, unless the id is unreadable, or another request has this id.
+        fields may have wrong types.
+
+        1. A request without a readable head, or for other robots, is dropped.
+        2. The reply to a request without a readable id has the id UNREADABLE.
+        3. The reply is kept for repeats of the request, unless the id is unreadable, has had a
+           reply before, or belongs to another request that waits for its reply.
         """
         # 1. The targets and the id.
         try:
@@ -318,16 +321,17 @@ class RequestServer:
             return
         is_readable = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
         id = str(header.id) if is_readable else UNREADABLE
-        pending = self._pending.get(id) if is_readable else None
-        if pending is not None and pending.query is query:  # the handler of this request failed
+        waiting = self._pending.get(id) if is_readable else None
+        if waiting is not None and waiting.query is query:  # the handler of this request failed
             del self._pending[id]
-            pending = None
+            waiting = None
+        is_id_of_another = waiting is not None
 
         # 2. The reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
         refusal: Refusal | None
-        if version != codec.VERSION:  # then `text` says little: a field may have another form
+        if version != codec.VERSION:  # the likely cause of `text`: a field has another form there
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
         else:
@@ -343,7 +347,7 @@ class RequestServer:
 
         # 3. Keep, send and audit the reply.
         is_repeat = is_readable and id in self._replies
-        if is_readable and not is_repeat and pending is None:
+        if is_readable and not is_repeat and not is_id_of_another:
             self._keep(reply)
         with self._drops.refusing("control/reply"):
             query.reply(encode(reply))

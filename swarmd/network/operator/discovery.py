@@ -263,11 +263,11 @@ class Discovery:
         direct: dict[tuple[str, str], Address] = {}  # heard here, or with an answer
         indirect: dict[tuple[str, str], Address] = {}  # only reported
         for robot in self._known_since:
-            heard = self._members.lives(robot)
+            heard = self._members.lives(robot)  # by instance, one for each daemon with this id
             if heard:
-                for instance in self.holders(robot) & heard.keys():
-                    direct[robot, instance] = heard[instance].address
-            elif (address := self.address(robot)) is not None:
+                for living in self.holders(robot) & heard.keys():
+                    direct[robot, living] = heard[living].address
+            elif (address := self.address(robot)) is not None:  # the reported address
                 best = most_certain(self._all_reports(robot))
                 is_alive = best is not None and best.presence is Presence.ALIVE
                 if best is not None and is_alive and now - best.at <= INDIRECT_TIME:

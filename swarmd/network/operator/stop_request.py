@@ -73,8 +73,8 @@ class PendingStop:
         Without a known target no such datagram is due, since it would stop nobody. `names`: only
         for these targets; None: all targets.
         """
-        # `age`: of this copy. `repeated`: the age at which the operator itself sent it, now. A
-        # robot that relays the copy raises only `age`.
+        # `age`: s since the stop was issued. `repeated`: the age at which the operator itself sent
+        # the copy. Both are equal here; a robot that relays the copy raises only `age`.
         age_ms = round((now - self._started) * 1000)
         stop = replace(self._stop, age=age_ms, repeated=age_ms)
         lacking = set(self.lacking(now))

@@ -56,7 +56,7 @@ class StopSender:
             self._pending = pending
         now = boottime()
         # By `rest_time` each base rests, or its robot has reported that the base has not stopped.
-        # From then on a robot whose last ack says "moving" counts as a robot without an ack.
+        # After it, a robot whose last ack says "moving" is shown like a robot without an ack.
         rest_time = now + STOP_WAIT
         solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
         progress_timer = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
@@ -76,8 +76,10 @@ class StopSender:
                     # 2. The datagrams to send: to all if a repeat is due, else only to robots that
                     # were just found.
                     targets_before, targets = targets, pending.selected()
-                    lacking = pending.lacking(now)  # without an ack, or its base still moves
-                    silent = lacking if now >= rest_time else pending.silent(now)  # without an ack
+                    lacking = pending.lacking(now)  # without an ack, or the base still moves
+                    # `unstopped` is shown to the user: before `rest_time` only the robots without
+                    # an ack, since a base needs time to stop.
+                    unstopped = lacking if now >= rest_time else pending.silent(now)
                     is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
                     stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:
@@ -88,13 +90,13 @@ class StopSender:
                 # 3. Find more robots, and report progress.
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                # All robots may have acked while some bases still move. An empty `silent` is
-                # reported only once all bases rest.
-                is_reportable = bool(silent) or not lacking
-                is_new = silent != reported
-                if until_all and is_new and is_reportable and progress_timer.is_due(now):
-                    reported = silent
-                    on_progress(silent)
+                # The user takes an empty list as the end of the stop. So an empty list is not shown
+                # while a base still moves.
+                is_true = bool(unstopped) or not lacking
+                is_new = unstopped != reported
+                if until_all and is_new and is_true and progress_timer.is_due(now):
+                    reported = unstopped
+                    on_progress(unstopped)
 
                 # 4. Wait for an ack, or until something is due.
                 pause = min(solicit_timer.pause(now), stop_timer.pause(now))

@@ -97,7 +97,7 @@ class StopRelay:
         relayed = self._stops.get(key)
         issued = now - stop.age / 1000.0
         if relayed is None:
-            while len(self._stops) >= MAX_STOPS:
+            while len(self._stops) >= MAX_STOPS:  # end the relay of the stop that came first
                 del self._stops[next(iter(self._stops))]
             relayed = self._stops[key] = _Relayed(
                 stop=stop,
@@ -110,14 +110,15 @@ class StopRelay:
                 due=self._moment(now, FIRST_INTERVAL),
             )
 
-        # 2. Update the ages. Copies by several ways have different ages, and the greatest age
-        # counts: the earliest `issued`. An age may be forged: a stop that looks older than the
-        # present run would not end that run. So later copies move `issued` back by at most
-        # MAX_AGE_SHIFT. `repeated` is the greatest age at which the operator itself has sent a
-        # copy, at most the present age of the stop.
-        relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
-        repeated = min(stop.repeated / 1000.0, now - relayed.issued)
-        relayed.repeated = max(relayed.repeated, repeated)
+        # 2. Update `issued`. Copies by several ways have different ages, and the greatest age
+        # counts. A forged great age would do harm: a stop that looks older than the present run
+        # does not end this run. So later copies move `issued` back by at most MAX_AGE_SHIFT.
+        earliest = relayed.first_issued - MAX_AGE_SHIFT
+        relayed.issued = max(min(relayed.issued, issued), earliest)
+        # Update `repeated`, the greatest age at which the operator itself has sent a copy. No copy
+        # is sent after now, so this age is at most the present age of the stop.
+        present_age = now - relayed.issued
+        relayed.repeated = max(relayed.repeated, min(stop.repeated / 1000.0, present_age))
 
         # 3. Keep the copy with the fewest hops; count copies of other robots.
         is_from_operator = stop.hops == 0
@@ -165,32 +166,35 @@ class StopRelay:
         relayed.sources[source] = now
         return True
 
-    def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
-        """Take another robot's ack of a relayed stop; returns copies of it to hand on.
+    def on_ack(self, ack: Ack, source: Address) -> list[Send]:
+        """Take another robot's ack of a relayed stop; returns copies of the ack to hand on.
 
-        The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. Each ack is handed on to each receiver once. The exception is an
-        ack that refuses the stop as replayed and comes from the refusing robot itself: it is handed
-        on whenever it comes. A stop with many targets is relayed in parts, all with one id. An ack
-        that the base rests is not replaced by an ack that the base moves.
+        The copies go to the senders of the stop, except `source`, the sender of this ack. A copy
+        names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
+        each part has its own senders.
+
+        1. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
+           handed on whenever it comes.
+        2. Such an ack by way of a third robot could travel in circles: each sender gets it once for
+           each origin of the stop. The operator repeats a refused stop with a new origin.
+        3. Each sender gets any other ack once. The last ack of each robot is kept to be sent again,
+           but an ack that the base moves does not replace an ack that the base rests.
         """
-        parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
+        if ack.robot == self._own:
+            return []
+        handed = replace(ack, via=self._own)
+        is_refusal = ack.refusal == REPLAYED
         sends: list[Send] = []
-        for relayed in parts:
-            if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
+        for (stop_id, _, _), relayed in self._stops.items():
+            if stop_id != ack.id or len(relayed.acks) >= MAX_ACKS:
                 continue
-            handed = replace(ack, via=self._own)
             receivers = [address for address in relayed.sources if address != source]
-            origin: bytes | None = None  # only of a refusal as replayed: it counts for this origin
-            if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
-                # A refusal that comes from the robot itself is always handed on. A refusal by way
-                # of a third robot could travel in circles: it is handed on once for each origin.
-                origin = relayed.stop.origin
-                if not ack.via:
-                    sends += [(handed, address) for address in receivers]
-                    continue
-            elif not ack.is_moving or ack.robot not in relayed.acks:
+            if is_refusal and not ack.via:
+                sends += [(handed, address) for address in receivers]
+                continue
+            if not is_refusal and (not ack.is_moving or ack.robot not in relayed.acks):
                 relayed.acks[ack.robot] = ack
+            origin = relayed.stop.origin if is_refusal else None
             for address in receivers:
                 key = ack.robot, address, origin, ack.code, ack.is_moving
                 if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
