@@ -2,8 +2,8 @@
 
 `PatternVersions` has the table (all signed manifests of the swarm) and the versions on this robot,
 and writes table and versions to disk. `robot/pushed_pattern.py` has the rules by which a version
-changes its standing (provisional, held, failed). `PushedRuns` chooses the version for a load by the
-pattern host, and counts the seconds of a version's runs.
+changes its standing (provisional, held, returned). `PushedRuns` chooses the version for a load by
+the pattern host, and counts the seconds of a version's runs.
 """
 
 from __future__ import annotations

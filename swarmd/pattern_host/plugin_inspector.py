@@ -458,8 +458,8 @@ def _inspect_mission(
 def _other_owner(path: Path, origin: Origin | None) -> str:
     """The file or package of another pattern with the name of the mission `path`; empty if none.
 
-    `origin`: the file or package that has a pattern of this name, and a `rival` that has another
-    one; None without any. One of the two may be the mission itself or a copy of it.
+    `origin`: where a pattern of this name comes from; None if there is no such pattern. The mission
+    itself may be this pattern. Its `rival` is a second source of the name; empty without.
     """
     if origin is None:
         return ""

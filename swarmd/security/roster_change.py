@@ -1,9 +1,10 @@
 """Takes a roster, or a renewed certificate, into an installed identity.
 
-Rosters and certificates are checked only against the authority's key, so that any robot or operator
+The authority's signature alone makes a roster or certificate valid, so that any robot or operator
 may hand them over. A roster of a smaller generation never replaces a roster of a greater
-generation. A *pair key* is the key that an operator or viewer shares with a robot. It is not on the
-roster: it comes from the authority, in a bundle, or from that robot.
+generation. With a roster come the keys of datagrams. One of these keys has no digest on the roster:
+the *pair key*, which an operator or viewer shares with one robot. A pair key is taken only from a
+bundle, which the authority made, or from the robot that shares the key.
 """
 
 from __future__ import annotations
