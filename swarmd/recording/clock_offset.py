@@ -71,12 +71,19 @@ class ClockLine:
     def error(self, time: float) -> float:
         """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
 
-        The error is bounded at each exchange of the two clocks. Away from one exchange its bound
-        grows with MAX_DRIFT plus the drift of the line. From two exchanges the bound at `time` is
-        interpolated or extrapolated, since the error is a line in time. The least bound counts.
+        The exchanges of the two clocks bound the error at their times (`bounds`). The least of
+        these bounds at `time` counts:
+
+        1. from each single exchange: its bound, plus MAX_DRIFT and the drift of the line for the
+           time since or until the exchange,
+        2. from each pair of exchanges: the bound on the line through both bounds, since the error
+           is a line in time, too.
         """
+        # 1. One exchange.
         away = np.abs(time - self.times)
         by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
+        # 2. Two exchanges: `apart` (k, k) is the time between them. A pair at one time gives no
+        # bound: its division by zero gives inf or NaN.
         apart = self.times[None, :] - self.times[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(time - self.times[:, None]) / np.abs(apart)
