@@ -204,8 +204,8 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop, which a robot holds as a latch until a reset.
 
     `scope` swarm: the latch spreads to other robots. `is_relayed`: another robot relayed the
-    request; the robot refuses such a copy if it has already reset this latch. `age`: s since the
-    operator issued the request. The goal of a later run stays.
+    request; the robot refuses such a copy if this latch was reset here before. `age`: s since the
+    operator issued the request: a goal that was set after the request is not revoked.
     """
 
     targets: Epochs | None = None
@@ -634,9 +634,10 @@ Answer = TypeVar("Answer")
 class Verb(Generic[Asked, Answer]):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
-    `asked`: the type of the payload; `Nothing` if the payload is empty. `audit`: makes the text of
-    the request in the audit log, between verb and targets. `is_for_operators`: viewers may not ask
-    this question.
+    - `asked`: the type of the payload; `Nothing` if the payload is empty.
+    - `audit` returns the part of a line of the audit log that stands between verb and targets, such
+      as the pattern of a run.
+    - `is_for_operators`: viewers may not ask this question.
     """
 
     name: str

@@ -71,10 +71,12 @@ class SendReply(Protocol):
 class Services:
     """The services of a daemon that answer verbs.
 
-    The table of core/verbs.py names for each verb the field of its service, whose method
-    `on_<verb>` handles the verb. A request changes the robot: `on_<verb>(request, answer)` carries
-    it out. A question does not change the robot: `on_<verb>(question)` returns the answer, or a
-    function that makes the answer in a thread.
+    The table of core/verbs.py names for each verb a field of this class. The method `on_<verb>` of
+    the service in this field handles the verb. A verb is a request or a question:
+
+    - `on_<verb>(request, answer)` carries out a request, which changes the robot.
+    - `on_<verb>(question)` returns the answer to a question, or a function that makes the answer in
+      a thread.
     """
 
     recording: RecordingService

@@ -176,10 +176,10 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
 
 
 def _reached(sequence: Sequence) -> set[int]:
-    """The indices of the steps that the sequence can reach, if each transition can hold.
+    """The indices of the steps that the sequence can reach; each transition is assumed to be met.
 
     A step without an end and without transitions is reported as a fault elsewhere. The step after
-    such a step counts as reached, so that one mistake gives one fault.
+    such a step counts as reached, so that the mistake gives only one fault.
     """
     steps = sequence.children
     indices = {step.label: index for index, step in enumerate(steps)}

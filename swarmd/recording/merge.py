@@ -74,8 +74,8 @@ class Placed:
 def survey(paths: Sequence[Path]) -> Recordings:
     """Read recordings of robots once: time spans, files by clock, and exchanges between clocks.
 
-    Returns also the faults of files, such as a truncated end: their whole messages count.
-    ConfigError if a file is no recording of a robot.
+    Returns also the faults of files, such as a truncated end; the whole messages of a faulty file
+    are used. ConfigError if a file is no recording of a robot.
     """
     sources: dict[tuple[str, str], Source] = {}  # by robot and clock
     exchanges: list[Exchange] = []

@@ -63,10 +63,11 @@ class GoalHandler:
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True if only the goal of this request, which a peer brought first, has raised the epoch.
+        """True if the epoch has risen only because a peer handed over the goal of this request.
 
-        Such a run or goal request must not be refused as stale. `quoted`: the epoch of the robot
-        that the operator saw and quotes. False if anything else has changed the robot since then.
+        An operator sends a run or goal request, and the goal may reach the robot by a peer before
+        the request. Then the request must not be refused as stale. `quoted`: the epoch of the robot
+        in the request. False if anything else has changed the robot since this epoch.
         """
         known = self._peer_goal  # (goal, epoch before the goal came, revision after that)
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):

@@ -8,7 +8,7 @@ disc (`ToldObstacle`) in addition to the points of the scan.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import chain
 from typing import NamedTuple
 
@@ -123,30 +123,38 @@ class Peers:
             present = [structs.replace(finding, holds=False) for finding in present]
         self._findings = tuple(present)
 
-        # 2. Peers whose measured or reported places are used (`_radii`): the lidar may miss them,
-        #    since their finding is `unseen`, or `unknown` for lack of a height. If the lidar has a
-        #    blind zone around it, any near peer may vanish there: the places of all peers are used.
-        radii = {robot: body.radius for robot, body in bodies.items() if body is not None}
+        # 2. The peers whose places are used.
         missed = {finding.robot for finding in present if finding.kind != "faster"}
-        self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
-        if self._blind_within:
-            # The places of all other peers, which the lidar sees, count inside that zone only.
-            self._seen_beyond = frozenset(radii) - frozenset(self._radii)
-            self._radii = radii
-        for discs in (self._sensed, self._located):
-            for robot in discs.keys() - self._radii.keys():
-                del discs[robot]
+        self._use_places_of(missed)
 
         # 3. A peer whose lidar may miss this robot needs the pose of this robot. `sees` is None if
-        #    a height is unknown: the peer may miss this robot then, too. A finding `unseen` holds
-        #    this robot until the place of the peer is known, a finding `faster` always.
+        #    a height is unknown: the peer may miss this robot then, too.
         reported = [body for body in bodies.values() if body is not None]
         self._is_missed = any(sees(body, self.own) is not True for body in reported)
+
+        # 4. What holds this robot: a finding `unseen` until the place of the peer is known, a
+        #    finding `faster` always.
         holding = [finding for finding in present if finding.holds]
         self._unseen = tuple(finding.robot for finding in holding if finding.kind == "unseen")
         self._holds_always = any(finding.kind == "faster" for finding in holding)
         self._update_places_until()
         return [finding for finding in present if finding not in earlier_findings]
+
+    def _use_places_of(self, missed: Collection[str]) -> None:
+        """Choose the peers whose measured or reported places are obstacles (`_radii`).
+
+        `missed`: the peers that the lidar may miss. In the blind zone around the lidar any near
+        peer may vanish. So with a blind zone the places of all peers are used, and the places of
+        peers that the lidar sees (`_seen_beyond`) only inside the zone.
+        """
+        radii = {robot: body.radius for robot, body in self._bodies.items() if body is not None}
+        self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
+        if self._blind_within:
+            self._seen_beyond = frozenset(radii) - frozenset(self._radii)
+            self._radii = radii
+        for discs in (self._sensed, self._located):
+            for robot in discs.keys() - self._radii.keys():
+                del discs[robot]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
         """Take in the measured range (m) and bearing (rad) of neighbours that the lidar may miss.

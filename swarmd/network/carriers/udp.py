@@ -156,7 +156,7 @@ class UdpCarrier:
         self._own4: socket.socket | None = None  # sends by IPv4
         self._own6: socket.socket | None = None  # sends by IPv6
         self._addresses: frozenset[str] = frozenset()  # of the interface
-        self._has_ipv4 = self._is_dev
+        self._has_ipv4 = self._is_dev  # the interface has an IPv4 address
         self._refreshed_at = _NEVER  # when the addresses were last read
 
         # Sending.
@@ -164,11 +164,13 @@ class UdpCarrier:
         self._beacons = 0  # the count of beacons sent to all
         self._multicast_at = _NEVER  # when a robot was last heard by multicast
         self._ipv6_only_at = _NEVER  # when a robot without an IPv4 address was last heard
-        # A way is how a datagram came: by unicast, multicast or broadcast. Here, the ways of
-        # beacons whose signature is not verified so far, by source: they wait for `confirm`.
-        self._unconfirmed: dict[Address, _Way] = {}
+        self.unsent = 0  # the count of datagrams that could not be sent
+        self.recipients = Recipients(self._lease, with_group=self._multicast)
 
-        # Receiving.
+        # Receiving. A way is how a datagram came: by unicast, multicast or broadcast.
+        # By source: the way of a beacon that waits for `confirm`, since its signature is not
+        # verified so far.
+        self._unconfirmed: dict[Address, _Way] = {}
         # By source and payload: when and by which way the first copy of a datagram came.
         self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
         self._detach: Callable[[], None] = lambda: None  # ends the reading, from `attach` on
@@ -181,11 +183,10 @@ class UdpCarrier:
         self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
         # By socket: the count of datagrams that the kernel had dropped at the last look.
         self._lost: dict[socket.socket, int] = {}
-        self.recipients = Recipients(self._lease, with_group=self._multicast)
-        # Beacons go out once a second, every fifth also as a broadcast. A way counts as heard for
-        # the time of two such beacons, in s, so that the loss of a single broadcast does not show.
+        # Beacons go out once a second, and every fifth beacon also as a broadcast. A way counts as
+        # heard for the time between three broadcasts, in s, so that the loss of a single broadcast
+        # does not show.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
-        self.unsent = 0
         try:
             self.port = self._open(port)
         except OSError as error:
@@ -367,8 +368,8 @@ class UdpCarrier:
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
-        of this swarm shows by which way its robot is heard. `_note_robot` notes this way at once.
-        In a secured swarm it does so only after `confirm`: until then the beacon may be forged.
+        of this swarm shows by which way its robot is heard, which `_note_robot` notes: at once, or
+        in a secured swarm after `confirm`, since the beacon may be forged.
         """
         host, port = name[0], name[1]
         self._reads += 1

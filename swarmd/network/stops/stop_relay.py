@@ -71,6 +71,32 @@ class _Relayed:
     handed_on: set[tuple[str, Address, bytes | None, str, bool]] = field(default_factory=set)
     """Acks that were handed on: robot, receiver, origin of a refusal, code, is_moving."""
 
+    def take_ages(self, copy: Stop, now: float) -> None:
+        """Update `issued` and `repeated` by a copy of the stop that came at `now`.
+
+        Copies that came by several ways have different ages, and the greatest age counts. A forged
+        great age would do harm, since a stop that looks older than the present run does not end
+        this run: later copies move `issued` back by at most MAX_AGE_SHIFT.
+        """
+        issued = now - copy.age / 1000.0
+        self.issued = max(min(self.issued, issued), self.first_issued - MAX_AGE_SHIFT)
+        # The operator has sent no copy after now: `repeated` is at most the present age.
+        repeated = min(copy.repeated / 1000.0, now - self.issued)
+        self.repeated = max(self.repeated, repeated)
+
+    def add_sender(self, source: Address, *, is_operator: bool) -> None:
+        """Note a sender of the stop, which gets acks.
+
+        Only MAX_SOURCES senders are noted. Beyond that the operator takes the place of the sender
+        that came first, and any other sender is left out.
+        """
+        if source in self.sources:
+            return
+        if is_operator and len(self.sources) >= MAX_SOURCES:
+            del self.sources[next(iter(self.sources))]
+        if len(self.sources) < MAX_SOURCES:
+            self.sources[source] = _NEVER  # no ack has gone to this sender
+
 
 class StopRelay:
     """The stops that the robot `own` has heard lately."""
@@ -95,8 +121,8 @@ class StopRelay:
         # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
-        issued = now - stop.age / 1000.0
         if relayed is None:
+            issued = now - stop.age / 1000.0
             while len(self._stops) >= MAX_STOPS:  # end the relay of the stop that came first
                 del self._stops[next(iter(self._stops))]
             relayed = self._stops[key] = _Relayed(
@@ -110,17 +136,8 @@ class StopRelay:
                 due=self._moment(now, FIRST_INTERVAL),
             )
 
-        # 2. Update `issued`. Copies by several ways have different ages, and the greatest age
-        # counts. A forged great age would do harm: a stop that looks older than the present run
-        # does not end this run. So later copies move `issued` back by at most MAX_AGE_SHIFT.
-        earliest = relayed.first_issued - MAX_AGE_SHIFT
-        relayed.issued = max(min(relayed.issued, issued), earliest)
-        # Update `repeated`, the greatest age at which the operator itself has sent a copy. No copy
-        # is sent after now, so this age is at most the present age of the stop.
-        present_age = now - relayed.issued
-        relayed.repeated = max(relayed.repeated, min(stop.repeated / 1000.0, present_age))
-
-        # 3. Keep the copy with the fewest hops; count copies of other robots.
+        # 2. Keep the ages, and the copy with the fewest hops; count copies of other robots.
+        relayed.take_ages(stop, now)
         is_from_operator = stop.hops == 0
         if stop.hops <= relayed.stop.hops:
             relayed.stop = replace(
@@ -131,13 +148,9 @@ class StopRelay:
         elif is_member:
             relayed.copies += 1
 
-        # 4. Note the sender, which gets acks; the operator takes the place of the oldest sender.
-        if source not in relayed.sources:
-            if is_from_operator and len(relayed.sources) >= MAX_SOURCES:
-                del relayed.sources[next(iter(relayed.sources))]
-            if len(relayed.sources) < MAX_SOURCES:
-                relayed.sources[source] = _NEVER  # no ack has gone to this sender
-        if is_from_operator and source in relayed.sources:  # a repeat: the operator may lack acks
+        # 3. Note the sender. The operator gets acks again: it repeats the stop as it may lack some.
+        relayed.add_sender(source, is_operator=is_from_operator)
+        if is_from_operator and source in relayed.sources:
             return self._acks_again(relayed, source, now)
         return []
 
