@@ -214,25 +214,9 @@ def _inspect(
     2. PluginError if the child reports an error outside an item, or ends or hangs before its first
        item.
     """
-    # 1. Start the child. -P: a random.py in the current folder must not shadow a module. --secret:
-    #    folders that the sandbox hides from plugin code.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
-    secret_folders = (SYSTEM_FOLDER.parent, user_folder())
-    command += [f"--secret={path}" for path in secret_folders if path is not None]
-    command += ["--parent", str(os.getpid()), *words]
-    with contextlib.ExitStack() as stack:
-        child = stack.enter_context(
-            subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=log or subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            )
-        )
-        stack.callback(child.kill)
+    with _started(words, log) as child:
         assert child.stdout is not None
-        # 2. Read the lines of the child, and yield the rows of items. A row `begin` opens an item,
+        # 1. Read the lines of the child, and yield the rows of items. A row `begin` opens an item,
         #    and a row `result` closes the item. The key `error` in a row `result` is a fault of the
         #    item, in any other row a fault of the child. A line that is no JSON gives an empty row:
         #    a line of a stack trace. The first such line that names a file in `folder` tells the
@@ -258,7 +242,7 @@ def _inspect(
             hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
-        # 3. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack.
+        # 2. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack.
         #    Before its first item a child has no handler of SIGUSR1: the signal would end it.
         if hangs and open_item is not None:
             child.send_signal(signal.SIGUSR1)
@@ -271,6 +255,28 @@ def _inspect(
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
         yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
+
+
+@contextlib.contextmanager
+def _started(words: Sequence[str], log: IO[bytes] | None) -> Iterator[subprocess.Popen[bytes]]:
+    """A context manager that starts the child process of `_inspect`, and kills it at the end."""
+    # -P: a random.py in the current folder must not shadow a module.
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
+    # The sandbox hides these folders from plugin code.
+    secret_folders = (SYSTEM_FOLDER.parent, user_folder())
+    command += [f"--secret={path}" for path in secret_folders if path is not None]
+    command += ["--parent", str(os.getpid()), *words]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=log or subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    ) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
 
 
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:

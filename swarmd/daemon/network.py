@@ -252,7 +252,7 @@ class Network:
         A claim is won if no other daemon shows the same id for `settings.settle` s. Raises
         NetworkError if the network cannot be opened, IdHeldError if another daemon has the id.
         """
-        # 1. Open the network, and make the datagram protocol.
+        # 1. Open the network.
         settings = self._settings
         self._owner = owner
         if self._identity is not None:
@@ -267,6 +267,8 @@ class Network:
                 on_newer_roster=owner.on_newer_roster,
             )
         await self._connection.open()
+
+        # 2. Make the datagram protocol, which claims the id.
         self._peer = Peer(
             PeerSettings(
                 robot=self._robot,
@@ -285,28 +287,32 @@ class Network:
             admission=None if self._guard is None else self._guard.admission,
             check_goal=self._owner.check_goal,
         )
-
-        # 2. Claim the id. The claim lasts longer while another daemon (a rival) claims the id, too.
-        #    The claim fails if a daemon owns the id already (the holder).
-        warn_at = boottime() + CLAIM_WARNING
-        while not self._peer.owns_id:
-            self.advance()
-            if boottime() > warn_at:
-                warn_at = float("inf")  # warn once
-                _warn_of_claim(self._robot, self._peer.rivals)
-            if holder := self._peer.holder:
-                raise IdHeldError(
-                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
-                    " stop it, or give this one another id"
-                )
-            due_in = self._peer.wake_at() - boottime()
-            await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
+        await self._claim(self._peer)
 
         # 3. Wait for the latches (held emergency stops) of the peers.
         while not self._peer.is_in_sync(boottime()):
             await asyncio.sleep(SYNC_PERIOD)
         self._is_settled = True
         self._serve()
+
+    async def _claim(self, peer: Peer) -> None:
+        """Wait until the id is claimed; IdHeldError if a daemon owns the id already (the holder).
+
+        The claim lasts longer while another daemon (a rival) claims the id, too.
+        """
+        warn_at = boottime() + CLAIM_WARNING
+        while not peer.owns_id:
+            self.advance()
+            if boottime() > warn_at:
+                warn_at = float("inf")  # warn once
+                _warn_of_claim(self._robot, peer.rivals)
+            if holder := peer.holder:
+                raise IdHeldError(
+                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
+                    " stop it, or give this one another id"
+                )
+            due_in = peer.wake_at() - boottime()
+            await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
 
     def advance(self) -> None:
         """Send the datagrams that are due; the daemon's tick calls this."""

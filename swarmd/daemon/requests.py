@@ -329,25 +329,9 @@ class RequestServer:
             waiting = None
         is_id_of_another = waiting is not None
 
-        # 2. The reply.
+        # 2. Make, keep, send and audit the reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
-        version = codec.version_of(query.payload)
-        refusal: Refusal | None
-        if version != codec.VERSION:  # the likely cause of `text`: a field has another form there
-            refusal = Refusal.OTHER_VERSION
-            text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
-        else:
-            refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
-            text = f"{verb}: {text}"
-        reply = Reply(
-            id=id,
-            robot=self._robot,
-            code=code,
-            refusal=refusal,
-            text=verbs.shortened(text, MAX_TEXT),
-        )
-
-        # 3. Keep, send and audit the reply.
+        reply = self._refusal(id, verb, codec.version_of(query.payload), code, text)
         is_repeat = is_readable and id in self._replies
         if is_readable and not is_repeat and not is_id_of_another:
             self._keep(reply)
@@ -356,3 +340,18 @@ class RequestServer:
         if not is_repeat:
             count = 0 if targets is None else len(names)
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
+
+    def _refusal(self, id: str, verb: str, version: int | None, code: Code, text: str) -> Reply:
+        """The reply to a request that `_refuse` refuses; `version`: of the request's payload."""
+        refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
+        text = f"{verb}: {text}"
+        if version != codec.VERSION:  # the likely cause: a field has another form in that version
+            refusal = Refusal.OTHER_VERSION
+            text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
+        return Reply(
+            id=id,
+            robot=self._robot,
+            code=code,
+            refusal=refusal,
+            text=verbs.shortened(text, MAX_TEXT),
+        )

@@ -575,20 +575,10 @@ class Peer:
 
         # 3. The lists that the solicit asks for.
         if solicit.wants_members:
-            parts = in_parts(self.membership.reports(now), roster=self._roster)
+            parts = self._member_lists(solicit.echo, now)
             if not self._answers.may_answer(source, len(parts), now):
                 return
-            for number, (members, roster) in enumerate(parts):
-                member_list = MemberList(
-                    robot=self.robot,
-                    instance=self._instance,
-                    members=members,
-                    part=number,
-                    parts=len(parts),
-                    echo=solicit.echo,
-                    roster=roster,
-                )
-                actions.sends.append((member_list, source))
+            actions.sends.extend((part, source) for part in parts)
         if (
             solicit.wants_goal
             and summary.goal is not None
@@ -598,6 +588,22 @@ class Peer:
         if solicit.wants_latches:
             latch_lists = latch_parts(self.robot, self._instance, summary.latches)
             actions.sends.extend((latches, source) for latches in latch_lists)
+
+    def _member_lists(self, echo: int, now: float) -> list[MemberList]:
+        """The parts of this robot's member list, which answer the solicit with this echo."""
+        parts = in_parts(self.membership.reports(now), roster=self._roster)
+        return [
+            MemberList(
+                robot=self.robot,
+                instance=self._instance,
+                members=members,
+                part=number,
+                parts=len(parts),
+                echo=echo,
+                roster=roster,
+            )
+            for number, (members, roster) in enumerate(parts)
+        ]
 
     def _admit(self, body: Datagram, author: Author | None, now: float) -> Datagram | Flaw:
         assert self._admission is not None
