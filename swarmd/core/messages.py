@@ -151,8 +151,8 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
 class Reply(Struct, frozen=True, kw_only=True):
     """A robot's answer (acknowledgement) to a request. `refusal` is set unless `code` is applied.
 
-    `is_moving`: in the answer to a stop, zero was commanded, and odometry does not yet show the
-    base at rest.
+    `is_moving`, in the answer to a stop: the robot commands zero, but the base is not known to rest
+    so far (odometry does not show it at rest).
     """
 
     id: Name
@@ -279,8 +279,8 @@ class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
     - `declared`: the latency in the platform's file.
-    - `added`: the measured delay beyond `declared`. Protection takes scans as late by both. The
-      robot is held while `added` exceeds `bound`.
+    - `added`: the measured delay beyond `declared`. Protection assumes the sum of both as the delay
+      of a scan. The robot is held while `added` exceeds `bound`.
     - `sweep`: None if the platform declares the sweep.
     """
 

@@ -1,9 +1,11 @@
 """Decides which poses in a shared frame the fence of a robot may use, and when the robot is held.
 
-A pose is used once CONFIRMATIONS poses in a row agree by odometry, over at least CONFIRM_TIME. Two
-poses agree if odometry tells the way from one to the other, to within the error bounds of both
-poses and of odometry. A pose that does not agree with the pose in use is a jump: the robot has no
-usable pose until new poses agree with each other, or a pose agrees with the pose in use again.
+1. Two poses agree if the robot has moved from the first to the second by its odometry, to within
+   the error bounds of both poses and of odometry.
+2. A pose is used once CONFIRMATIONS poses in a row agree, over at least CONFIRM_TIME.
+3. A pose that does not agree with the pose in use is a jump: the robot has no usable pose until new
+   poses agree by rule 2, or a pose agrees with the pose in use again.
+
 Pure. Units: m, rad, s on the robot's clock.
 """
 

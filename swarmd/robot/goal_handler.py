@@ -132,7 +132,7 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Replace the own goal by `goal`, which is greater; a run and a load for lesser goals end.
+        """Replace the own goal by the greater `goal`; end the run, and a load of a lesser goal.
 
         The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
         None if unknown. `may_join`: a robot that is idle or running may run `goal` without a
