@@ -195,8 +195,9 @@ def bundle(
 def list_(options: CommonOptions) -> None:
     """List the names of the roster, and how long their newest certificates last.
 
-    GENERATION: of the newest roster that a name is known to have: that of its first bundle, or one
-    that it has taken since. A later bundle does not count, since it may not be installed yet.
+    GENERATION is that of the newest roster that a name is known to have: the roster of its first
+    bundle, or a roster that was sent and taken since. A later bundle does not count, since the
+    bundle may not be installed yet.
     """
     authority = open_authority(options.swarm)
     roster, now = authority.roster, time.time()

@@ -220,16 +220,16 @@ def _send_roster(
     secret of the swarm, from which its members derive keys.
 
     A robot only accepts datagrams that are signed with the keys of its own generation (version) of
-    the roster. Robots may have different generations, so the operator speaks to them in turn, with
-    the keys of each generation.
+    the roster. Robots may have different generations, so the operator sends to the robots of one
+    generation after the other, each time with the keys of that generation.
     """
     from swarmd.network.operator.operator import Operator
 
     replies: dict[str, Reply] = {}
     seconds = 0.0  # of all queries and requests
     for identity in _identities(own, authority, robots):
-        # 1. Robots that have not replied yet and may have this generation: a robot may have a later
-        #    generation than the recorded one, never an earlier one.
+        # 1. Robots that have not replied yet and may have this generation. A robot has the recorded
+        #    generation or a later generation, never an earlier generation.
         generation = identity.roster.generation
         remaining = [
             name
@@ -238,7 +238,7 @@ def _send_roster(
         ]
         if not remaining:
             continue
-        # `takes_rosters` False: this operator keeps the keys of `generation` in this turn.
+        # `takes_rosters` False: the operator keeps the keys of `generation` in this block.
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
             # 2. Query the epochs of the robots (counts of changes, which a request must quote), in
             #    half of the user's time; step 3 has the rest.
@@ -259,9 +259,9 @@ def _send_roster(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            # 4. Send to revoked robots in one turn: that of the generation that this operator has
-            #    had so far. A revoked robot gets no keys of a newer generation; one with older keys
-            #    is not reached.
+            # 4. Send to revoked robots, only with the keys of the generation that this operator has
+            #    had so far: revoked robots have no keys of a newer generation. A revoked robot with
+            #    keys of an older generation is not reached.
             if generation == own.roster.generation and revoked:
                 _send_to_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))

@@ -136,10 +136,12 @@ def check_mission(
 def check_file(path: Path, timeout: float) -> Iterator[Point]:
     """Yields the points (rules of the contract) of a pattern's file, each as soon as it is known.
 
-    A child process checks the points, each within `timeout` s. If the plugin's code ends the child
-    in a point, another child checks the remaining points. No further point is checked if the child
-    ends in the first point (the import of the file), or if a point hangs. Raises PluginError if
-    the child fails before the first point.
+    A child process checks the points, each within `timeout` s.
+
+    1. If the plugin's code ends the child in a point, another child checks the remaining points.
+    2. No further point is checked if the child ends in the first point (the import of the file), or
+       if a point hangs.
+    3. Raises PluginError if the child fails before the first point.
     """
     checked_names: list[str] = []  # of points
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
@@ -204,33 +206,21 @@ def _inspect(
 
     The child works on items: the points of a check, or the patterns to describe. `words`: the
     arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
-    plugin's code. `log`: takes standard error. If the child ends or hangs in an item, the last row
-    is made here: that of the item's begin, with the keys `lost` (the name of the item), `how` (the
-    end in words, with the line of code) and `hangs`. PluginError if the child reports an error
-    outside an item, ends or hangs before its first item.
+    plugin's code. `log`: takes standard error.
+
+    1. If the child ends or hangs in an item, this function adds a last row. The row has the fields
+       of the item's row `begin`, and the keys `lost` (the name of the item), `how` (the end in
+       words, with the line of code) and `hangs`.
+    2. PluginError if the child reports an error outside an item, or ends or hangs before its first
+       item.
     """
-    # 1. Start the child. -P: a random.py in the current folder must not shadow a module. --secret:
-    #    folders that the sandbox hides from plugin code.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
-    secret_folders = (SYSTEM_FOLDER.parent, user_folder())
-    command += [f"--secret={path}" for path in secret_folders if path is not None]
-    command += ["--parent", str(os.getpid()), *words]
-    with contextlib.ExitStack() as stack:
-        child = stack.enter_context(
-            subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=log or subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-            )
-        )
-        stack.callback(child.kill)
+    with _started(words, log) as child:
         assert child.stdout is not None
-        # 2. Read its lines, and yield the rows of items. A row `begin` opens an item, a row
-        #    `result` closes it: there the key `error` is a fault of the item, elsewhere a fault of
-        #    the child. A line that is no JSON is a line of a stack trace; the first such line that
-        #    names a file in `folder` tells the place in the code.
+        # 1. Read the lines of the child, and yield the rows of items. A row `begin` opens an item,
+        #    and a row `result` closes the item. The key `error` in a row `result` is a fault of the
+        #    item, in any other row a fault of the child. A line that is no JSON gives an empty row:
+        #    a line of a stack trace. The first such line that names a file in `folder` tells the
+        #    place in the code.
         open_item: Record | None = None
         code_place = ""
         hangs = False
@@ -252,8 +242,8 @@ def _inspect(
             hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
-        # 3. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack. It
-        #    has no handler of SIGUSR1 before its first item, and the signal would end it.
+        # 2. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack.
+        #    Before its first item a child has no handler of SIGUSR1: the signal would end it.
         if hangs and open_item is not None:
             child.send_signal(signal.SIGUSR1)
             with contextlib.suppress(TimeoutError):
@@ -265,6 +255,28 @@ def _inspect(
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
         yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
+
+
+@contextlib.contextmanager
+def _started(words: Sequence[str], log: IO[bytes] | None) -> Iterator[subprocess.Popen[bytes]]:
+    """A context manager that starts the child process of `_inspect`, and kills it at the end."""
+    # -P: a random.py in the current folder must not shadow a module.
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
+    # The sandbox hides these folders from plugin code.
+    secret_folders = (SYSTEM_FOLDER.parent, user_folder())
+    command += [f"--secret={path}" for path in secret_folders if path is not None]
+    command += ["--parent", str(os.getpid()), *words]
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=log or subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+    ) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
 
 
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:

@@ -207,7 +207,7 @@ def run_cli(
     `args`: the words of the command line, None for those of this process. `name`: the program.
     `code_of`: the exit code of an error of swarmd. With `-o json` an error is also a JSON document
     on stdout, the only document. While a shell completes a line, nothing is written on stderr: the
-    shell would show it in that line.
+    shell would show the text in that line.
     """
     words = sys.argv[1:] if args is None else args
     stdout = sys.stdout
@@ -231,19 +231,19 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    # 2. A closed pipe, such as `| head`. Click raises SystemExit(1) for it, as for a failure, but
-    #    only for a closed pipe also replaces `sys.stdout`. Output that still waits is discarded.
+    # 2. A closed pipe, such as `| head`. Click raises SystemExit(1) for a closed pipe and for a
+    #    failure, but replaces `sys.stdout` only for a closed pipe. Output that waits is discarded.
     except SystemExit:
         if sys.stdout is stdout:
             raise
         sys.stdout = stdout
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return CLOSED_PIPE
-    # 3. A file name that is not UTF-8 cannot be written as JSON; `as_text` says which name. Any
-    #    other text that cannot be encoded is a fault of the program, whose error is not caught.
+    # 3. A file name that is not UTF-8 cannot be written as JSON: `as_text` raises ConfigError with
+    #    the name. Any other text that cannot be encoded is a fault of the program, and raised.
     except UnicodeEncodeError as error:
         try:
-            as_text(error.object)  # ConfigError if the object is no text
+            as_text(error.object)
         except ConfigError as fault:
             return _fail(str(fault), 2, words)
         raise

@@ -90,10 +90,13 @@ def _goal_plan(
 ) -> Plan:
     """A plan with only the change from the present goal of the swarm to the goal in the file.
 
-    `labels`: the labels of the file by robot, empty if the file names none. If the present goal has
-    the content of the file, robots to which the goal is offered (known, but not run before an
-    operator says so) resume the goal. A run of this goal that has ended is not started again:
-    `Plan.left` has the reason of its end by robot. Otherwise the file's goal is a new goal.
+    `labels`: the labels of the file by robot, empty if the file names none.
+
+    1. If the present goal differs from the goal in the file, the goal in the file is a new goal.
+    2. Else robots to which the goal is offered (known, but not run without an operator's request)
+       resume the goal.
+    3. A run of this goal that has ended is not started again: `Plan.left` has the reason of its end
+       by robot.
     """
     if file.goal is None:
         return Plan()

@@ -46,9 +46,9 @@ def choose_canaries(
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: the canary's status before the run; None: unknown. Its share of ticks in which
-    protection acts may not rise much. `first`, `now`: its first and its newest status in the run,
-    between which the pattern host may not restart.
+    `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
+    newest status in the run. A canary runs well if it runs or has finished, its pattern host has
+    not restarted since `first`, and protection acts in hardly more ticks than in `before`.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:

@@ -51,20 +51,27 @@ class NetworkOptions:
 
         from swarmd.settings.contexts import ENVIRONMENT, context_in_use
 
-        environ = os.environ if self.context is None else {**os.environ, ENVIRONMENT: self.context}
-        name_and_context = context_in_use(environ) if self.config is None else None
+        # 1. Find the context: the option --context replaces the variable of the environment.
+        if self.config is not None:
+            return self
+        environ = dict(os.environ)
+        if self.context is not None:
+            environ[ENVIRONMENT] = self.context
+        name_and_context = context_in_use(environ)
         if name_and_context is None:
             return self
         _, context = name_and_context
         swarm = self.swarm or os.environ.get("SWARM")
         if swarm and context.swarm not in (None, swarm):
             return self
+
+        # 2. Take its values for the options that are not set.
         values = msgspec.structs.asdict(context)
         values["swarm"] = swarm or context.swarm
         for name in ("config", "identity"):
             values[name] = Path(values[name]) if values[name] else None
-        not_set = {name: value for name, value in values.items() if not getattr(self, name)}
-        return replace(self, **not_set)
+        missing = {name: value for name, value in values.items() if not getattr(self, name)}
+        return replace(self, **missing)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
         """An operator in the swarm's network, a context manager.

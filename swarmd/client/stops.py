@@ -34,17 +34,8 @@ def send_stop(
     missing. Raises NetworkError if no daemon was reached, RequestError if no robot is targeted.
     """
     operator = session.operator
-
-    # 1. Replace labels by robots. A robot whose labels are not known is stopped, too.
     if targets.labels:
-        timeout = session.timeout
-        search_time = STOP_LOOK if timeout is None else min(timeout / 2, STOP_LOOK)
-        view = operator.members(timeout=search_time)
-        without_labels = unlabelled(view, targets)
-        targets = stop_targets(view, targets)
-        if without_labels:
-            text = ", ".join(without_labels)
-            session.tell(f"labels are not known, a stop is sent to them, too: {text}")
+        targets = _without_labels(session, targets)
 
     def tell_missing(missing: tuple[str, ...]) -> None:
         """Tell the user which robots have not acknowledged."""
@@ -64,18 +55,38 @@ def send_stop(
             is_ended=session.is_cancelled,
         )
 
-    # 2. Send the stop. Robots with a newer roster cannot verify the stop: if robots are missing,
-    # take the newer roster, and send the stop again with its keys.
+    # Robots with a newer roster cannot verify the stop: if robots are missing, take the newer
+    # roster, and send the stop again with its keys.
     identity_before = operator.identity
     outcome = send()
     if outcome.missing or not outcome.replies:
         operator.update_roster()
         if operator.identity is not identity_before:
             outcome = send()
-
-    # 3. Report what the outcome cannot show: no robot heard at all, no robot targeted (all names
-    # unknown, or all robots have left), robots that did not answer, and names that no robot has.
     session.tell_notices()
+    return _reported(session, verb, targets, outcome)
+
+
+def _without_labels(session: Session, targets: Targets) -> Targets:
+    """The targets with labels replaced by robots; tells of robots whose labels are not known."""
+    timeout = session.timeout
+    search_time = STOP_LOOK if timeout is None else min(timeout / 2, STOP_LOOK)
+    view = session.operator.members(timeout=search_time)
+    without_labels = unlabelled(view, targets)
+    stopped = stop_targets(view, targets)
+    if without_labels:
+        text = ", ".join(without_labels)
+        session.tell(f"labels are not known, a stop is sent to them, too: {text}")
+    return stopped
+
+
+def _reported(session: Session, verb: str, targets: Targets, outcome: Outcome) -> Outcome:
+    """The outcome of a stop with a warning for each name that no robot has.
+
+    Tells the user which robots did not answer. NetworkError if no robot was heard at all.
+    RequestError if no robot is targeted: all names are unknown, or all robots have left.
+    """
+    operator = session.operator
     view = operator.seen()
     is_none_heard = not outcome.reached and not outcome.replies
     if is_none_heard and not view.roster:

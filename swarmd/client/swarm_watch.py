@@ -80,8 +80,8 @@ class SwarmWatch:
     def _lacks_status(self) -> bool:
         """True if a robot whose beacons are heard does not publish its status each second.
 
-        Then the next query of all members must ask for statuses. With 50 robots a query for
-        statuses takes three times the CPU time of a query without.
+        If True, the next query of all members must ask for statuses. With 50 robots a query with
+        statuses takes three times the CPU time of a query without statuses.
         """
         recent = {name for name, (_, age) in self.statuses().items() if age <= STATUS_SILENCE}
         heard = [m.robot for m in self._view.members.values() if m.contact in _HEARD]

@@ -137,16 +137,18 @@ def named(view: MembersView, targets: Targets) -> Targets:
 def stop_targets(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop by labels, with the labels replaced by names.
 
-    Left out are only excluded robots, and robots that are not named and have answered without any
-    of these labels. A robot whose labels are not known is stopped, too. RequestError if all
-    expected robots have answered, and no robot has one of the labels.
+    A robot whose labels are not known is a target: in doubt it is stopped. No targets are excluded
+    robots, and robots that are known to have none of the labels and are not named. RequestError if
+    the labels of all expected robots are known, and no robot has one of the labels.
     """
     labels_by_robot = labels_of(view)
     if view.expected and view.expected <= labels_by_robot.keys():
         _check(targets.labels, labels_by_robot.values())
-    by_name = set(Targets(targets.names).matching(labels_by_robot)) if targets.names else set[str]()
-    others = {name for name, labels in labels_by_robot.items() if not {*labels} & {*targets.labels}}
-    return Targets(("*",), (*targets.exclude, *sorted(others - by_name)))
+    named = set(Targets(targets.names).matching(labels_by_robot)) if targets.names else set[str]()
+    unlabelled = {
+        name for name, labels in labels_by_robot.items() if not {*labels} & {*targets.labels}
+    }
+    return Targets(("*",), (*targets.exclude, *sorted(unlabelled - named)))
 
 
 def robots_of(

@@ -84,21 +84,17 @@ class CancelTrial(Struct, frozen=True):
 
 
 class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
-    """The pattern is loaded and can be stepped.
-
-    `rate`: steps per second. `touches`: the zone in which the pattern asks to touch obstacles.
-    `took`: seconds that loading took. `note`: requested speeds that the base cannot reach.
-    `scan_delay`: s beyond the platform's latency; the pattern is not held while scans arrive with
-    at most this further delay.
-    """
+    """The pattern is loaded and can be stepped."""
 
     generation: int
-    rate: Annotated[float, Meta(ge=0.1, le=1000.0)]
+    rate: Annotated[float, Meta(ge=0.1, le=1000.0)]  # steps per second
     channels: frozenset[str]
     params: ParamSources
-    touches: TouchZone | None = None
-    took: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
-    note: str = ""
+    touches: TouchZone | None = None  # the zone in which the pattern asks to touch obstacles
+    took: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0  # s that the load took
+    note: str = ""  # requested speeds that the base cannot reach
+    # The pattern is not held while scans are late, beyond the platform's latency, by at most this
+    # time in s.
     scan_delay: Annotated[float, Meta(ge=0.0, le=MAX_SCAN_DELAY)] = 0.0
 
 

@@ -10,12 +10,16 @@ might use functions that the library lacks; `_views.abi3.so` is absent or was co
 version of Cython. All libraries import `_views.abi3.so`, which contains Cython's code for memory
 views. setup.py runs this file alone, so this file imports no other module of swarmd.
 
-Several libraries compile in parallel, unlike a single library. A call between two libraries costs
-50 ns and more, an estimated 2 % of all time with 100 robots. Python classes compiled without
-changes gained nothing; C fields, buffers of doubles and fewer calls gain. Measured for mode barrier
-in recorded runs, per event (a scan or a decision): 1.01 ms by a version in numpy, 0.71 ms by this
-source interpreted, 0.07 ms compiled. Seven robots in lockstep took 1.1 to 1.35 times the time of
-numpy when interpreted. numba was refused: it adds 117 MB to a daemon.
+Reasons and measurements:
+
+- There are several libraries since these compile in parallel. Their price: a call from one library
+  to another costs 50 ns and more, an estimated 2 % of all time with 100 robots.
+- Python classes compiled without changes gained nothing; C fields, buffers of doubles and fewer
+  calls gain.
+- Time of an event (a scan or a decision) in mode barrier, in recorded runs: 1.01 ms by a version in
+  numpy, 0.71 ms by this source interpreted, 0.07 ms compiled.
+- A run of seven robots in lockstep took, interpreted, 1.1 to 1.35 times the time of numpy.
+- numba was refused: it adds 117 MB to a daemon.
 """
 
 from __future__ import annotations

@@ -151,8 +151,8 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
 class Reply(Struct, frozen=True, kw_only=True):
     """A robot's answer (acknowledgement) to a request. `refusal` is set unless `code` is applied.
 
-    `is_moving`: in the answer to a stop, zero was commanded, and odometry does not yet show the
-    base at rest.
+    `is_moving`, in the answer to a stop: the robot commands zero, but the base is not known to rest
+    so far (odometry does not show it at rest).
     """
 
     id: Name
@@ -167,10 +167,11 @@ class Reply(Struct, frozen=True, kw_only=True):
 class LimitingObstacle(Struct, frozen=True, gc=False):
     """One obstacle that constrains the command.
 
-    `bearing` in rad from the axle. `gap` in m to the footprint. `cap` in m/s: the limit of the
-    outline's speed towards the obstacle. `age` in s: how long before the decision the obstacle was
-    seen; None if the mode does not use it. `age_cost` in m/s: by how much the cap would be higher
-    with an age of 0.
+    - `bearing`: in rad from the axle. `gap`: in m from the footprint.
+    - `cap`: the limit in m/s of the outline's speed towards the obstacle.
+    - `age`: s from the time at which the obstacle was seen until the decision; None if the
+      protection mode does not use this age.
+    - `age_cost`: m/s by which `cap` would be higher with an `age` of 0.
     """
 
     bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
@@ -183,11 +184,13 @@ class LimitingObstacle(Struct, frozen=True, gc=False):
 class DecisionSummary(Struct, frozen=True, kw_only=True):
     """The arbiter's latest decision.
 
-    `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: the
-    judged command came from recovery, which leads around an obstacle, not from the pattern. `duty`:
-    the share of ticks since `run` in which protection was active. `speed_share`: the factor of the
-    speed limits, below 1 after a violated assumption. `avoiding`: what avoidance does, such as
-    `avoiding tb3-04` or `passes an opening`; else empty.
+    - `rows`: the obstacles that constrain the command, the tightest first.
+    - `is_recovering`: the judged command came from recovery, which leads around an obstacle, not
+      from the pattern.
+    - `duty`: the share of ticks since `run` in which protection was active.
+    - `speed_share`: the factor of the speed limits, below 1 after a violated assumption.
+    - `avoiding`: what avoidance does, such as `avoiding tb3-04` or `passes an opening`; empty if
+      it does nothing.
     """
 
     mode: Word = "potential_field"
@@ -217,12 +220,15 @@ class RecordingSummary(Struct, frozen=True, kw_only=True):
 
 
 class DelayFigure(Struct, frozen=True, kw_only=True):
-    """How late scans arrive, by one method: the mean age of their rays on arrival, in s.
+    """The delay of scans, measured by one method.
 
-    `method`: `stamps` (stamps of scans and odometry are compared) or `turns` (while the robot
-    turns, scans are matched to the odometry). `delay` None: unknown, for the reason in `text`.
-    `spread`: the standard deviation of single scans (`stamps`) or of the estimate (`turns`). `age`:
-    s since the last sample.
+    - `method`: `stamps` (stamps of scans and odometry are compared) or `turns` (while the robot
+      turns, scans are matched to the odometry).
+    - `delay`: the mean age of the rays of a scan on arrival, in s; None: unknown, for the reason in
+      `text`.
+    - `spread`: the standard deviation in s, of single scans (`stamps`) or of the estimate
+      (`turns`).
+    - `age`: s since the last sample.
     """
 
     method: Word
@@ -246,8 +252,9 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
 class SweepFigure(Struct, frozen=True, kw_only=True):
     """The order in which a sensor measures its rays, measured in `samples` pairs of scans.
 
-    `direction`: ccw or cw, from the bearing `start_deg` on, with one turn in `duration` s. "at
-    once": all rays have the same time. Empty: unknown, for the reason in `text`.
+    - `direction`: `ccw` or `cw`: the rays follow one another in this sense, from the bearing
+      `start_deg` on, one revolution in `duration` s. `at once`: all rays have the same time. Empty:
+      unknown, for the reason in `text`.
     """
 
     direction: Word = ""
@@ -271,9 +278,10 @@ class SweepFigure(Struct, frozen=True, kw_only=True):
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
-    `declared`: the latency in the platform's file. `added`: the measured delay beyond `declared`,
-    which protection adds to it. The robot is held while `added` exceeds `bound`. `sweep`: None if
-    the platform declares the sweep.
+    - `declared`: the latency in the platform's file.
+    - `added`: the measured delay beyond `declared`. Protection assumes the sum of both as the delay
+      of a scan. The robot is held while `added` exceeds `bound`.
+    - `sweep`: None if the platform declares the sweep.
     """
 
     declared: Seconds
@@ -310,10 +318,12 @@ class WallsStandSummary(Struct, frozen=True):
 class FenceSummary(Struct, frozen=True, kw_only=True):
     """The fence of a robot, in the shared frame `frame`.
 
-    `polygons`: corners in m, the outer polygon first, then those to keep out of. `clearance`: m
-    from the robot to the fence, or minus the m by which the robot is outside; None without a usable
-    pose, for the reason in `text`. `error`: m, bound of the error of `clearance`. `limits`: the
-    fence changed the last command. `holds`: the robot stands without a pose.
+    - `polygons`: corners in m; first the polygon to stay in, then the polygons to keep out of.
+    - `clearance`: m from the robot to the fence, negative for a robot outside; None without a
+      usable pose, for the reason in `text`.
+    - `error`: the bound of the error of `clearance` in m.
+    - `limits`: the fence changed the last command.
+    - `holds`: the setting `without_pose` is `hold`: the robot stands while it has no usable pose.
     """
 
     frame: Name
@@ -328,9 +338,10 @@ class FenceSummary(Struct, frozen=True, kw_only=True):
 class BatterySummary(Struct, frozen=True, kw_only=True):
     """The battery of a robot with the settings `on_low_battery`.
 
-    `charge`: a share; None without a fresh reading. `below`: the bound of a low battery. `is_low`
-    ends at a higher charge. `pattern`: what a robot with a low battery runs; None: the robot
-    stands. `runs`: the present run is that of the low battery.
+    - `charge`: the share of a full battery; None without a fresh reading.
+    - `is_low`: the charge fell under `below`, and has not risen to the higher bound since.
+    - `pattern`: the pattern that a robot with a low battery runs; None: the robot stands.
+    - `runs`: the present run is the run of `pattern` for the low battery.
     """
 
     charge: float | None
@@ -360,10 +371,11 @@ class Sandbox(Struct, frozen=True, kw_only=True):
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
-    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage`: of the daemon.
-    `pattern_usage`: of the daemon's pattern host. Both are None in the first second. `storage`: why
-    a restart would lose latches; empty if latches are on disk. `sandbox`: of the pattern host; None
-    until the first host has started.
+    - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
+    - `storage`: why a restart would lose latches; empty if latches are on disk.
+    - `usage`: of the daemon. `pattern_usage`: of its pattern host. Both are None in the first
+      second.
+    - `sandbox`: of the pattern host; None until the first host has started.
     """
 
     scan_rate: Rate = 0.0
@@ -398,9 +410,11 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
 class Body(Struct, frozen=True, kw_only=True):
     """The body of a robot, as the robot reports it to peers.
 
-    `surface_speed` in m/s: of its fastest surface near an obstacle. `radius` in m around the axle.
-    Heights in m above the floor: `scan_plane` of its range sensor; a horizontal plane between
-    `lowest` and `highest` meets the body. None: the platform does not declare the height.
+    - `surface_speed`: of the fastest surface of the robot near an obstacle, in m/s.
+    - `radius`: of a circle around the axle that contains the robot, in m.
+    - `scan_plane`: the height of its range sensor above the floor, in m.
+    - `lowest`, `highest`: a horizontal plane between these heights in m meets the body. A height
+      that the platform does not declare is None.
     """
 
     platform: Word
@@ -412,11 +426,12 @@ class Body(Struct, frozen=True, kw_only=True):
 
 
 class PeerFinding(Struct, frozen=True, kw_only=True):
-    """A property of the peer `robot` for which this robot's protection is not made.
+    """A property of the peer `robot` that contradicts an assumption of this robot's protection.
 
-    `kind`: unseen (the lidar misses the peer), faster (than assumed), or unknown (the peer does not
-    report enough of its body). `text`: the finding in one line. `holds`: the finding holds this
-    robot.
+    - `kind`: unseen (the lidar misses the peer), faster (than assumed), or unknown (the peer does
+      not report enough of its body).
+    - `text`: the finding in one line.
+    - `holds`: this robot stands because of the finding.
     """
 
     robot: Name
@@ -442,18 +457,21 @@ class KeySummary(Struct, frozen=True, kw_only=True):
 class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
-    `readings`: the latest values of the robot's scalar sensors, such as `battery` from 0 to 1.
-    `stale_readings`: the sensors without a fresh value. `version`: of the daemon's package.
-    `kernels`: which code decides, see `describe_kernels`. `body`: the body that the robot's beacons
-    report. `peers`: the peers that the robot may not see, or that are faster than the robot
-    assumes. `passage`: the narrowest widths that protection lets the robot through; None if the
-    protection mode has no such width. `walls_stand`: None unless assumed. `fence`: None without a
-    fence. `battery`: None without the settings `on_low_battery`. `findings`: the violated
-    assumptions for which the robot drives slower, each with its evidence. `not_following`: how the
-    base does not follow its commands, or follows late. `goal`: None before the robot has seen a
-    goal. `keys`: None in an insecure swarm. `programs`: the Zenoh programs whose liveliness tokens
-    the robot sees. `words`: what each word of an operator means to the robot, as its platform's
-    file says.
+    - `readings`: the latest values of the robot's scalar sensors, such as `battery` from 0 to 1.
+    - `stale_readings`: the sensors without a fresh value.
+    - `version`: of the daemon's package. `kernels`: which code decides (`describe_kernels`).
+    - `body`: the body that the robot's beacons report.
+    - `peers`: the peers that the robot may not see, or that are faster than the robot assumes.
+    - `passage`: the narrowest widths through which protection lets the robot drive; None if the
+      protection mode has no such width.
+    - `walls_stand`: None for a robot that does not assume standing walls.
+    - `fence`: None without a fence. `battery`: None without the settings `on_low_battery`.
+    - `findings`: the violated assumptions for which the robot drives slower, each with its
+      evidence.
+    - `not_following`: how the base fails to follow its commands, or follows late.
+    - `goal`: None before the robot has seen a goal. `keys`: None in an insecure swarm.
+    - `programs`: the Zenoh programs whose liveliness tokens the robot sees.
+    - `words`: what each word of an operator means to the robot, as its platform's file says.
     """
 
     robot: Name
@@ -503,9 +521,11 @@ class Status(Struct, frozen=True, kw_only=True):
 class Motion(Struct, frozen=True, array_like=True):
     """Pose and commands of a robot, for viewers: at 10 Hz, only while a viewer subscribes.
 
-    `x`, `y` in m and `yaw` in rad: by odometry, in the robot's odometry frame. `at`: s on the
-    robot's clock. Twists are linear, angular, lateral in m/s and rad/s. `gap`: m, None without a
-    return. `rows`: the obstacles that constrain the command.
+    - `at`: s on the robot's clock.
+    - `x`, `y` in m and `yaw` in rad: by odometry, in the robot's odometry frame.
+    - `requested`, `safe`: commands: linear (m/s), angular (rad/s), lateral (m/s).
+    - `gap`: m to the nearest obstacle; None without a return.
+    - `rows`: the obstacles that constrain the command.
     """
 
     robot: Name

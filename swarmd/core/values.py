@@ -283,8 +283,8 @@ class Limits:
 class Sweep:
     """The sweep of a rotating sensor, which measures one ray after another.
 
-    The sweep begins at the bearing `start` in rad, and one turn takes `duration` s. `direction`:
-    1.0 counter-clockwise, -1.0 clockwise.
+    The sweep begins at the bearing `start` in rad, and one revolution takes `duration` s.
+    `direction`: 1.0 counter-clockwise, -1.0 clockwise.
     """
 
     start: float

@@ -204,8 +204,8 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop, which a robot holds as a latch until a reset.
 
     `scope` swarm: the latch spreads to other robots. `is_relayed`: another robot relayed the
-    request; the robot refuses such a copy if it has already reset this latch. `age`: s since the
-    operator issued the request. The goal of a later run stays.
+    request; the robot refuses such a copy if this latch was reset here before. `age`: s since the
+    operator issued the request: a goal that was set after the request is not revoked.
     """
 
     targets: Epochs | None = None
@@ -301,11 +301,13 @@ class FetchReply(Struct, frozen=True, kw_only=True):
 class PushedPatternReport(Struct, frozen=True, kw_only=True):
     """A pushed pattern on a robot.
 
-    `standing`: provisional (on trial), held (runs without a fault for 60 s), returned (a fault: the
-    version before counts again), missing (not pulled yet) or removed. `version`, `digest` (hex): of
-    the code that a run uses; empty without code. `pushed`: the digest of the newest push. `ran`: s
-    of runs without a fault. `source`: the operator or robot that handed the code over. `text`: why
-    the code was returned, or cannot be used.
+    - `standing`: provisional (new), held (has run for 60 s without a fault), returned (has failed;
+      the version before is used again), missing (not pulled yet) or removed.
+    - `version`, `digest` (hex): of the code that a run uses; empty without code.
+    - `pushed`: the digest of the newest push.
+    - `ran`: s of runs without a fault.
+    - `source`: the operator or robot that handed the code over.
+    - `text`: why the code has failed, or cannot be used.
     """
 
     name: Name
@@ -348,9 +350,12 @@ LogLine = Annotated[str, Meta(max_length=MAX_LOG_LINE)]
 class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """A request that a robot answered, or a latch or goal that it adopted from a peer.
 
-    `seq` counts the entries of a robot. `boot`: s on the robot's clock `clock`. `wall`: s since
-    1970 (UTC), None if the wall clock had not been set. `targets` None: all robots. `left_out`: the
-    count of earlier entries that were not written, for their rate or for a disk fault.
+    - `seq`: the number of the entry, counted by the robot.
+    - `boot`: the time in s on the robot's clock `clock`, which begins anew at each boot.
+    - `wall`: the time in s since 1970 (UTC); None if the wall clock had not been set.
+    - `targets`: the count of target robots; None: all robots.
+    - `left_out`: the count of earlier entries that were not written, since they were too many or
+      the disk had a fault.
     """
 
     seq: Count = 0
@@ -378,9 +383,9 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 class AuditReply(Struct, frozen=True, kw_only=True):
     """Entries, oldest first, and the age of each in s.
 
-    An age is None if the entry was written before the last boot, and the clock was not set then or
-    is not set now. `has_more`: older entries match, too. `fault`: why entries cannot be written at
-    present.
+    The age of an entry from before the last boot follows from the wall clock; such an age is None
+    if that clock was not set then, or is not set now. `has_more`: older entries match, too.
+    `fault`: why entries cannot be written at present.
     """
 
     robot: Name
@@ -507,9 +512,11 @@ class NetworkFacts(Struct, frozen=True, kw_only=True):
 class DoctorReply(Struct, frozen=True, kw_only=True):
     """A robot's measurements of its own machine and network, for `swarmctl doctor`.
 
-    `identity_expires`: s since 1970 (UTC). `roster`: the generation. Both are None without keys.
-    `heard`: the count of alive robots by route of their datagrams. `storage`: why a restart would
-    lose latches. `sandbox`: of the pattern host.
+    - `identity_expires`: the end of the certificate in s since 1970 (UTC). `roster`: the generation
+      of the roster. Both are None without keys.
+    - `heard`: the number of alive robots whose datagrams come by each way, such as `multicast`.
+    - `storage`: why a restart would lose latches; empty without a fault.
+    - `sandbox`: of the pattern host.
     """
 
     robot: Name
@@ -627,9 +634,10 @@ Answer = TypeVar("Answer")
 class Verb(Generic[Asked, Answer]):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
-    `asked`: the type of the payload; `Nothing` if the payload is empty. `audit`: makes the text of
-    the request in the audit log, between verb and targets. `is_for_operators`: viewers may not ask
-    this question.
+    - `asked`: the type of the payload; `Nothing` if the payload is empty.
+    - `audit` returns the part of a line of the audit log that stands between verb and targets, such
+      as the pattern of a run.
+    - `is_for_operators`: viewers may not ask this question.
     """
 
     name: str

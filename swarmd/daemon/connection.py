@@ -91,7 +91,7 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
-        self._opened = settings  # those of the last session, with the port that it listens on
+        self._opened = settings  # the settings of the last session, with its port
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
         self._watch: InterfaceWatch | None = None  # in profile field

@@ -248,7 +248,7 @@ class Daemon:
         )
 
     def _begin_robot(self, driver: Driver) -> None:
-        """The robot and the sources of its inputs: driver, neighbours and ticks."""
+        """Make the robot, and the sources of its inputs: driver, neighbours and ticks."""
         settings = self._settings
         self._robot = make_robot(
             settings,
@@ -575,10 +575,11 @@ class Daemon:
         # readings back until this call, which saves wake-ups.
         if self._resting_driver is not None and self._is_driver_resting:
             self._resting_driver.read()
-        # 2. The robot. A call between two periods does not repeat an unchanged command.
+        # 2. The robot. A call between two periods does not repeat an unchanged command. Some time
+        # after its last activity, timer and driver rest while the robot is at rest.
         self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
-        is_quiet = self._may_rest and boottime() >= self._active_until
-        self._rest(is_quiet and self._robot.is_at_rest)
+        is_inactive = self._may_rest and boottime() >= self._active_until
+        self._rest(is_inactive and self._robot.is_at_rest)
         self._exchange.on_tick()
         # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
         self._network.advance()
@@ -636,7 +637,7 @@ class Daemon:
         if actions.goals is not None:
             self._goals.store(actions.goals)
         is_stored = actions.latches is None or self._latches.store(actions.latches)
-        self._tools.storage = self._latches.fault
+        self._tools.storage_fault = self._latches.fault
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)

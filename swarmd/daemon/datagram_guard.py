@@ -88,8 +88,8 @@ class DatagramGuard:
             identity.name,
             identity.roster.robots,
             lease,
-            # The number of a question to a peer. The answer repeats it, so that no old answer is
-            # taken for it. 0 means no question.
+            # The number of a question to a peer. The answer repeats the number, so that an old
+            # answer does not count. 0 means no question.
             lambda: secrets.randbits(53) or 1,
             self._written,
         )

@@ -48,18 +48,19 @@ def make_bare_driver(settings: DaemonSettings) -> Driver:
 def make_driver(settings: DaemonSettings) -> Driver:
     """The daemon's driver, not yet connected, with a watchdog process if the base needs one.
 
-    A base with a command timeout stops by itself when commands cease. For a base without one
-    (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed. Raises
-    SwarmError if the driver or its options are wrong, ConfigError if they leave the base without
-    such a stop.
+    A base with a command timeout stops by itself when commands cease. For a base without a command
+    timeout (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed.
+    Raises SwarmError if the driver or its options are wrong, ConfigError if the base would stop in
+    neither way.
     """
     name = settings.driver
     base = base_options(settings.driver_options, f"driver {name}")
     driver = make_bare_driver(settings)  # without a watchdog
     if effective_command_timeout(base, driver) != "none":
         return driver
-    # A base that never stops by itself needs zeros also while its robot is idle. `base_options` has
-    # refused an explicit `none` with idle_output silent: here it is the default of a real robot.
+    # A base that never stops by itself needs zeros also while its robot is idle. An explicit
+    # `none` with idle_output silent was refused by `base_options`. So here the option is absent,
+    # and `none` is the default of a real robot.
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"

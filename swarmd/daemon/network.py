@@ -252,7 +252,7 @@ class Network:
         A claim is won if no other daemon shows the same id for `settings.settle` s. Raises
         NetworkError if the network cannot be opened, IdHeldError if another daemon has the id.
         """
-        # 1. Open the network, and make the datagram protocol.
+        # 1. Open the network.
         settings = self._settings
         self._owner = owner
         if self._identity is not None:
@@ -267,6 +267,8 @@ class Network:
                 on_newer_roster=owner.on_newer_roster,
             )
         await self._connection.open()
+
+        # 2. Make the datagram protocol, which claims the id.
         self._peer = Peer(
             PeerSettings(
                 robot=self._robot,
@@ -285,28 +287,32 @@ class Network:
             admission=None if self._guard is None else self._guard.admission,
             check_goal=self._owner.check_goal,
         )
-
-        # 2. Claim the id. The claim lasts longer while another daemon (a rival) claims the id, too.
-        #    The claim fails if a daemon owns the id already (the holder).
-        warn_at = boottime() + CLAIM_WARNING
-        while not self._peer.owns_id:
-            self.advance()
-            if boottime() > warn_at:
-                warn_at = float("inf")  # warn once
-                _warn_of_claim(self._robot, self._peer.rivals)
-            if holder := self._peer.holder:
-                raise IdHeldError(
-                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
-                    " stop it, or give this one another id"
-                )
-            due_in = self._peer.wake_at() - boottime()
-            await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
+        await self._claim(self._peer)
 
         # 3. Wait for the latches (held emergency stops) of the peers.
         while not self._peer.is_in_sync(boottime()):
             await asyncio.sleep(SYNC_PERIOD)
         self._is_settled = True
         self._serve()
+
+    async def _claim(self, peer: Peer) -> None:
+        """Wait until the id is claimed; IdHeldError if a daemon owns the id already (the holder).
+
+        The claim lasts longer while another daemon (a rival) claims the id, too.
+        """
+        warn_at = boottime() + CLAIM_WARNING
+        while not peer.owns_id:
+            self.advance()
+            if boottime() > warn_at:
+                warn_at = float("inf")  # warn once
+                _warn_of_claim(self._robot, peer.rivals)
+            if holder := peer.holder:
+                raise IdHeldError(
+                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
+                    " stop it, or give this one another id"
+                )
+            due_in = peer.wake_at() - boottime()
+            await asyncio.sleep(max(0.0, min(due_in, MAX_CLAIM_PAUSE)))
 
     def advance(self) -> None:
         """Send the datagrams that are due; the daemon's tick calls this."""
@@ -449,7 +455,7 @@ class Network:
         a swarm without keys. `is_any`: the datagram addresses robots of all swarms, such as a query
         for the names of swarms.
         """
-        effects = peer.on_datagram(
+        actions = peer.on_datagram(
             body,
             source,
             boottime(),
@@ -458,17 +464,17 @@ class Network:
             author=author,
             waited=waited,
         )
-        for stop, sender in effects.stops:
+        for stop, sender in actions.stops:
             # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
             # which an attacker may have replayed, counts as relayed, too.
             hops = stop.hops
-            if effects.is_repeated:
+            if actions.is_repeated:
                 hops = max(hops, 1)
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(replace(stop, hops=hops), sender, answer)
         if self._guard is not None:
-            self._note_flaws(self._guard, body, source, author, effects)
-        self._carry_out(effects, source, author)
+            self._note_flaws(self._guard, body, source, author, actions)
+        self._carry_out(actions, source, author)
 
     def _note_flaws(
         self,
@@ -476,16 +482,16 @@ class Network:
         body: Datagram,
         source: Address,
         author: Author | None,
-        effects: PeerActions,
+        actions: PeerActions,
     ) -> None:
         """In a secured swarm: count the flaws of a datagram, and refuse a replayed stop."""
         now = boottime()
-        if effects.flaw is not None:
-            guard.count(effects.flaw, source, now)
+        if actions.flaw is not None:
+            guard.count(actions.flaw, source, now)
         is_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
-        if effects.flaw is None and is_member and self._carrier is not None:
+        if actions.flaw is None and is_member and self._carrier is not None:
             self._carrier.confirm(source)
-        for stop, sender in effects.replayed:
+        for stop, sender in actions.replayed:
             ack = Ack(
                 id=stop.id, robot=self._robot, instance=self._instance, revision=0, code="refused"
             )
@@ -494,46 +500,46 @@ class Network:
                 self._send(refusal, sender, author)
 
     def _carry_out(
-        self, effects: PeerActions, source: Address | None = None, author: Author | None = None
+        self, actions: PeerActions, source: Address | None = None, author: Author | None = None
     ) -> None:
         """Send the datagrams of the protocol, and hand its results to the daemon.
 
-        `source`, `author`: sender and signer of the datagram that led to `effects`; None if time
+        `source`, `author`: sender and signer of the datagram that led to `actions`; None if time
         has led to them.
         """
         # 1. Datagrams to send. An answer to `source` is signed for `author`.
-        for body, address in effects.sends:
+        for body, address in actions.sends:
             self._send(body, address, author if address == source else None)
         # Robots that only other robots have heard (their member lists have the addresses) get
         # datagrams from now on, too.
         if self._carrier is not None:
-            for address in effects.indirect_addresses:
+            for address in actions.indirect_addresses:
                 self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
-        self._lost += effects.lost
+        self._lost += actions.lost
 
         # 2. Inputs of the robot.
-        if effects.latches:
-            self._owner.on_input(LatchesInput(dict(effects.latches)))
-        for received in effects.goals:
+        if actions.latches:
+            self._owner.on_input(LatchesInput(dict(actions.latches)))
+        for received in actions.goals:
             self._owner.on_input(GoalInput(received.goal, received.age, received.may_join))
-        for lease in effects.leases:
+        for lease in actions.leases:
             self._owner.on_input(LeaseInput(lease.id, lease.count))
-        for _ in range(effects.invalid_goals):
+        for _ in range(actions.invalid_goals):
             self.drops.add("goal:invalid")
-        for message in effects.messages:
+        for message in actions.messages:
             self._take_message(message)
-        for place in effects.places:
+        for place in actions.places:
             self._owner.on_input(PlaceInput(place))
 
         # 3. Clocks, beacons (which show digests of a peer's records), and changes of the members.
-        for sample in effects.clocks:
+        for sample in actions.clocks:
             self._owner.on_clock(sample)
-        if effects.beacon is not None and source is not None:
-            self._owner.on_beacon(effects.beacon, self._connection.local(source))
-        if effects.duplicate:
+        if actions.beacon is not None and source is not None:
+            self._owner.on_beacon(actions.beacon, self._connection.local(source))
+        if actions.duplicate:
             self._is_duplicate = True
-            self._owner.on_input(DuplicateInput(f"instance {effects.duplicate}"))
-        if effects.changed:
+            self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
+        if actions.changed:
             self._owner.on_members()
 
     def _take_message(self, message: Message) -> None:

@@ -193,28 +193,36 @@ class PatternIntake:
 
         # `refusing` counts an exception of the block and hands it to `refuse`.
         with self._drops.refusing("control/push", refuse):
-            # Check the manifest again, since the entry may have waited in the queue.
-            refusal_and_text = self._refusal_of(entry)
-            reply = None
             try:
-                # Delete the files of patterns that are no longer in use.
-                await asyncio.to_thread(self._state.files.prune, self._state.in_use())
-                if refusal_and_text is None:
-                    refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
+                refusal_and_text = await self._write(entry, code)
+                reply: Reply | None = None
                 if refusal_and_text is not None:
                     refusal, text = refusal_and_text
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
+                # No trial: a removal, and code that the robot has and need not run again.
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)  # a known entry needs no new trial
+                    reply = await self._adopt(id, entry)
             finally:
                 self._is_taking = False  # during the trial that may follow, `candidate` is set
             if reply is not None:
                 self._state.control.reply(reply)
-            else:  # the reply follows after the trial
+            else:  # the trial replies at its end
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
+
+    async def _write(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
+        """Check and write the code of an entry; returns the refusal and its text, None if taken.
+
+        The manifest is checked again, since the entry may have waited in the queue. Also deletes
+        the files of patterns that are no longer in use.
+        """
+        refusal_and_text = self._refusal_of(entry)
+        await asyncio.to_thread(self._state.files.prune, self._state.in_use())
+        if refusal_and_text is None:
+            refusal_and_text = await asyncio.to_thread(self._write_checked, entry, code)
+        return refusal_and_text
 
     def _write_checked(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
         """In a thread: check the signature, then write the code; the refusal, None on success."""
@@ -457,7 +465,7 @@ class PatternPull:
         is pulled from `robot` at `address`. An entry with a false signature of an operator of the
         roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
         """
-        known = set(self._state.table)  # checked before: a check takes 4 ms
+        known = set(self._state.table)  # not checked again: to verify a signature takes 4 ms
         operators = self._state.operators()  # public keys by name; None: no keys in this swarm
 
         def check_signatures() -> _CheckedTable:

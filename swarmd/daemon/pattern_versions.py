@@ -2,8 +2,8 @@
 
 `PatternVersions` has the table (all signed manifests of the swarm) and the versions on this robot,
 and writes table and versions to disk. `robot/pushed_pattern.py` has the rules by which a version
-changes its standing (provisional, held, failed). `PushedRuns` chooses the version for a load by the
-pattern host, and counts the seconds of a version's runs.
+changes its standing (provisional, held, returned). `PushedRuns` chooses the version for a load by
+the pattern host, and counts the seconds of a version's runs.
 """
 
 from __future__ import annotations
@@ -104,17 +104,13 @@ CHANGED = "its file was changed or damaged on the disk"
 
 
 class Candidate(Struct, frozen=True):
-    """A version of a pattern whose code is being tried, and the stage of its trial.
+    """A version of a pattern whose code is being tried, and the stage of its trial."""
 
-    `id`: of the request (a push, or a pull from a peer) that the trial answers. First the trial
-    runs. Then, `is_passed`, the version is being written to disk. Then, `is_accepted`, it is there.
-    """
-
-    id: str
+    id: str  # of the request (a push, or a pull from a peer) that the trial answers
     entry: pattern_manifest.Entry
     version: Version
-    is_passed: bool = False
-    is_accepted: bool = False
+    is_passed: bool = False  # the trial has succeeded; the version is being written to disk
+    is_accepted: bool = False  # the version has been written to disk
 
 
 class PatternVersions:
@@ -197,10 +193,11 @@ class PatternVersions:
     async def adopt(
         self, entry: pattern_manifest.Entry, version: Version, is_wanted: Callable[[], bool]
     ) -> str:
-        """As `apply`, but first write the new state to disk.
+        """Write a removal, or a version that passed its trial, to disk; then carry out the change.
 
-        `is_wanted` is called after the write; if it returns False, the write is undone. Only one
-        entry is adopted at a time. Returns the reason if nothing has changed; empty on success.
+        `is_wanted` is called after the write. If `is_wanted` returns False, the write is undone.
+        Only one entry is adopted at a time. Returns the reason if nothing has changed; empty on
+        success.
         """
         assert self._adopting is None
         self._adopting = entry, version
@@ -438,13 +435,13 @@ class PushedRuns:
         candidate = self._state.candidate if is_trial else None
 
         # 1. Each pushed pattern, in the version that this load takes.
-        for name, code in self._state.versions.items():
-            version = code.current
+        for name, pushed in self._state.versions.items():
+            version = pushed.current
             if load.is_restart and not is_trial:
                 version = self._state.pinned.get(name, version)
-            if version is None and code.is_damaged:
+            if version is None and pushed.is_damaged:
                 if name == load.pattern and candidate is None:
-                    raise ChangedCodeError(f"{code.fault}; push it again")
+                    raise ChangedCodeError(f"{pushed.fault}; push it again")
                 # The name means the pushed code: the host must not offer an installed pattern.
                 origins.pop(name, None)
             if version is None:

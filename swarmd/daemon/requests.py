@@ -71,10 +71,12 @@ class SendReply(Protocol):
 class Services:
     """The services of a daemon that answer verbs.
 
-    The table of core/verbs.py names for each verb the field of its service, whose method
-    `on_<verb>` handles the verb. A request changes the robot: `on_<verb>(request, answer)` carries
-    it out. A question does not change the robot: `on_<verb>(question)` returns the answer, or a
-    function that makes the answer in a thread.
+    The table of core/verbs.py names for each verb a field of this class. The method `on_<verb>` of
+    the service in this field handles the verb. A verb is a request or a question:
+
+    - `on_<verb>(request, answer)` carries out a request, which changes the robot.
+    - `on_<verb>(question)` returns the answer to a question, or a function that makes the answer in
+      a thread.
     """
 
     recording: RecordingService
@@ -299,9 +301,12 @@ class RequestServer:
         """Reply to a request that could not be decoded, or whose handler failed; audit it.
 
         `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
-        fields may have wrong types. A request without a readable head, or for other robots, is
-        dropped. The reply to a request without a readable id has the id UNREADABLE. The reply is
-        kept for repeats, unless the id is unreadable, or another request has this id.
+        fields may have wrong types.
+
+        1. A request without a readable head, or for other robots, is dropped.
+        2. The reply to a request without a readable id has the id UNREADABLE.
+        3. The reply is kept for repeats of the request, unless the id is unreadable, has had a
+           reply before, or belongs to another request that waits for its reply.
         """
         # 1. The targets and the id.
         try:
@@ -318,35 +323,35 @@ class RequestServer:
             return
         is_readable = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
         id = str(header.id) if is_readable else UNREADABLE
-        pending = self._pending.get(id) if is_readable else None
-        if pending is not None and pending.query is query:  # the handler of this request failed
+        waiting = self._pending.get(id) if is_readable else None
+        if waiting is not None and waiting.query is query:  # the handler of this request failed
             del self._pending[id]
-            pending = None
+            waiting = None
+        is_id_of_another = waiting is not None
 
-        # 2. The reply.
+        # 2. Make, keep, send and audit the reply.
         operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
-        version = codec.version_of(query.payload)
-        refusal: Refusal | None
-        if version != codec.VERSION:  # then `text` says little: a field may have another form
-            refusal = Refusal.OTHER_VERSION
-            text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
-        else:
-            refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
-            text = f"{verb}: {text}"
-        reply = Reply(
-            id=id,
-            robot=self._robot,
-            code=code,
-            refusal=refusal,
-            text=verbs.shortened(text, MAX_TEXT),
-        )
-
-        # 3. Keep, send and audit the reply.
+        reply = self._refusal(id, verb, codec.version_of(query.payload), code, text)
         is_repeat = is_readable and id in self._replies
-        if is_readable and not is_repeat and pending is None:
+        if is_readable and not is_repeat and not is_id_of_another:
             self._keep(reply)
         with self._drops.refusing("control/reply"):
             query.reply(encode(reply))
         if not is_repeat:
             count = 0 if targets is None else len(names)
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
+
+    def _refusal(self, id: str, verb: str, version: int | None, code: Code, text: str) -> Reply:
+        """The reply to a request that `_refuse` refuses; `version`: of the request's payload."""
+        refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
+        text = f"{verb}: {text}"
+        if version != codec.VERSION:  # the likely cause: a field has another form in that version
+            refusal = Refusal.OTHER_VERSION
+            text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
+        return Reply(
+            id=id,
+            robot=self._robot,
+            code=code,
+            refusal=refusal,
+            text=verbs.shortened(text, MAX_TEXT),
+        )

@@ -73,7 +73,7 @@ class FieldTools:
 
     `instance`: marks this life of the daemon, in hex. `version`: of the package. `keys` returns a
     summary of the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
-    log. `storage`: why a restart would lose latches, as in `Health`; empty without a fault.
+    log. `storage_fault`: why a restart would lose latches, as in `Health`; empty without a fault.
     """
 
     def __init__(
@@ -98,11 +98,12 @@ class FieldTools:
         self._capture = LogCapture(self._ring)
         self._published = 0  # number of the last log record that was published
         self._publish_at = 0.0  # s; the next batch of records is due
-        self._pinged = 0  # index of the robot to ping next
+        self._pinged = 0  # the index of the robot to ping next
         self._measuring = threading.Lock()  # guards the facts, which a thread measures
         self._measured_at = -math.inf  # s; when `_facts` were measured
-        self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]  # from the first question on
-        self.storage = ""  # the fault of the folder of latches; set by the daemon
+        # Measured by `_doctor` at the first question, before any use.
+        self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
+        self.storage_fault = ""  # set by the daemon
         folder = settings.state_dir / settings.network.swarm / settings.id
         self.audit = AuditLog(
             folder, lambda text: hand_over(self._loop, self._on_audit_event, text)
@@ -236,6 +237,6 @@ class FieldTools:
             identity_expires=None if keys is None else float(keys.expires),
             roster=None if keys is None else keys.generation,
             heard=heard,
-            storage=self.storage,
+            storage=self.storage_fault,
             sandbox=self._sandbox(),
         )

@@ -78,8 +78,8 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
     `value`: an element (sequence, parallel, switch, fallback, part), a condition or a map. `keys`:
     its place in the file. `names`: the names of the mission's parts.
     """
-    # 1. Rules of each kind of value. A condition is drawn if a random draw at each step decides on
-    # it: its negation, or a choice between branches, would jump from step to step.
+    # 1. Rules of each kind of value. A *drawn* condition is decided by a random draw at each step.
+    # Its negation, or a choice between branches by it, would change from step to step.
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -112,7 +112,7 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
         case _:
             pass
     # 2. Fields that are only valid inside a certain parent: `when` in a switch, `transitions` in a
-    #    sequence.
+    #    sequence. A RunPart has no children.
     if isinstance(value, Sequence | Parallel | Fallback):
         for index, child in enumerate(value.children):
             if child.when is not None:
@@ -176,10 +176,10 @@ def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
 
 
 def _reached(sequence: Sequence) -> set[int]:
-    """The indices of the steps that the sequence can reach, if each transition can hold.
+    """The indices of the steps that the sequence can reach; each transition is assumed to be met.
 
     A step without an end and without transitions is reported as a fault elsewhere. The step after
-    such a step counts as reached, so that one mistake gives one fault.
+    such a step counts as reached, so that the mistake gives only one fault.
     """
     steps = sequence.children
     indices = {step.label: index for index, step in enumerate(steps)}

@@ -76,10 +76,9 @@ def build_setters(
     """Make a setter for each map of the mission whose two parts are among `parts`.
 
     A map sets a parameter of the target part by the report of a source part. Each value is tried on
-    new parts: one that starts with the value, and one that is changed to the value. A refused value
-    adds a fault to the builder. `opinions`: by voting part, the new value of its parameter
-    `opinions` (the number of opinions) in a change under way; without an entry the present value
-    counts.
+    two new parts: a part that starts with the value, and a part that is changed to the value. A
+    refused value adds a fault to the builder. `opinions`: by voting part, the new number of its
+    opinions if a change of this parameter is under way; without an entry the present number counts.
     """
     setters = []
     for keys, mapping in builder.document.maps:

@@ -2,9 +2,9 @@
 
 A roster is the signed list of a swarm's robots, operators and viewers. A roster and the own name
 give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh drops a message that no rule
-permits, without notice to its sender. A rule applies to a link if its subject equals the common
-name in the certificate at the other end. A session keeps its rules until it is closed: another
-roster needs another session.
+permits, without notice to the sender. A rule has a subject, and applies to a link if the subject
+equals the common name in the certificate at the other end. A session keeps its rules until it is
+closed: another roster needs another session.
 
 Directions are seen from the session that has the rules: `ingress` messages come from the named end
 of the link, `egress` messages go to that end.

@@ -193,8 +193,8 @@ class MemberReport(_Datagram, frozen=True, kw_only=True):
 class MemberList(_Datagram, frozen=True, kw_only=True):
     """A part of a robot's list of the other members; `part` counts from 0 to `parts` - 1.
 
-    `roster`: names that the robot's own settings expect. They begin after the last member, so that
-    a part has members, names, or the last members and the first names.
+    `roster`: names that the robot's own settings expect. The parts have all members first, then
+    all names; one part may have the last members and the first names.
     """
 
     robot: RobotId

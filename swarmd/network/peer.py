@@ -251,9 +251,9 @@ class Peer:
         `source`: the address of the sender. `summary`: this robot's state, latches and goal.
         `is_any`: the datagram is for any swarm. `author`: its signer in a secured swarm, None
         without a valid signature. `waited`: s from arrival until now, for example while the process
-        was frozen. `flaw` is set in the result if the datagram is refused.
+        was frozen. If the datagram is refused, `PeerActions.flaw` says why.
         """
-        effects = PeerActions()
+        actions = PeerActions()
         if isinstance(body, Stop) and waited > 0.0:
             body = replace(body, age=body.age + round(1000.0 * waited))  # ms
 
@@ -262,50 +262,50 @@ class Peer:
         if self._admission is not None and not is_any:
             admitted = self._admit(body, author, now)
             if isinstance(admitted, Flaw):
-                effects.flaw = admitted
-                self._question(body, admitted, source, now, effects)
-                return effects
+                actions.flaw = admitted
+                self._question(body, admitted, source, now, actions)
+                return actions
             body = admitted
 
         # `_claim` is None once this robot owns its id. Datagrams of this robot itself, which
         # other robots may repeat, are ignored.
         match body:
             case Beacon():
-                self._on_beacon(body, source, now, summary, effects)
+                self._on_beacon(body, source, now, summary, actions)
             case Solicit() if is_any:  # of a program that looks for swarms
                 if self._answers.may_answer_scout(now):
-                    effects.sends.append((self._swarm, source))
+                    actions.sends.append((self._swarm, source))
             case Solicit():  # asks for an answer
                 is_robot = author is not None and author.role is Role.ROBOT
-                self._on_solicit(body, source, now, summary, effects, is_robot=is_robot)
+                self._on_solicit(body, source, now, summary, actions, is_robot=is_robot)
             case MemberList():
                 self.membership.on_member_list(body, now)
-                effects.indirect_addresses = self._indirect_addresses(body)
+                actions.indirect_addresses = self._indirect_addresses(body)
             case Stop():
-                self._on_stop(body, source, now, effects)
+                self._on_stop(body, source, now, actions)
             case Ack() if self.membership.knows(body.robot):  # of a stop that this robot relays
-                effects.sends.extend(self._relay.on_ack(body, source, now))
+                actions.sends.extend(self._relay.on_ack(body, source))
             case Latches() if body.instance != self._instance:  # emergency stops that a peer holds
                 self._times.on_latches(body.digest)
                 self._sync.on_latches(body)
-                effects.latches = dict(body.held)
+                actions.latches = dict(body.held)
             case GoalReport() if body.instance != self._instance:
-                self._on_goal(body, now, effects)
+                self._on_goal(body, now, actions)
             case RunLease():
-                effects.leases.append(body)
+                actions.leases.append(body)
             case Message() if body.robot != self.robot:  # of a pattern
-                is_new, effects.lost = self._windows.take(body)  # by the number of the message
+                is_new, actions.lost = self._windows.take(body)  # by the number of the message
                 if is_new:
-                    effects.messages.append(body)
+                    actions.messages.append(body)
             case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
-                effects.sends.append((self._clocks.reply(body, now), source))
+                actions.sends.append((self._clocks.reply(body, now), source))
             case ClockReply():
-                self._on_clock(body, now, effects)
+                self._on_clock(body, now, actions)
             case Place() if body.robot != self.robot and self.membership.knows(body.robot):
                 place = self._places.take(body, now)
                 if place is not None:
-                    effects.places.append(place)
-        return effects
+                    actions.places.append(place)
+        return actions
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
         """True if this robot must now send its ack of the stop to `source`."""
@@ -360,37 +360,37 @@ class Peer:
         Call it at `wake_at`, and at least ten times a second. `summary`: this robot's state,
         latches and goal.
         """
-        effects = PeerActions()
+        actions = PeerActions()
 
         # 1. The claim of the id: `_claim` is None once this robot owns its id.
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
-            self._times.send_now(now)
-            effects.sends.append((self._solicit(now), None))
+            self._times.send_now(now)  # the first beacon of the owner
+            actions.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
             # Solicit at set times of the claim: the answers show the latches (held emergency stops)
             # of the peers before the claim is won.
             self._solicits_at.pop(0)
-            effects.sends.append((self._solicit(now), None))
+            actions.sends.append((self._solicit(now), None))
 
         # 2. Members whose lease (the longest silence of a robot that is alive) has ended.
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
-            self._advance_members(now, effects)
+            self._advance_members(now, actions)
 
         # 3. Beacon, latches and relayed stops, to all (address None). The beacon goes before the
         # latches: peers compare its digest with the digest of their own latches.
         self._times.note_latches(digest_of(summary.latches), now)
-        self._send_beacon_if_due(now, summary, effects)
-        self._send_latches_if_due(now, summary, effects)
+        self._send_beacon_if_due(now, summary, actions)
+        self._send_latches_if_due(now, summary, actions)
         # Not a stop that a later run, goal or reset has overtaken (`_is_overtaken`).
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
-        effects.sends.extend((stop, None) for stop in stops)
+        actions.sends.extend((stop, None) for stop in stops)
 
         # 4. Goals: this robot may join the run of its goal once the goals and latches of all peers
         # are known. Questions for goals are repeated if their answers are overdue.
-        self._join_if_settled(now, summary, effects)
-        effects.sends.extend(
+        self._join_if_settled(now, summary, actions)
+        actions.sends.extend(
             (Solicit(echo=echo, wants_goal=True), address)
             for echo, address in self._goal_sync.repeats(summary.goal, now)
         )
@@ -402,16 +402,16 @@ class Peer:
             if alive:
                 request = self._solicit(now, members=True)
                 _, address = self._random.choice(alive)
-                effects.sends.append((request, address))
-        return effects
+                actions.sends.append((request, address))
+        return actions
 
-    def _advance_members(self, now: float, effects: PeerActions) -> None:
+    def _advance_members(self, now: float, actions: PeerActions) -> None:
         """End leases, solicit silent members, and forget silent duplicates: 1 us a member."""
-        effects.changed = self.membership.advance(now)
+        actions.changed = self.membership.advance(now)
         silent = self.membership.to_probe(now)
         if silent:
             probe = self._solicit(now)
-            effects.sends.extend((probe, address) for address in silent)
+            actions.sends.extend((probe, address) for address in silent)
         for instance, heard in list(self._duplicates.items()):
             if now - heard > self._settings.lease:
                 del self._duplicates[instance]
@@ -436,7 +436,7 @@ class Peer:
         ]
 
     def _on_beacon(
-        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, actions: PeerActions
     ) -> None:
         """Take a beacon: update membership and link, and ask for latches and goals that differ.
 
@@ -447,16 +447,16 @@ class Peer:
         if beacon.instance == self._instance:
             return
         if beacon.robot == self.robot:
-            self._on_own_id(beacon, source, now, summary, effects)
+            self._on_own_id(beacon, source, now, summary, actions)
             return
         self.links.on_beacon(beacon.robot, beacon.instance, beacon.number, now)
         if self.membership.on_beacon(beacon, source, now):
-            effects.changed.append(beacon.robot)
+            actions.changed.append(beacon.robot)
             self._new_peer_at = now  # a run is joined only JOIN_SETTLE later
 
-        # `is_owner`: the sender owns its id, so that its digests count.
+        # The digests of a robot count while it owns its id: after its claim, before its farewell.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
-        effects.beacon = beacon if is_owner else None
+        actions.beacon = beacon if is_owner else None
         # Heard only briefly: such a robot may be invented. Few strangers are asked at once, so that
         # they do not take the place of known peers.
         is_stranger = not self.membership.is_established(beacon.robot)
@@ -464,27 +464,27 @@ class Peer:
         if is_owner and self._sync.wants(
             beacon.instance, digest, own_digest, now, is_stranger=is_stranger
         ):
-            effects.sends.append((self._solicit(now, latches=True), source))
+            actions.sends.append((self._solicit(now, latches=True), source))
         if is_owner and self._claim is None and self.is_in_sync(now):
             goal_digest = beacon.digest(RecordKind.GOAL)
             echo = self._goal_sync.wants(beacon.instance, goal_digest, source, summary.goal, now)
             if echo is not None:
-                effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
+                actions.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
-    def _on_goal(self, report: GoalReport, now: float, effects: PeerActions) -> None:
+    def _on_goal(self, report: GoalReport, now: float, actions: PeerActions) -> None:
         reported = self._goal_sync.on_report(report, now)
         if reported is None:
             return
         is_valid = self._check_goal(reported.goal, now)
         if is_valid:
-            effects.goals.append(reported)
+            actions.goals.append(reported)
             self._is_join_due = True
         elif is_valid is None:  # too many signatures at a time: ask again
             self._goal_sync.retry(report.instance)
         else:
-            effects.invalid_goals += 1
+            actions.invalid_goals += 1
 
-    def _join_if_settled(self, now: float, summary: Summary, effects: PeerActions) -> None:
+    def _join_if_settled(self, now: float, summary: Summary, actions: PeerActions) -> None:
         """Let the robot join the run of its goal once all peers' goals and latches are known."""
         held = summary.goal
         if not self._is_join_due or held is None or self._claim is not None:
@@ -497,41 +497,43 @@ class Peer:
         ):
             return
         self._is_join_due = False
-        effects.goals.append(FoundGoal(held.goal, held.age(now), may_join=True))
+        actions.goals.append(FoundGoal(held.goal, held.age(now), may_join=True))
 
     def _is_overtaken(self, summary: Summary, stop: Stop, issued: float) -> bool:
-        """True if the stop, issued at `issued` s, must not be relayed any more.
+        """True if the stop, issued at `issued` s, must no longer be relayed.
 
-        1. An emergency stop is relayed until it was reset at this robot.
-        2. A stop is not relayed if a goal for all robots, issued later, starts a pattern.
-        3. A stop of all robots is not relayed if this robot's run or reset was requested later.
-        4. A stop of named robots is not relayed if it names this robot, and this robot's run was
-           requested later.
+        An emergency stop: once it was reset at this robot. A stop: if any of these was requested
+        later than the stop, since the stop would end a run that an operator wanted after it:
+
+        1. a goal for all robots that starts a pattern,
+        2. for a stop of all robots: this robot's run, or its last reset,
+        3. for a stop of named robots that names this robot: this robot's run.
         """
         if stop.verb == "estop":
             return stop.id in summary.cleared and stop.id not in summary.latches
         held = summary.goal
-        is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
-        if held is not None and is_run_of_all and held.issued is not None and issued < held.issued:
-            return True
+        if held is not None and held.issued is not None:
+            is_run_of_all = bool(held.goal.pattern) and not held.goal.targets
+            if is_run_of_all and issued < held.issued:
+                return True
         if stop.targets is None:
             return issued < max(summary.wished, summary.reset_at)
         return self.robot in stop.targets and issued < summary.wished
 
     def _on_own_id(
-        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, actions: PeerActions
     ) -> None:
         """Take a beacon of another instance with this robot's id: a rival, or a duplicate."""
         if self._claim is not None:
             self._claim.on_beacon(beacon, now)
         elif beacon.flags & Flag.JOINING:
             if self._answers.may_answer_claimer(now):
-                effects.sends.append((self._beacon(summary), source))
+                actions.sends.append((self._beacon(summary), source))
         elif beacon.flags & Flag.LEFT:
             self._duplicates.pop(beacon.instance, None)
         elif len(self._duplicates) < MAX_DUPLICATES:
             if beacon.instance not in self._duplicates:
-                effects.duplicate = beacon.instance.hex()
+                actions.duplicate = beacon.instance.hex()
             self._duplicates[beacon.instance] = now
 
     def _on_solicit(
@@ -540,7 +542,7 @@ class Peer:
         source: Address,
         now: float,
         summary: Summary,
-        effects: PeerActions,
+        actions: PeerActions,
         *,
         is_robot: bool,
     ) -> None:
@@ -558,7 +560,7 @@ class Peer:
         if self._claim is not None:
             if solicit.robot is not None and is_robot:
                 rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
-                effects.sends.append((rival, source))
+                actions.sends.append((rival, source))
             return
 
         # 2. The beacon. In a secured swarm the asker refuses messages of this instance up to the
@@ -569,33 +571,39 @@ class Peer:
             said=self._message_sequence,
             clock=max(round(1000.0 * now), 0),
         )
-        effects.sends.append((beacon, source))
+        actions.sends.append((beacon, source))
 
         # 3. The lists that the solicit asks for.
         if solicit.wants_members:
-            parts = in_parts(self.membership.reports(now), roster=self._roster)
+            parts = self._member_lists(solicit.echo, now)
             if not self._answers.may_answer(source, len(parts), now):
                 return
-            for number, (members, roster) in enumerate(parts):
-                member_list = MemberList(
-                    robot=self.robot,
-                    instance=self._instance,
-                    members=members,
-                    part=number,
-                    parts=len(parts),
-                    echo=solicit.echo,
-                    roster=roster,
-                )
-                effects.sends.append((member_list, source))
+            actions.sends.extend((part, source) for part in parts)
         if (
             solicit.wants_goal
             and summary.goal is not None
             and self._answers.may_answer(source, 1, now)
         ):
-            effects.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
+            actions.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
         if solicit.wants_latches:
             latch_lists = latch_parts(self.robot, self._instance, summary.latches)
-            effects.sends.extend((latches, source) for latches in latch_lists)
+            actions.sends.extend((latches, source) for latches in latch_lists)
+
+    def _member_lists(self, echo: int, now: float) -> list[MemberList]:
+        """The parts of this robot's member list, which answer the solicit with this echo."""
+        parts = in_parts(self.membership.reports(now), roster=self._roster)
+        return [
+            MemberList(
+                robot=self.robot,
+                instance=self._instance,
+                members=members,
+                part=number,
+                parts=len(parts),
+                echo=echo,
+                roster=roster,
+            )
+            for number, (members, roster) in enumerate(parts)
+        ]
 
     def _admit(self, body: Datagram, author: Author | None, now: float) -> Datagram | Flaw:
         assert self._admission is not None
@@ -605,29 +613,29 @@ class Peer:
         return self._admission.admit(body, author, now, self.membership, is_claiming=is_claiming)
 
     def _question(
-        self, body: Datagram, flaw: Flaw, source: Address, now: float, effects: PeerActions
+        self, body: Datagram, flaw: Flaw, source: Address, now: float, actions: PeerActions
     ) -> None:
         """Ask the sender of an unproven beacon for an answer that shows that it is alive now."""
         if self._admission is not None and flaw is Flaw.UNPROVEN and isinstance(body, Beacon):
             question = self._admission.freshness.question(body, now)
             if question is not None:
-                effects.sends.append((question, source))
+                actions.sends.append((question, source))
 
     def _solicit(self, now: float, *, members: bool = False, latches: bool = False) -> Solicit:
         """A `Solicit`; in a secured swarm the answer proves that its sender is alive now."""
         echo = 0 if self._admission is None else self._admission.freshness.new_echo(now)
         return Solicit(echo=echo, wants_members=members, wants_latches=latches)
 
-    def _on_stop(self, stop: Stop, source: Address, now: float, effects: PeerActions) -> None:
+    def _on_stop(self, stop: Stop, source: Address, now: float, actions: PeerActions) -> None:
         if self._admission is not None:
             taken = self._admission.stops.take(stop, now)
             if taken is None:
-                effects.replayed.append((stop, source))
+                actions.replayed.append((stop, source))
                 return
-            stop, effects.is_repeated = taken.stop, taken.is_repeated
+            stop, actions.is_repeated = taken.stop, taken.is_repeated
         is_member = self.membership.is_address(source)
-        effects.sends.extend(self._relay.on_stop(stop, source, now, is_member=is_member))
-        effects.stops.append((stop, source))
+        actions.sends.extend(self._relay.on_stop(stop, source, now, is_member=is_member))
+        actions.stops.append((stop, source))
 
     def _goal_report(self, held: HeldGoal, echo: int, now: float) -> GoalReport:
         age = held.age(now)
@@ -639,23 +647,23 @@ class Peer:
             age=None if age is None else math.ceil(1000.0 * age),
         )
 
-    def _on_clock(self, reply: ClockReply, now: float, effects: PeerActions) -> None:
+    def _on_clock(self, reply: ClockReply, now: float, actions: PeerActions) -> None:
         sample = self._clocks.sample(reply, now)
         if sample is not None:
             self.links.on_round_trip(reply.robot, max(now - sample.sent, 0.0), now)
-            effects.clocks.append(sample)
+            actions.clocks.append(sample)
 
-    def _send_latches_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
+    def _send_latches_if_due(self, now: float, summary: Summary, actions: PeerActions) -> None:
         if self._claim is None and self._times.latches_are_due(now):
             parts = latch_parts(self.robot, self._instance, summary.latches)
-            effects.sends.extend((latches, None) for latches in parts)
+            actions.sends.extend((latches, None) for latches in parts)
 
-    def _send_beacon_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
+    def _send_beacon_if_due(self, now: float, summary: Summary, actions: PeerActions) -> None:
         content = (summary.state, summary.revision, summary.digests, self._claim is None)
         number = self._times.number_due(content, now, is_claiming=self._claim is not None)
         if number:
             flags = 0 if self._claim is None else Flag.JOINING
-            effects.sends.append((self._beacon(summary, flags, number=number), None))
+            actions.sends.append((self._beacon(summary, flags, number=number), None))
 
     def _beacon(
         self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = "", number: int = 0

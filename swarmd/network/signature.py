@@ -9,10 +9,12 @@
 
 A robot signs answers to an operator or viewer by ANSWER, and all other datagrams by GROUP. An
 operator or viewer signs by NAMED. A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and
-the trailer up to the first tag. `datagram_keys.py` describes the keys. All robots share the key of
-the class "robot". So the tag of this class does not show which robot signed, and `Author` names
-only operators and viewers. The key of the tag for the asker alone is shared by this robot and this
-asker only. This tag, and the proof in an `Ack`, show which robot signed.
+the trailer up to the first tag. `datagram_keys.py` describes the keys.
+
+1. All robots can sign for a class (robots, operators, viewers). So the tag for a class does not
+   show which robot signed, and `Author` names only operators and viewers.
+2. Only one robot and one asker have the key of the tag for the asker alone. So this tag, and the
+   proof in an `Ack`, show which robot signed.
 """
 
 from __future__ import annotations

@@ -68,12 +68,13 @@ class PatternExecutor:
         )
         if isinstance(assembled, _Fault):
             return host_messages.LoadRefused(load.generation, *assembled)
-        # 2. The conditions that end the run. Any error other than a missing sensor is an invalid
-        #    condition; `_guard` gives such an error the code PATTERN_FAILED.
+        # 2. The conditions that end the run. `_guard` has a code of its own for a missing sensor,
+        #    and PATTERN_FAILED for any other error: here such an error is an invalid condition.
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
-            is_other_error = until.refusal is Refusal.PATTERN_FAILED
-            refusal = Refusal.INVALID_CONDITION if is_other_error else until.refusal
+            refusal = until.refusal
+            if refusal is Refusal.PATTERN_FAILED:
+                refusal = Refusal.INVALID_CONDITION
             return host_messages.LoadRefused(load.generation, until.text, refusal)
         # 3. Take the place of the pattern before. The note tells the operator which requested
         #    speeds exceed the limits of the base.

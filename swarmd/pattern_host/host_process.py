@@ -75,11 +75,10 @@ def why_it_ended(code: int) -> str:
 class HostSettings:
     """Settings of every pattern host.
 
-    `printed`: the file descriptor that takes its output. `readable`, `secret`: folders of its
-    sandbox, as in `swarmd.pattern_host.sandbox.confine`.
+    `readable`, `secret`: the folders that its sandbox permits and denies (`sandbox.confine`).
     """
 
-    printed: int
+    printed: int  # the file descriptor that takes the prints of the host
     readable: Sequence[Path] = ()
     secret: Sequence[Path] = ()
 
@@ -207,10 +206,11 @@ def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
 
 
 class TrialProcess:
-    """A trial: one Load in a host of its own, which stays until `end` or `hand_over`.
+    """A trial of new code: a pattern is loaded in a second host, beside the host in use.
 
-    `on_done` is called once with the result, unless `end` comes first. `on_reaped` is called after
-    the process has been waited for.
+    `on_done` is called once with the result, unless `end` comes first. The second host stays after
+    the result: `hand_over` gives it to the runner, which then uses it, or `end` kills it.
+    `on_reaped` is called after the process of the second host has been waited for.
     """
 
     def __init__(

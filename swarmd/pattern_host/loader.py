@@ -200,8 +200,8 @@ def import_file(path: Path, digest: bytes = b"") -> ModuleType:
     """Import the present content of a file as a module.
 
     `digest`: the expected SHA-256 of the file; empty for any content. Raises ChangedCodeError if
-    the SHA-256 differs, PluginError if Python takes the file for no module, and any exception of
-    reading, compiling or executing the file.
+    the SHA-256 differs, PluginError if Python has no way to import such a file, and any exception
+    of reading, compiling or executing the file.
     """
     name = f"swarmd_plugin_{pattern_name(path)}"
     loader = _UncachedLoader(name, str(path), digest)

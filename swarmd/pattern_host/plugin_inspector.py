@@ -266,9 +266,9 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
         is_file = True  # not an entry point of a package
         classes.append(PatternLoader({name: (str(path), is_file)})(name))
 
+    # `_fault_of` returns fields of the line, such as `fault` and `is_hang`; empty without a fault.
     output.send(begin=LOADING)
-    fault = _fault_of(load, path)
-    output.send(result=LOADING, **fault)
+    output.send(result=LOADING, **_fault_of(load, path))
     if not classes:
         return
     (pattern,) = classes
@@ -458,8 +458,8 @@ def _inspect_mission(
 def _other_owner(path: Path, origin: Origin | None) -> str:
     """The file or package of another pattern with the name of the mission `path`; empty if none.
 
-    `origin`: the file or package that has a pattern of this name, and a `rival` that has another
-    one; None without any. One of the two may be the mission itself or a copy of it.
+    `origin`: the known source of a pattern with this name, and as its `rival` a second source;
+    None if there is no source. Either source may be the mission's own file.
     """
     if origin is None:
         return ""

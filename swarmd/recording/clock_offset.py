@@ -1,16 +1,17 @@
 """Estimates offsets between the clocks of robots from exchanges of datagrams. Pure.
 
-A robot notes the times at which it sent a query and received the answer; the answer has the peer's
-time. The peer's clock showed that time between these two moments. So the offset lies within half
-the round trip around the middle (Cristian, Probabilistic clock synchronization, Distributed
-Computing 3, 1989), however unequal the delays of query and answer were. Marzullo's algorithm
-intersects such intervals (Marzullo, Owicki 1983). Of several exchanges in a window of time, the
-exchange with the shortest round trip is kept (the clock filter of NTP, RFC 5905, section 10).
+A robot notes the times at which it sent a query and received the answer. The answer has the peer's
+time, which the peer's clock showed between these two moments. So the offset is known from the
+middle of the round trip, to within half of the round trip, however unequal the delays of query and
+answer were (Cristian, Probabilistic clock synchronization, Distributed Computing 3, 1989).
+Marzullo's algorithm intersects such intervals (Marzullo, Owicki 1983). Of several exchanges in a
+window of time, the exchange with the shortest round trip is kept (the clock filter of NTP, RFC
+5905, section 10).
 
-Since clocks drift, we fit a line through the kept exchanges and bound the error of the line. We
-deviate from NTP, which intersects intervals of many servers at one moment: here all exchanges are
-known afterwards, and the clocks of two robots differ by a line. If an exchange contradicts the
-line, the whole contradiction is added to the bound.
+Since clocks drift, the offset changes with time. We fit a line (offset over time) through the kept
+exchanges of two robots, and bound the error of the line. NTP instead intersects the intervals of
+many servers at one moment; here all exchanges of a run are known afterwards. If an exchange
+contradicts the line, the whole contradiction is added to the bound.
 """
 
 from __future__ import annotations
@@ -71,12 +72,19 @@ class ClockLine:
     def error(self, time: float) -> float:
         """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
 
-        The error is bounded at each exchange of the two clocks. Away from one exchange its bound
-        grows with MAX_DRIFT plus the drift of the line. From two exchanges the bound at `time` is
-        interpolated or extrapolated, since the error is a line in time. The least bound counts.
+        The exchanges of the two clocks bound the error at their times (`bounds`). The least of
+        these bounds at `time` counts:
+
+        1. from each single exchange: its bound, plus MAX_DRIFT and the drift of the line for the
+           time since or until the exchange,
+        2. from each pair of exchanges: the bound on the line through both bounds, since the error
+           is a line in time, too.
         """
+        # 1. One exchange.
         away = np.abs(time - self.times)
         by_one_exchange = self.bounds + (MAX_DRIFT + abs(self.drift)) * away
+        # 2. Two exchanges: `apart` (k, k) is the time between them. A pair at one time gives no
+        # bound: its division by zero gives inf or NaN.
         apart = self.times[None, :] - self.times[:, None]
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.abs(time - self.times[:, None]) / np.abs(apart)

@@ -74,8 +74,8 @@ class Placed:
 def survey(paths: Sequence[Path]) -> Recordings:
     """Read recordings of robots once: time spans, files by clock, and exchanges between clocks.
 
-    Returns also the faults of files, such as a truncated end: their whole messages count.
-    ConfigError if a file is no recording of a robot.
+    Returns also the faults of files, such as a truncated end; the whole messages of a faulty file
+    are used. ConfigError if a file is no recording of a robot.
     """
     sources: dict[tuple[str, str], Source] = {}  # by robot and clock
     exchanges: list[Exchange] = []
@@ -110,8 +110,8 @@ def survey(paths: Sequence[Path]) -> Recordings:
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
         exchanges += _exchanges(recording, source.clock)
-    # 3. Exchanges with the operator's clock, which `record fetch` noted in its folder. Files lie
-    # in that folder, or, as they were fetched, in a folder of their robot there.
+    # 3. Exchanges with the operator's clock, which `record fetch` noted in its folder. The files
+    # lie in this folder, or in a folder of their robot inside it, where `record fetch` put them.
     folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
     for folder in sorted(folders):
         exchanges += read_exchanges(folder / CLOCKS_FILE)
@@ -121,10 +121,10 @@ def survey(paths: Sequence[Path]) -> Recordings:
 
 
 def place(recordings: Recordings, reference: str | None = None) -> list[Placed]:
-    """Align the clock of each source with that of robot `reference`, by default the first source.
+    """Align the clock of each source with the clock of the robot `reference`.
 
-    A source is a robot's files on one clock. The source of the reference is first in the result.
-    ConfigError if no recording is of that robot.
+    A source is a robot's files on one clock. `reference` None: the robot of the first source. The
+    source of the reference is first in the result. ConfigError if no recording is of this robot.
     """
     sources = recordings.sources
     names = [source.robot for source in sources]

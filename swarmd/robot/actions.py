@@ -27,33 +27,27 @@ class FailedCode(Struct, frozen=True):
 class Actions(Struct, frozen=True, eq=False):
     """The work that one event leaves to the shell (daemon or lockstep simulator), in this order.
 
-    1. Hand `twist`, the safe command, to the driver.
+    1. Hand `twist` to the driver.
     2. Write `latches` and `goals` to disk.
     3. Send `trial` and `host` to the pattern host. A trial runs new code in a process of its own
        and leaves the running pattern alone.
-    4. Publish `messages` (by `<pattern>/<channel>`), the status if `has_status`, and `replies`. A
-       reply may answer an earlier request: a run is answered after its pattern has been loaded.
-
-    `requested_scan_seq`: the number of the scan from which the pattern computed its command; -1
-    without a scan. `is_idle`: the state is idle and the base is connected. `is_stopped`: the state
-    is stopped, estopped or faulted. `is_quiet`: there is no work but step 1, and the next deadline
-    is as before. `ended`: state and reason after the end of a run; empty if no run ended. `grip`:
-    True closes the gripper, False opens the gripper, None leaves the gripper alone.
+    4. Publish `messages`, the status if `has_status`, and `replies`. A reply may answer an earlier
+       request: a run is answered after its pattern has been loaded.
     """
 
-    twist: Twist
+    twist: Twist  # the safe command
     decision: Decision
-    requested_scan_seq: int = -1
-    is_idle: bool = False
-    is_stopped: bool = False
-    is_quiet: bool = False
+    requested_scan_seq: int = -1  # of the scan that the pattern's last step used; -1 without
+    is_idle: bool = False  # the state is idle and the base is connected
+    is_stopped: bool = False  # the state is stopped, estopped or faulted
+    is_quiet: bool = False  # there is no work but step 1, and the next deadline is as before
     latches: LatchRecord | None = None
     goals: GoalRecord | None = None
     trial: StartTrial | CancelTrial | None = None
     host: HostCommand | None = None
-    messages: Mapping[str, Value] = {}
+    messages: Mapping[str, Value] = {}  # by `<pattern>/<channel>`
     has_status: bool = False
     replies: tuple[Reply, ...] = ()
     failed_code: FailedCode | None = None
-    ended: str = ""
-    grip: bool | None = None
+    ended: str = ""  # state and reason after the end of a run; empty if no run ended
+    grip: bool | None = None  # True closes the gripper, False opens it, None: no change

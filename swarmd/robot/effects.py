@@ -27,9 +27,9 @@ _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 class Effects:
     """The effects of one event at `now`, gathered until the robot makes `Actions` of them.
 
-    `is_routine`: the event is a tick, a scan or the answer to a step, and has at most changed the
-    requested command, so that the deadlines of the lifecycle need no new check. The fields from
-    `trial` on mean the same as in `Actions`.
+    `is_routine`: the event is a tick, a scan or the answer to a step, and has changed nothing but
+    the requested command: the deadlines of the lifecycle need no new check. The fields from `trial`
+    on mean the same as in `Actions`.
     """
 
     now = cython.declare(cython.double, visibility="readonly")
@@ -52,10 +52,10 @@ class Effects:
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
         """Choose the only command of this event for the pattern host, which runs patterns.
 
-        KillHost and Load decide which pattern the host holds. Of several such commands the newest
-        counts, and a Load after a KillHost asks for a fresh host. SetParams and Step are for the
-        pattern that the host holds now. KillHost and Load remove that pattern, so SetParams and
-        Step replace no earlier command.
+        1. KillHost and Load decide which pattern the host holds: they replace any earlier command.
+           A Load after a KillHost asks for a fresh host.
+        2. SetParams and Step are for the pattern that the host holds now. An earlier KillHost or
+           Load removes this pattern. So SetParams and Step replace no earlier command.
         """
         if isinstance(command, (SetParams, Step)) and self.host is not None:
             return

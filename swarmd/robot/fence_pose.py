@@ -1,9 +1,11 @@
 """Decides which poses in a shared frame the fence of a robot may use, and when the robot is held.
 
-A pose is used once CONFIRMATIONS poses in a row agree by odometry, over at least CONFIRM_TIME. Two
-poses agree if odometry tells the way from one to the other, to within the error bounds of both
-poses and of odometry. A pose that does not agree with the pose in use is a jump: the robot has no
-usable pose until new poses agree with each other, or a pose agrees with the pose in use again.
+1. Two poses agree if the robot has moved from the first to the second by its odometry, to within
+   the error bounds of both poses and of odometry.
+2. A pose is used once CONFIRMATIONS poses in a row agree, over at least CONFIRM_TIME.
+3. A pose that does not agree with the pose in use is a jump: the robot has no usable pose until new
+   poses agree by rule 2, or a pose agrees with the pose in use again.
+
 Pure. Units: m, rad, s on the robot's clock.
 """
 
@@ -32,11 +34,11 @@ _SLACK = 0.02, 0.02  # m and rad that two poses may differ by, beside their erro
 class _Fix(Struct, frozen=True):
     """A measured pose with the odometry at the same time."""
 
-    shared: SharedPose
+    shared: SharedPose  # the measured pose, in the frame of the fence
     odometry: Pose  # in the frame of odometry
-    error: float
-    yaw_error: float
-    at: float
+    error: float  # m, the bound of the error of `shared`
+    yaw_error: float  # rad, the same for the yaw
+    at: float  # s, the time of the pose
     way: float  # m driven since the start of the daemon; the error of odometry grows with it
     turned: float  # rad turned since the start, both senses counted
 
@@ -80,15 +82,16 @@ class FencePose:
         errors: tuple[float, float],
         odometry_at: float,
     ) -> None:
-        """Take in the own pose at the time `at`, with the bounds of its errors in m and rad.
+        """Take in the own pose at the time `at`; use it if it agrees with earlier poses.
 
-        `odometry_at`: when the newest reading of odometry arrived.
+        `errors`: the bounds of the errors of position (m) and yaw (rad). `odometry_at`: when the
+        newest reading of odometry arrived.
         """
         if pose.frame != self._frame:
             self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
             return
-        # 1. The odometry at the time of the pose, in the clock of odometry's stamps. A pose without
-        # odometry, or older than the kept readings, is ignored.
+        # 1. The odometry at the time of the pose: `stamp` is that time on the clock of odometry's
+        # stamps. A pose without odometry, or older than the kept readings, is ignored.
         if not self._readings:
             return
         stamp = self._readings[-1].stamp + at - odometry_at
@@ -99,21 +102,23 @@ class FencePose:
         # too short by the motion during the delay of the pose, and the error of odometry, which is
         # a share of that way, too small by the same share of that motion.
         fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
-        # 2. Compare with the pose in use, else with the poses of a new place.
         if self._used is not None and at - self._used.at > FORGET_TIME:
             self._used = None
+        # 2. The pose agrees with the pose in use, and takes its place.
         if self._used is not None and _agree(self._used, fix):
             self._use(fix)
+        # 3. The pose agrees with the pose before, of a place not in use so far. After enough such
+        # poses this place is used.
         elif self._new is not None and self._newest is not None and _agree(self._newest, fix):
             self._newest, self._agreeing = fix, self._agreeing + 1
             if self._agreeing >= CONFIRMATIONS and at - self._new.at >= CONFIRM_TIME:
                 self._use(fix)
-        else:  # a jump, or the first pose: begin to count anew from this pose
+        # 4. A jump, or the first pose: count the agreeing poses anew from this pose.
+        else:
+            self._fault = "waits until poses agree"
             if self._used is not None:
-                far = _difference(self._used, fix)[0]
-                self._fault = f"the pose jumped by {far:.2f} m; waits until poses agree"
-            else:
-                self._fault = "waits until poses agree"
+                distance, _ = _difference(self._used, fix)
+                self._fault = f"the pose jumped by {distance:.2f} m; {self._fault}"
             self._new = self._newest = fix
             self._agreeing, self._is_used = 0, False
 

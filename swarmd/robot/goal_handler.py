@@ -63,10 +63,11 @@ class GoalHandler:
             self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
-        """True if only the goal of this request, which a peer brought first, has raised the epoch.
+        """True if the epoch has risen only because a peer handed over the goal of this request.
 
-        Such a run or goal request must not be refused as stale. `quoted`: the epoch of the robot
-        that the operator saw and quotes. False if anything else has changed the robot since then.
+        An operator sends a run or goal request, and the goal may reach the robot by a peer before
+        the request. Then the request must not be refused as stale. `quoted`: the epoch of the robot
+        in the request. False if anything else has changed the robot since this epoch.
         """
         known = self._peer_goal  # (goal, epoch before the goal came, revision after that)
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
@@ -131,7 +132,7 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Replace the own goal by `goal`, which is greater; a run and a load for lesser goals end.
+        """Replace the own goal by the greater `goal`; end the run, and a load of a lesser goal.
 
         The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
         None if unknown. `may_join`: a robot that is idle or running may run `goal` without a

@@ -15,9 +15,9 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
 5. The robot joins no goal that was set before its last stop, emergency stop or reset.
 6. A stop or emergency stop of all robots makes a goal without a pattern, greater by 1 generation
    than the held goal, so that no robot joins the held goal later. No such goal is made if the held
-   goal is newer than the stop. If that is not known (the robot got the held goal, without its age,
-   after the stop was issued), the stop stays undecided until a peer reports that age, or a greater
-   goal.
+   goal is newer than the stop. A held goal that came after the stop, from a peer that did not know
+   the age of the goal, may be newer or older. Then the stop stays undecided until a peer reports
+   the age, or a greater goal.
 """
 
 from __future__ import annotations
@@ -245,12 +245,12 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """After a stop of all robots: make a goal without a pattern, next after the held goal.
+        """After a stop of all robots: make a goal without a pattern, above the held goal.
 
         So no robot that joins later runs the held goal. All robots that hold the same goal make the
         same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False
-        if no goal is made: for a repeated stop, for a stop that is older than the held goal, while
-        it is not known which of the two is older, and if no goal can exceed the held goal.
+        if no goal is made: for a repeated stop, for a stop that is older than the held goal or may
+        be older, and if no goal can exceed the held goal.
         """
         if stop in self._stops:
             return False

@@ -37,11 +37,12 @@ _Inputs = cython.declare(object, Inputs)
 class InputAges:
     """The arrival times of inputs, the holds that follow, and the context of decisions.
 
-    `_problem`: why the last scan is not usable, None if it is. Motion is permitted by the peers
-    until `_peers_due`, by the fence until `_fence_due` (then a place or a pose is too old). A
-    hazard holds the robot until `_hazards_until`. `_teller`: the `Peers` object while it knows the
-    place of any peer, else None: its discs are obstacles. `_ring`: the ring of range sensors, None
-    without a ring. `_fence`: the `FencePose`, None without a fence.
+    - `_problem`: why the last scan is not usable; None for a usable scan.
+    - `_peers_due`: from this time on the place of a peer is too old, which holds the robot.
+    - `_fence_due`: from this time on the pose for the fence is too old, which holds the robot.
+    - `_hazards_until`: a hazard holds the robot until this time.
+    - `_teller`: the `Peers` object, whose discs are obstacles; None while no place is known.
+    - `_ring`, `_fence`: the ring of range sensors, the `FencePose`; None without.
     """
 
     odometry = cython.declare(object, visibility="public")

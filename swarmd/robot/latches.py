@@ -26,9 +26,9 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 class Latches:
     """The held latches (emergency stops that hold the robot) by id, and the ids that were reset.
 
-    A peer that missed the reset may still report a latch that was reset here: a latch with the id
-    of a reset latch is not adopted from a peer. But an estop request of an operator latches even
-    with such an id, since a stop is always obeyed.
+    A peer that missed a reset may still report the latch: a latch whose id was reset here is not
+    adopted from a peer. But an estop request of an operator latches even with the id of a reset
+    latch, since a stop is always obeyed.
     """
 
     def __init__(self, record: LatchRecord | None = None) -> None:

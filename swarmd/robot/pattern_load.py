@@ -18,10 +18,11 @@ from swarmd.robot.settings import RobotIdentity
 class Wish(Struct, frozen=True):
     """When and by whom a run was requested. A stop issued before `at` does not end the run.
 
-    A joined goal (run without a request) counts from the time at which the goal was set. The run
-    after a reload counts from the reload request. A restart after a fault keeps the wish of the
-    failed run. The run that a low battery begins keeps the time of the run that it ends: a stop
-    that ends the one ends the other.
+    - A joined goal (run without a request) counts from the time at which the goal was set.
+    - The run after a reload counts from the reload request.
+    - A restart after a fault keeps the wish of the failed run.
+    - A low battery ends a run and begins another run, which keeps the time of the first run: a stop
+      that would have ended the first run ends the second run, too.
     """
 
     at: float
@@ -36,25 +37,21 @@ class Wish(Struct, frozen=True):
 class Loading:
     """A pattern that the host is loading; meanwhile the running pattern gets no steps.
 
-    `seconds`: the longest time of the run; None without a limit. `since`: start of the load, s on
-    the own clock. `request`: answered once the pattern runs; None without a request. `until`:
-    conditions; the first that holds ends the run. `goal`: the goal of the run, None without a goal.
-    `start_at`: the run does not begin before this time, s on the own clock. `loaded`: the host's
-    answer, kept until `start_at`. `is_restart`: a failed pattern is loaded again.
+    Times are in s on the own clock.
     """
 
-    generation: int
+    generation: int  # the number of the load
     pattern: str
     params: Mapping[str, Scalar | None]
-    seconds: float | None
-    since: float
-    request: RunRequest | ReloadRequest | ResumeRequest | None
+    seconds: float | None  # the longest time of the run; None: no limit
+    since: float  # the start of the load
+    request: RunRequest | ReloadRequest | ResumeRequest | None  # answered once the pattern runs
     wish: Wish
-    until: tuple[str, ...] = ()
-    goal: Goal | None = None
-    start_at: float | None = None
-    loaded: Loaded | None = None
-    is_restart: bool = False
+    until: tuple[str, ...] = ()  # conditions; the first that holds ends the run
+    goal: Goal | None = None  # of the run
+    start_at: float | None = None  # the run does not begin before this time
+    loaded: Loaded | None = None  # the host's answer, kept until `start_at`
+    is_restart: bool = False  # a failed pattern is loaded again
 
 
 class PendingParams(NamedTuple):

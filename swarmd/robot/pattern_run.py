@@ -42,16 +42,9 @@ NOTHING_PERMITTED = cython.declare(object, NO_PERMIT)
 @cython.final
 @cython.cclass
 class Running:
-    """The running pattern.
+    """The running pattern, and the command that it requested last."""
 
-    `permit`: what protection may do and allow for this pattern, such as to touch an object.
-    `period`: s between two steps. `expiry`: s for which a requested command is valid (rule 1 of the
-    module). `requested`: the last requested command, None to stand. `requested_at`: the start of
-    the step that returned this command. `scan_seq`: the number of the scan which that step used, -1
-    without a scan. `finish_at`: the end of the run, inf without an end.
-    """
-
-    generation = cython.declare(object, visibility="readonly")
+    generation = cython.declare(object, visibility="readonly")  # the number of the load
     pattern = cython.declare(object, visibility="readonly")
     params = cython.declare(object, visibility="public")
     rate = cython.declare(object, visibility="readonly")
@@ -59,10 +52,14 @@ class Running:
     values = cython.declare(object, visibility="public")
     wish = cython.declare(object, visibility="readonly")
     until = cython.declare(object, visibility="readonly")
+    # What protection may do and allow for this pattern, such as to touch an object.
     permit = cython.declare(object, visibility="public")
-    finish_at = cython.declare(cython.double, visibility="readonly")
-    period = cython.declare(cython.double, visibility="readonly")
+    finish_at = cython.declare(cython.double, visibility="readonly")  # inf: no end
+    period = cython.declare(cython.double, visibility="readonly")  # s between two steps
+    # s for which a requested command is valid (rule 1 of the module).
     expiry = cython.declare(cython.double, visibility="readonly")
+    # The last requested command, None to stand; the start of the step that returned this command;
+    # and the number of the scan that this step used, -1 without a scan.
     requested = cython.declare(object, visibility="readonly")
     requested_at = cython.declare(cython.double, visibility="readonly")
     scan_seq = cython.declare(cython.Py_ssize_t, visibility="readonly")
@@ -97,10 +94,11 @@ class Running:
 class PatternRun:
     """The load and the run of a pattern, the answer awaited from its host, and its faults.
 
-    A generation is the number of a load. `awaiting_since`: the start of the present step; inf while
-    the host is free. `is_due`: a step became due while the host was busy. `is_outdated`: the host
-    may contain replaced code. `stepped_generation`: of the pattern of the last step, whose answer
-    is awaited. `restarts`: the count of all faults since the start of the daemon.
+    - `awaiting_since`: the start of the present step; inf while the host is free.
+    - `stepped_generation`: the generation (number of a load) whose pattern got the last step.
+    - `is_due`: a step became due while the host was busy.
+    - `is_outdated`: the host may contain replaced code.
+    - `restarts`: the count of all faults since the start of the daemon.
     """
 
     running = cython.declare(Running, visibility="public")

@@ -8,7 +8,7 @@ disc (`ToldObstacle`) in addition to the points of the scan.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import chain
 from typing import NamedTuple
 
@@ -56,9 +56,9 @@ class _PeerDisc(NamedTuple):
 class _OwnPose(NamedTuple):
     """The own pose in a shared frame at the time `at` in s.
 
-    A pose is measured up to FASTEST_POSE before it can arrive. `at` lies in the middle, so that it
-    is uncertain by half of FASTEST_POSE, in which the robot moves by at most `shift` m and turns by
-    at most `turn` rad.
+    A pose is measured at most FASTEST_POSE before it arrives. `at` is the middle of this interval:
+    the true time differs from `at` by at most half of FASTEST_POSE. In this half the robot moves by
+    at most `shift` m and turns by at most `turn` rad.
     """
 
     shared: SharedPose
@@ -71,9 +71,10 @@ class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
     Protection assumes that the lidar sees all robots, and that they are not too fast. A finding is
-    a property of a peer that contradicts this, such as a body below the scan plane. All times are
-    in s on the robot's monotonic clock and come with each call. With `tells_pose` the robot sends
-    its pose to its peers always, else only if the lidar of a peer may miss this robot.
+    a property of a peer that contradicts this assumption, such as a body below the scan plane. All
+    times are in s on the robot's monotonic clock and come with each call. With `tells_pose` the
+    robot sends its pose to its peers in any case. Without `tells_pose` the robot sends the pose
+    only if the lidar of a peer may miss this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -122,30 +123,38 @@ class Peers:
             present = [structs.replace(finding, holds=False) for finding in present]
         self._findings = tuple(present)
 
-        # 2. Peers whose measured or reported places are used (`_radii`): the lidar may miss them,
-        #    since their finding is `unseen`, or `unknown` for lack of a height. If the lidar has a
-        #    blind zone around it, any near peer may vanish there: the places of all peers are used.
-        radii = {robot: body.radius for robot, body in bodies.items() if body is not None}
+        # 2. The peers whose places are used.
         missed = {finding.robot for finding in present if finding.kind != "faster"}
-        self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
-        if self._blind_within:
-            # The places of all other peers, which the lidar sees, count inside that zone only.
-            self._seen_beyond = frozenset(radii) - frozenset(self._radii)
-            self._radii = radii
-        for discs in (self._sensed, self._located):
-            for robot in discs.keys() - self._radii.keys():
-                del discs[robot]
+        self._use_places_of(missed)
 
         # 3. A peer whose lidar may miss this robot needs the pose of this robot. `sees` is None if
-        #    a height is unknown: the peer may miss this robot then, too. A finding `unseen` holds
-        #    this robot until the place of the peer is known, a finding `faster` always.
+        #    a height is unknown: the peer may miss this robot then, too.
         reported = [body for body in bodies.values() if body is not None]
         self._is_missed = any(sees(body, self.own) is not True for body in reported)
+
+        # 4. What holds this robot: a finding `unseen` until the place of the peer is known, a
+        #    finding `faster` always.
         holding = [finding for finding in present if finding.holds]
         self._unseen = tuple(finding.robot for finding in holding if finding.kind == "unseen")
         self._holds_always = any(finding.kind == "faster" for finding in holding)
         self._update_places_until()
         return [finding for finding in present if finding not in earlier_findings]
+
+    def _use_places_of(self, missed: Collection[str]) -> None:
+        """Choose the peers whose measured or reported places are obstacles (`_radii`).
+
+        `missed`: the peers that the lidar may miss. In the blind zone around the lidar any near
+        peer may vanish. So with a blind zone the places of all peers are used, and the places of
+        peers that the lidar sees (`_seen_beyond`) only inside the zone.
+        """
+        radii = {robot: body.radius for robot, body in self._bodies.items() if body is not None}
+        self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
+        if self._blind_within:
+            self._seen_beyond = frozenset(radii) - frozenset(self._radii)
+            self._radii = radii
+        for discs in (self._sensed, self._located):
+            for robot in discs.keys() - self._radii.keys():
+                del discs[robot]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
         """Take in the measured range (m) and bearing (rad) of neighbours that the lidar may miss.
@@ -242,13 +251,14 @@ class Peers:
         dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
         if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
             return False
-        # The disc grows by the errors of both places, by the own motion while the time of the own
-        # pose is uncertain (`shift` in m, `turn` in rad), by the arc of the yaw error at the
-        # distance, and by the motion of the peer from an older report until the time of the own
-        # pose. A newer report needs no such growth: the disc counts as old as the own pose, and
-        # protection lets the object move for that whole age.
+        # The disc grows by three errors. 1. The errors of both places, and the own motion `shift`
+        # in m while the time of the own pose is uncertain.
         error = own_pose.shared.error + own_pose.shift + place.error
+        # 2. The arc, at the distance of the peer, of the own yaw error and of the own turn in rad.
         error += (own_pose.shared.yaw_error + own_pose.turn) * math.hypot(dx, dy)
+        # 3. The motion of the peer from an older report until the time of the own pose. A newer
+        # report needs no growth: the disc counts as old as the own pose, and protection lets the
+        # object move for this whole age.
         error += body.surface_speed * max(own_pose.at - reported_at, 0.0)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         disc = _PeerDisc(
@@ -326,8 +336,8 @@ def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> Non
 def _told_within(platform: Platform) -> float:
     """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    It holds for a disc of any age up to TOLD_TIMEOUT, after which a disc is not used. -inf in a
-    protection mode that uses no discs.
+    The distance is valid for a disc of any age up to TOLD_TIMEOUT, after which a disc is not used.
+    -inf in a protection mode that uses no discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:

@@ -3,7 +3,7 @@
 ::
 
     push that passed its trial               -> provisional, current
-    60 s of runs without a fault             -> held
+    60 s of runs without a fault             -> held: kept from now on
     fault while provisional                  -> returned: the version before is current again
     3 ends of the daemon during runs         -> returned: the version before is current again
       while provisional
@@ -39,18 +39,14 @@ class Standing(StrEnum):
 
 
 class Version(Struct, frozen=True, kw_only=True):
-    """A version of a pushed pattern on this robot: manifest, source, and a record of its runs.
-
-    `source`: the operator or robot that sent the version. `ran`: seconds of runs without a fault.
-    `ends`: how often the daemon ended during a run of this version.
-    """
+    """A version of a pushed pattern on this robot: manifest, source, and a record of its runs."""
 
     signed: Signed
     digest: Annotated[bytes, Meta(max_length=32)]
     label: Line
-    source: Line
-    ran: Seconds = 0.0
-    ends: Annotated[int, Meta(ge=0, le=1000)] = 0
+    source: Line  # the operator or robot that sent the version
+    ran: Seconds = 0.0  # s of runs without a fault
+    ends: Annotated[int, Meta(ge=0, le=1000)] = 0  # of the daemon during a run of this version
     is_held: bool = False
 
     @classmethod
@@ -61,21 +57,16 @@ class Version(Struct, frozen=True, kw_only=True):
 
 
 class PushedPattern(Struct, frozen=True, kw_only=True):
-    """The versions of one pattern that operators pushed to one robot.
-
-    `before`: the version to which the robot returns if the provisional `current` fails. `failed`:
-    the version that failed on this robot, in a run or in its trial, with the reason `fault`.
-    `is_running`: a run of the current version has begun and not ended. `is_damaged`: the files of
-    the current version differ from the pushed files; the robot then runs no version until it
-    accepts a new version.
-    """
+    """The versions of one pattern that operators pushed to one robot."""
 
     current: Version | None = None
-    before: Version | None = None
-    failed: Version | None = None
-    fault: Line = ""
-    is_running: bool = False
+    before: Version | None = None  # the robot returns to it if the provisional `current` fails
+    failed: Version | None = None  # failed on this robot, in a run or in its trial
+    fault: Line = ""  # why `failed` failed
+    is_running: bool = False  # a run of the current version has begun and not ended
     is_damaged: bool = False
+    """The files of the current version differ from the pushed files: the robot runs no version
+    until it accepts a new version."""
 
     @property
     def is_provisional(self) -> bool:

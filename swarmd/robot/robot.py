@@ -82,10 +82,10 @@ class Robot(Ticker):
         now: float,
         earlier: EarlierLives = EarlierLives(),  # noqa: B008  # it is frozen
     ) -> None:
-        """`earlier`: counts, latches and goals from the disk, of earlier daemon processes.
+        """Make the robot at rest, with the counts, latches and goals of earlier daemon processes.
 
         `seed`: of the random choices of this robot. `instance`: the id of this daemon process.
-        `now`: s on the own clock.
+        `now`: s on the own clock. `earlier`: the records on disk.
         """
         super().__init__()
         self.id = id

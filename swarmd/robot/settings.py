@@ -17,17 +17,10 @@ from swarmd.robot.latches import LatchRecord
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotSettings:
-    """Settings of a robot beside its platform.
-
-    `layers` returns the configured parameters of a pattern by layer, weakest first. `touch`: by
-    pattern the part of the outline that may touch objects. `accepts`: the platforms beside which
-    the robot may drive although its lidar misses them. `tells_pose`: send the pose in a shared
-    frame to all peers, which compute range and bearing of their neighbors from it. `fence`: the
-    area that the robot does not leave. `on_low_battery`: None: a low battery changes nothing.
-    """
+    """Settings of a robot beside its platform."""
 
     driver: str
-    layers: Callable[[str], Layers]
+    layers: Callable[[str], Layers]  # the configured parameters of a pattern, weakest layer first
     host: str = ""
     profile: str = "dev"
     is_secured: bool = False
@@ -35,10 +28,14 @@ class RobotSettings:
     kernels: str = ""
     labels: tuple[str, ...] = ()
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
+    """By pattern, the part of the outline that may touch objects."""
     accepts: Accepts = ACCEPTS_NONE
+    """The platforms beside which the robot may drive although its lidar misses them."""
     tells_pose: bool = False
-    fence: FenceSettings | None = None
-    on_low_battery: LowBatterySettings | None = None
+    """The robot sends its pose in a shared frame to its peers, which compute its range and bearing
+    from the pose."""
+    fence: FenceSettings | None = None  # of the area that the robot does not leave
+    on_low_battery: LowBatterySettings | None = None  # None: a low battery changes nothing
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -736,6 +736,8 @@ class Lifecycle:
         lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
         if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
             text = f"{own_goal.goal.issuer} was not heard for {own_goal.goal.lease:g} s"
+            # Requests that were issued before this end become stale: their operators do not know
+            # of the end. (Its end by time is part of the request for a run.)
             self.raise_revision(f"the end of the run lease of {own_goal.goal.issuer}")
             self.stop(Reason.LEASE_ENDED, text, effects)
             return None

@@ -2,9 +2,9 @@
 
 FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The same private key also signs TLS
 handshakes (operator) or certificates (authority). So the signed bytes begin with the purpose, and a
-signature of one kind is not valid as a signature of another kind. For each signature (r, s) the
-pair (r, n - s) satisfies the equation, too. Only the pair with the smaller s is accepted: without
-the private key no second signature of the same content can be made.
+signature of one kind is not valid as a signature of another kind. ECDSA accepts with each signature
+(r, s) also (r, n - s), where n is the order of the curve. `verify` accepts only the signature with
+the smaller s: without the private key no second signature of the same content can be made.
 """
 
 from __future__ import annotations

@@ -31,21 +31,19 @@ Secret = Annotated[bytes, Meta(max_length=SECRET_BYTES)]
 class DatagramKeys(Struct, frozen=True, kw_only=True):
     """The keys of a name at one generation of the roster; a key that its role lacks is empty.
 
-    `secret`: the swarm's secret, which only robots have. `robots`, `operators`, `viewers`: the keys
-    of the three classes of receivers. `own`: the key with which an operator or viewer signs.
-    `answer_secret`: a robot's secret, from which it derives the keys that it shares with operators
-    and viewers. `answers`: of an operator or viewer, by robot, the key that it shares with the
-    robot.
+    `robots`, `operators`, `viewers`: the keys of the three classes of receivers.
     """
 
     generation: int
-    secret: Secret = b""
+    secret: Secret = b""  # of the swarm; only robots have it
     robots: Key = b""
     operators: Key = b""
     viewers: Key = b""
-    own: Key = b""
+    own: Key = b""  # with which an operator or viewer signs
     answer_secret: Secret = b""
-    answers: dict[str, Key] = {}
+    """A robot's own secret, from which it derives the keys that it shares with operators and
+    viewers."""
+    answers: dict[str, Key] = {}  # of an operator or viewer: by robot, the key that both share
 
     def of_name(self, name: str) -> bytes:
         """The key with which the operator or viewer `name` signs; only a robot can derive it."""

@@ -1,9 +1,10 @@
 """Takes a roster, or a renewed certificate, into an installed identity.
 
-Rosters and certificates are checked only against the authority's key, so that any robot or operator
+The authority's signature alone makes a roster or certificate valid, so that any robot or operator
 may hand them over. A roster of a smaller generation never replaces a roster of a greater
-generation. A *pair key* is the key that an operator or viewer shares with a robot. It is not on the
-roster: it comes from the authority, in a bundle, or from that robot.
+generation. With a roster come the keys of datagrams. One of these keys has no digest on the roster:
+the *pair key*, which an operator or viewer shares with one robot. A pair key is taken only from a
+bundle, which the authority made, or from the robot that shares the key.
 """
 
 from __future__ import annotations
@@ -84,17 +85,8 @@ def take_roster(
     does not match. Takes about 20 ms and writes to disk.
     """
     # 1. Check the roster.
-    roster = read_roster(shared.roster, identity.info.authority)
-    # The bytes of the present roster if only encoding or signature differ, else the new bytes.
-    signed = same_bytes(shared.roster, identity.signed_roster)
-    if roster.swarm != identity.info.swarm:
-        raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
-    present = identity.roster.generation
-    if roster.generation < present:
-        raise CodecError(f"a roster of generation {roster.generation}; it has generation {present}")
-    if roster.generation == present and signed != identity.signed_roster:
-        raise CodecError(f"another roster of generation {present}: its authority was an older copy")
-    is_newer = roster.generation > present
+    roster, signed = _checked_roster(identity, shared)
+    is_newer = roster.generation > identity.roster.generation
     keys = _keys_of(identity, roster, shared, giver) if is_newer else identity.datagram_keys
     changes = [f"generation {roster.generation} of the roster"]  # for the user
     fault = ""
@@ -180,6 +172,23 @@ def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, byte
     known = {**keys.answers, **answers}
     kept = {n: key for n, key in known.items() if n in roster.robots and len(key) == KEY_BYTES}
     return msgspec.structs.replace(keys, answers=kept)
+
+
+def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, bytes]:
+    """The handed over roster, and its signed bytes; CodecError if it cannot replace the present.
+
+    If only encoding or signature differ from the present roster, the bytes are the present bytes.
+    """
+    roster = read_roster(shared.roster, identity.info.authority)
+    signed = same_bytes(shared.roster, identity.signed_roster)
+    if roster.swarm != identity.info.swarm:
+        raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
+    present = identity.roster.generation
+    if roster.generation < present:
+        raise CodecError(f"a roster of generation {roster.generation}; it has generation {present}")
+    if roster.generation == present and signed != identity.signed_roster:
+        raise CodecError(f"another roster of generation {present}: its authority was an older copy")
+    return roster, signed
 
 
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:

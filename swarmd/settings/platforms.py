@@ -87,7 +87,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
-    - `sweep`: how a rotating sensor turns. None: the sensor measures all rays at once. `measured`:
+    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`:
       the robot measures the sweep while turning; until then each ray counts as old as the oldest.
     """
 

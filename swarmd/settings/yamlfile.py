@@ -49,10 +49,10 @@ def read(path: Path) -> Data:
 def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
     """Read a file, the file that it names by `extends`, and so on.
 
-    Yields (path, content) of each file. A file comes before the file that it extends, whose values
-    its own values replace; the caller merges them. `find(name, folder)` returns the path of a file
-    that a file in `folder` extends. ConfigError if a file extends itself, directly or not, or a
-    missing file.
+    Yields (path, content) of each file, a file before the file that it extends. The caller merges
+    the contents: values of an earlier file replace values of a later file. `find(name, folder)`
+    returns the path of a file that a file in `folder` extends. ConfigError for a missing file, and
+    if a file extends itself, directly or by other files.
     """
     seen: list[Path] = []
     while True:

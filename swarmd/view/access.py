@@ -83,10 +83,12 @@ class Access:
     def allows(self, headers: Headers) -> bool:
         """False for a request that may come from a script of another site.
 
-        A browser runs such scripts, and their requests reach loopback. 1. The origin of such a
-        script differs from the host in the request. 2. By DNS rebinding a site lets its own host
-        name point to loopback, so that origin and host agree: without a token only requests to
-        `localhost`, or to a loopback address, are allowed.
+        A browser runs scripts of all sites, and their requests reach loopback.
+
+        1. Refused is a request whose origin differs from the host in the request.
+        2. By DNS rebinding a site lets its own host name point to loopback, so that origin and host
+           agree. So without a token only requests to `localhost`, or to a loopback address, are
+           allowed.
         """
         try:
             origin, host = headers.get("Origin"), headers.get("Host", "")

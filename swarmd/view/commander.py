@@ -32,10 +32,13 @@ class LiveCommander:
     """Carries out commands of pages, each with an operator and a thread of its own.
 
     `known`: the robots that pages show; a stop of all robots expects a reply of each. `reason`: a
-    text that robots store with each emergency stop and reset. An emergency stop is repeated until
-    all robots have acknowledged it, another emergency stop begins, or `end_estop` is called.
-    Requests that wait for answers delay neither a stop nor the end of the program. A task of `act`
-    that is cancelled, such as when the page closes, sends no further request, except a stop.
+    text that robots store with each emergency stop and reset.
+
+    1. An emergency stop is repeated until all robots have acknowledged it, another emergency stop
+       begins, or `end_estop` is called.
+    2. Requests that wait for answers delay neither a stop nor the end of the program.
+    3. A cancelled task of `act` (such as when the page closes) sends no further request, except a
+       stop.
     """
 
     def __init__(

@@ -93,8 +93,7 @@ class FoxgloveServer:
                 self._add(robot.name)
         # The source gets the scans of selected robots only.
         self._source.select([name for name, channel in self._scans.items() if channel.is_read])
-        _, frame = self._source.frame()
-        # `frame`: rows of robot index, x, y (m), yaw (rad).
+        _, frame = self._source.frame()  # rows of robot index, x, y (m), yaw (rad)
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
         # 2. Transforms. The transform of an absent robot has the stamp of the robot's last message,

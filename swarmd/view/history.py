@@ -162,14 +162,13 @@ def measured(
     """The values of the whole swarm that are plotted at a moment, by name.
 
     `places`: rows (k, 4) of robot index, x, y in m, yaw in rad. `before`: the same, `seconds`
-    earlier. `rows`: by robot the values of its last status. The values, of which those that are
-    unknown are left out:
+    earlier. `rows`: by robot the values of its last status. The values, without unknown values:
 
     - `clusters`: the number of chains of robots, each within `link` m of the next (single linkage);
       left out if `link` is None.
     - `speed`: the mean over robots in m/s, from their places.
-    - `active`: the share of running robots whose command protection changes, or that it steers
-      around or away from obstacles.
+    - `active`: the share of running robots on which protection acts: it changes the command of the
+      pattern, or steers the robot around or away from obstacles.
     - each report and reading, as `report:NAME` or `readings:NAME`: the mean of numbers; of words
       the share of the most frequent word.
     """

@@ -187,9 +187,9 @@ class LiveSource:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
             row["age"] = age
-            # When the state began, on this machine's clock: `status.since` is a duration in s. By
-            # rounding, `at` stays equal from call to call, and the server sends changed rows only
-            # (`age`, which changes, it sends apart from the rows).
+            # When the state began, on this machine's clock: `status.since` is a duration in s. The
+            # server sends only changed rows: `at` is rounded, so that it stays equal from call to
+            # call. The server sends `age`, which changes, apart from the rows.
             row["at"] = round(time.monotonic() - age - status.since)
             row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:

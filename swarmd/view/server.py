@@ -1,11 +1,16 @@
 """Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-To the page, as JSON: `hello` (robots and patterns), `rows` (statuses by robot), `detail` (of a
-selected robot), `boxes`, `links`, `programs`, `playback`, `plots`, `marks` (events), `notice` and
-`overload` (texts), `answer` (to a command) and `estop`. As bytes: frames (poses) and scans
-(`source.pack_frame`). From the page: `ack` (of a frame), `select` (robots), `play`, `seek` and
-`choose` (of a recorded run), `past` (a time to look back at) and `act` (a command). The server
-keeps an emergency stop that not all robots have acknowledged, for pages that open later.
+The messages on the WebSocket:
+
+- to the page, as JSON: `hello` (robots and patterns), `rows` (statuses by robot), `detail` (of a
+  selected robot), `boxes`, `links`, `programs`, `playback`, `plots`, `marks` (events), `notice` and
+  `overload` (texts), `answer` (to a command) and `estop`,
+- to the page, as bytes: frames (poses) and scans (`source.pack_frame`),
+- from the page: `ack` (of a frame), `select` (robots), `play`, `seek` and `choose` (of a recorded
+  run), `past` (a time to look back at) and `act` (a command).
+
+The server remembers an emergency stop that not all robots have acknowledged: a page that opens
+later shows it.
 """
 
 from __future__ import annotations
@@ -384,9 +389,10 @@ def _refusal(id: str, text: str) -> dict[str, Any]:
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
     """A class of WebSocket connections with limits, so that clients cannot fill the memory.
 
-    Each connection adds itself to `waiting`; the server removes it once it has a role (operator or
-    viewer). Beyond MAX_WAITING the oldest waiting connection is aborted. A client that sends
-    requests without reading the answers is aborted, too, once more than MAX_UNREAD bytes wait.
+    Each connection adds itself to `waiting`. The server removes a connection from `waiting` once
+    the connection has a role (operator or viewer). Beyond MAX_WAITING the oldest waiting connection
+    is aborted. A client that sends requests without reading the answers is aborted, too, once more
+    than MAX_UNREAD bytes wait.
     """
 
     class Limited(ServerConnection):

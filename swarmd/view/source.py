@@ -208,11 +208,13 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The values of a status that pages show of a robot, as JSON.
 
-    `why`: the reason in words why the robot does not move. `stands`: see `standing_of`. `lost`: why
-    the base takes no commands; empty if it does. Commands are linear (m/s), angular (rad/s),
-    lateral (m/s). `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest
-    speed towards it that protection permits (m/s). `near` (m, the least gap) and `battery` only if
-    known. `fence`: the corners of its polygons in m, the outer polygon first; missing without one.
+    - `why`: the reason in words why the robot does not move. `stands`: see `standing_of`.
+    - `lost`: why the base takes no commands; empty if the base takes commands.
+    - `requested`, `safe`: commands: linear (m/s), angular (rad/s), lateral (m/s).
+    - `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest speed (m/s)
+      towards the obstacle that protection permits.
+    - `near`: the least gap in m. `battery`: the charge. Both only if known.
+    - `fence`: the corners of the polygons in m, the outer polygon first; only with a fence.
     """
     decision = status.decision
     protection = protection_word_of(decision)

@@ -177,11 +177,11 @@ def test_a_relay_hands_on_the_refusal_and_then_the_newer_origin() -> None:
         id="s", robot="r3", instance=b"123456", revision=0, code="refused", refusal=REPLAYED
     )
     for _ in range(2):
-        ((handed, address),) = relay.on_ack(refused, FAR, 0.4)
+        ((handed, address),) = relay.on_ack(refused, FAR)
         assert isinstance(handed, Ack)
         assert (handed.via, handed.refusal, address) == ("r2", REPLAYED, operator)
     relay.on_stop(replace(first, origin=LAB, counter=1), operator, 0.5)
     (again,) = [one for at in range(10) for one in relay.advance(0.6 + 0.1 * at)][:1]
     assert (again.origin, again.counter, again.id) == (LAB, 1, "s")
     applied = replace(refused, refusal=None, code="applied")
-    assert [address for _, address in relay.on_ack(applied, FAR, 2.0)] == [operator]
+    assert [address for _, address in relay.on_ack(applied, FAR)] == [operator]

@@ -42,7 +42,7 @@ def test_a_repeat_returns_few_acks_of_others_and_in_the_end_all() -> None:
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(targets=None), OPERATOR, 0.0)
     for number in range(2 * MAX_ACKS):
-        relay.on_ack(ack(f"x{number}"), PEER, 0.0)
+        relay.on_ack(ack(f"x{number}"), PEER)
     handed: set[str] = set()
     for repeat in range(1, 40):
         sends = relay.on_stop(stop(targets=None), OPERATOR, repeat * 0.1)
@@ -56,7 +56,7 @@ def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> N
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(targets=None), OPERATOR, 0.0)
     acks = [ack("r2", is_moving=is_moving) for is_moving in (True, True, False, True, False)]
-    sent = [one for number, each in enumerate(acks) for one, _ in relay.on_ack(each, PEER, number)]
+    sent = [one for number, each in enumerate(acks) for one, _ in relay.on_ack(each, PEER)]
     assert [isinstance(one, Ack) and one.is_moving for one in sent] == [True, False]
     repeated = [one for one, _ in relay.on_stop(stop(targets=None), OPERATOR, 9.0)]
     assert [isinstance(one, Ack) and one.is_moving for one in repeated] == [False]
@@ -65,10 +65,10 @@ def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> N
 def test_a_stop_is_handed_on_to_a_robot_that_moved_until_it_says_that_it_rests() -> None:
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(), OPERATOR, 0.0)
-    relay.on_ack(ack("r2", is_moving=True), PEER, 0.1)  # the copies after that are lost
+    relay.on_ack(ack("r2", is_moving=True), PEER)  # the copies after that are lost
     assert len(copies(relay, TRUSTLESS_TIME)) >= 12  # its base rests or it fails by then
     assert 1 <= len(copies(relay, 2 * LAST_INTERVAL, began=3.0)) <= 6
-    relay.on_ack(ack("r2"), PEER, 16.0)
+    relay.on_ack(ack("r2"), PEER)
     copies(relay, 2 * LAST_INTERVAL, began=16.0)
     assert not copies(relay, 2 * LAST_INTERVAL, began=16.0 + 2 * LAST_INTERVAL)
 
@@ -88,7 +88,7 @@ def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
     count = 0
     while under_way:
         name, body, source = under_way.pop()
-        for handed, to in relays[name].on_ack(body, source, 0.1):
+        for handed, to in relays[name].on_ack(body, source):
             count += 1
             assert count < 50
             assert isinstance(handed, Ack)
@@ -103,7 +103,7 @@ def test_a_stranger_does_not_keep_a_robot_from_handing_a_stop_on(attack: str) ->
     relay.on_stop(stop(), OPERATOR, 0.0)
     for _ in range(5):
         if attack == "ack":
-            relay.on_ack(ack("r2"), STRANGER, 0.0)
+            relay.on_ack(ack("r2"), STRANGER)
         elif attack == "age":
             relay.on_stop(stop(age=MAX_MS), STRANGER, 0.0)
         else:

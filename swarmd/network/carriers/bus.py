@@ -151,8 +151,8 @@ class ZenohBus:
             for name in PUBLISHED
         }
         # Asking Zenoh whether a publisher has subscribers takes 50 us. So `_has_subscriber` keeps
-        # the answer. Zenoh calls `_on_viewers` with each name whose answer may have changed, which
-        # adds the name to `_unsure_names`.
+        # the answer. When an answer may have changed, Zenoh calls `_on_viewers`, which adds the
+        # name to `_unsure_names`: Zenoh is asked again for these names.
         self._has_subscriber = dict.fromkeys(self._publishers, False)
         self._unsure_names = set(self._publishers)
         for name, publisher in self._publishers.items():

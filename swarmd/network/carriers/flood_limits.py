@@ -3,7 +3,7 @@
 Urgent datagrams are stops, acks and latches (`URGENT`).
 
 1. Each source has two budgets: one of urgent datagrams, one of all others. So a flood of beacons,
-   even with the forged address of a robot, leaves the robot's budget of stops.
+   even with the forged address of a robot, uses nothing of the robot's budget of stops.
 2. A source that is EXCESS datagrams beyond a budget is blocked for some seconds: the kernel's
    packet filter drops all its datagrams that are not urgent, and passes a random share of its
    urgent datagrams.
@@ -12,8 +12,8 @@ Urgent datagrams are stops, acks and latches (`URGENT`).
    sources that were known before, and of all other sources only a share of the urgent datagrams.
 
 A process that gets little CPU time reads only a part of a flood. So each datagram that is read
-counts with a weight: the ratio of arrived to read datagrams. Callers hand in the time, in s on one
-monotonic clock.
+counts with a weight: the number of arrived datagrams over the number of read datagrams. Callers
+hand in the time, in s on one monotonic clock.
 """
 
 from __future__ import annotations

@@ -83,8 +83,7 @@ class LinkFlood:
 
         Then `is_closed` is True for some time: the caller must let only known hosts connect, and
         open a new session, which ends the connections that wait. `files`: the number of open files.
-        `links` returns the number of links of the session; it is called only if many files are
-        open.
+        `links`, called only if many files are open, returns the number of links of the session.
         """
         self._look_at = now + LOOK_PERIOD
         self.waiting = files - self._files  # so far with the links of the session

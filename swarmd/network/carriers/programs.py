@@ -1,7 +1,7 @@
 """Zenoh programs that take part in a swarm: their liveliness tokens and messages.
 
-A program is a Zenoh session that is no robot, without body and place. It may declare the token
-`swarm/<swarm>/<program>`, and put messages on
+A program is a Zenoh session that is no robot, without body and place. A program may declare the
+token `swarm/<swarm>/<program>`, and put messages on
 `swarm/<swarm>/<program>/message/<pattern>/<channel>`. Zenoh's ring channel keeps the last MAX_TAKEN
 messages of all programs without running Python, and `take` reads them at each tick. So a flood
 costs the daemon a bounded time. In a flood the oldest messages are lost.

@@ -381,25 +381,25 @@ class RobotClient:
         def on_readable() -> None:
             frames = connection.receive()
             if not connection.is_open and not ended.done():
-                loop.remove_reader(file)
+                loop.remove_reader(descriptor)
                 ended.set_result(None)
-            if frames and not self.is_known:
+            if frames and not self.is_known:  # the answer to the hello
                 self.is_known = True
                 del frames[0]
             if frames:
                 self._on_frames(frames)
 
-        file = connection.socket.fileno()
+        descriptor = connection.socket.fileno()
         self._connection, self._read_now = connection, on_readable
         connection.send(HELLO, self._hello)
-        loop.add_reader(file, on_readable)
+        loop.add_reader(descriptor, on_readable)
         try:
             await ended
         finally:
             # `on_readable` has removed the reader only if it saw the end of the connection.
             has_seen_end = ended.done() and not ended.cancelled()
             if not has_seen_end:
-                loop.remove_reader(file)
+                loop.remove_reader(descriptor)
             self._connection = self._read_now = None
             self.is_known = False
             connection.close()

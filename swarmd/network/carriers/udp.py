@@ -139,8 +139,7 @@ class UdpCarrier:
     ) -> None:
         """Open the sockets.
 
-        `tag`: the bytes in the head of a datagram that mark the swarm. A way (`_Way`) is how a
-        datagram came: by unicast, multicast or broadcast.
+        `tag`: the bytes in the head of a datagram that mark the swarm.
         """
         self._clock = clock
         self._tag = tag
@@ -157,34 +156,37 @@ class UdpCarrier:
         self._own4: socket.socket | None = None  # sends by IPv4
         self._own6: socket.socket | None = None  # sends by IPv6
         self._addresses: frozenset[str] = frozenset()  # of the interface
-        self._has_ipv4 = self._is_dev
+        self._has_ipv4 = self._is_dev  # the interface has an IPv4 address
         self._refreshed_at = _NEVER  # when the addresses were last read
 
         # Sending.
         self._seeds = _Seeds(settings.seeds)
-        self._beacons = 0  # sent to all
+        self._beacons = 0  # the count of beacons sent to all
         self._multicast_at = _NEVER  # when a robot was last heard by multicast
         self._ipv6_only_at = _NEVER  # when a robot without an IPv4 address was last heard
-        # Sources of beacons whose signature is not verified so far: they wait for `confirm`.
-        self._unconfirmed: dict[Address, _Way] = {}
+        self.unsent = 0  # the count of datagrams that could not be sent
+        self.recipients = Recipients(self._lease, with_group=self._multicast)
 
-        # Receiving.
+        # Receiving. A way is how a datagram came: by unicast, multicast or broadcast.
+        # By source: the way of a beacon that waits for `confirm`, since its signature is not
+        # verified so far.
+        self._unconfirmed: dict[Address, _Way] = {}
         # By source and payload: when and by which way the first copy of a datagram came.
         self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
         self._detach: Callable[[], None] = lambda: None  # ends the reading, from `attach` on
         self._is_full = False  # the last `receive` has left datagrams in a socket
         self._emptied_at = clock()  # when the sockets were last empty
-        self._limits = FloodLimits()
-        self._rules = self._limits.rules(0.0)  # of the kernel's filters
+        self._limits = FloodLimits()  # the rates of datagrams that are admitted
+        self._rules = self._limits.rules(0.0)  # the present rules of the kernel's packet filters
         self._turns = 0  # calls of `receive`
         self._reads = 0  # datagrams read since `_weigh`
         self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
-        self._lost: dict[socket.socket, int] = {}  # datagrams that the kernel had dropped
-        self.recipients = Recipients(self._lease, with_group=self._multicast)
-        # Beacons go out once a second, every fifth also as a broadcast. A way counts as heard for
-        # the time of two such beacons, in s, so that the loss of a single broadcast does not show.
+        # By socket: the count of datagrams that the kernel had dropped at the last look.
+        self._lost: dict[socket.socket, int] = {}
+        # Beacons go out once a second, and every fifth beacon also as a broadcast. A way counts as
+        # heard for the time between three broadcasts, in s, so that the loss of a single broadcast
+        # does not show.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
-        self.unsent = 0
         try:
             self.port = self._open(port)
         except OSError as error:
@@ -366,8 +368,8 @@ class UdpCarrier:
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
-        of this swarm shows by which way its robot is heard. `_note_robot` notes this way at once.
-        In a secured swarm it does so only after `confirm`: until then the beacon may be forged.
+        of this swarm shows by which way its robot is heard, which `_note_robot` notes: at once, or
+        in a secured swarm after `confirm`, since the beacon may be forged.
         """
         host, port = name[0], name[1]
         self._reads += 1
@@ -381,8 +383,8 @@ class UdpCarrier:
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
-            # Also a second copy shows that its way is heard, so this stands before that check.
-            # A copy comes by multicast, too: to the second IPv6 group, from a robot with IPv4.
+            # Noted before second copies are dropped: a second copy shows its way, too. The way
+            # COPY is multicast: a robot with IPv4 sends to the second IPv6 group.
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)
         if self._is_second_copy(payload, source, way, now):
@@ -676,8 +678,8 @@ def _count_lost(sock: socket.socket) -> int | None:
     """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
     The kernel counts dropped datagrams of a full queue together with datagrams that the packet
-    filter has refused. So the count shows an overload only while the queue is nearly full; None
-    otherwise, and for a kernel without this count.
+    filter has refused. So the count shows an overload only while the queue is nearly full. None
+    while the queue has room, and for a kernel without this count.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))

@@ -64,9 +64,9 @@ class Life(Struct):
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
         """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        1. A beacon with a lower number than the newest beacon counts as delayed, for LATE_TIME from
-           the arrival of the newest. Later such a beacon is taken: a forged high number must not
-           hide the robot.
+        1. A beacon with a lower number than the newest beacon counts as delayed if it comes within
+           LATE_TIME of the newest. Later such a beacon is taken: a forged beacon with a high number
+           must not hide the robot.
         2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) never counts as
            delayed.
         3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
@@ -172,10 +172,14 @@ class Membership:
         """Take a beacon of a robot that owns its id; returns what the beacon has changed.
 
         A *life* is the time from start to end of one daemon, marked by its random `instance`. A
-        *farewell* is the last beacon of a life (Flag.LEFT). `is_answer`: the beacon answers a
-        question that was asked after its sender's farewell. Returns IGNORED for a beacon of this
-        robot, of a robot that still claims its id, of a new robot without room, for the farewell of
-        an unknown life, and for a beacon that `Life.take` refuses.
+        *farewell* is the last beacon of a life (Flag.LEFT). `is_answer`: the robot sent a farewell,
+        was then asked whether it is alive, and answers by this beacon. Returns IGNORED for
+
+        - a beacon of this robot, or of a robot that still claims its id,
+        - the farewell of an unknown life,
+        - a beacon of a new robot, while MAX_MEMBERS robots are known and none may be replaced,
+        - a delayed beacon, or the farewell of a life that has sent beacons after an earlier
+          farewell (`Life.take`).
         """
         name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
         if name == self._own or beacon.flags & Flag.JOINING:

@@ -256,23 +256,26 @@ class Discovery:
     def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
-        These are the robots that are heard here, and those that other robots report as alive. Of
-        the reported robots without an answer at most MAX_INDIRECT_DIALS are included: the robots
-        with the most reporters.
+        1. Robots that are heard here: each living instance, since two daemons may have one id.
+        2. Robots that other robots report as alive, and that have answered.
+        3. Of the other reported robots at most MAX_INDIRECT_DIALS: those with the most reporters.
         """
-        direct: dict[tuple[str, str], Address] = {}  # heard here, or with an answer
-        indirect: dict[tuple[str, str], Address] = {}  # only reported
+        direct: dict[tuple[str, str], Address] = {}  # cases 1 and 2
+        indirect: dict[tuple[str, str], Address] = {}  # case 3
         for robot in self._known_since:
-            heard = self._members.lives(robot)
+            heard = self._members.lives(robot)  # by instance
             if heard:
-                for instance in self.holders(robot) & heard.keys():
-                    direct[robot, instance] = heard[instance].address
-            elif (address := self.address(robot)) is not None:
-                best = most_certain(self._all_reports(robot))
-                is_alive = best is not None and best.presence is Presence.ALIVE
-                if best is not None and is_alive and now - best.at <= INDIRECT_TIME:
-                    group = direct if robot in self._statuses.robots else indirect
-                    group[robot, best.instance] = address
+                for living in self.holders(robot) & heard.keys():
+                    direct[robot, living] = heard[living].address
+                continue
+            address = self.address(robot)  # the reported address
+            report = most_certain(self._all_reports(robot))
+            if address is None or report is None or report.presence is not Presence.ALIVE:
+                continue
+            if now - report.at <= INDIRECT_TIME:
+                has_answered = robot in self._statuses.robots
+                group = direct if has_answered else indirect
+                group[robot, report.instance] = address
         heard_here = self.heard
 
         def count_reporters(robot_and_instance: tuple[str, str]) -> int:

@@ -57,9 +57,10 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
 def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
     """The most certain of the reports on one robot; None without reports.
 
-    1. The newest report that the robot is alive.
-    2. Without such a report: a report on the instance of the newest report. A report that this
-       instance left counts before a report that it failed, then the newest report counts.
+    1. Of reports that the robot is alive, the newest.
+    2. If no report says so: the last instance (life of the daemon) counts, which the newest report
+       names. Of the reports on this instance, the newest report that the instance left; if no
+       report says so, the newest report (that the instance failed).
     """
     on_robot = list(reports)
     alive = [report for report in on_robot if report.presence is Presence.ALIVE]

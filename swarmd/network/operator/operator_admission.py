@@ -4,8 +4,9 @@
 2. An answer is accepted only if the robot itself signed it for this operator.
 3. An ack is accepted only in a datagram that a robot of this roster signed, with a proof for this
    operator by the robot that acks. So another robot can hand an ack on, but cannot make an ack.
-4. An identity that is older than a robot lacks the key that it shares with the robot. Datagrams of
-   that robot are refused until the robot has handed over its key on a link (`roster_follower.py`).
+4. Operator and robot share a key. An identity that was made before the robot was added lacks this
+   key. Datagrams of the robot are then refused until the robot has handed over the key on a link
+   (`roster_follower.py`).
 """
 
 from __future__ import annotations
@@ -72,12 +73,15 @@ class OperatorAdmission:
         return self._trust.signer.sign(payload)
 
     def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
-        """Check a robot's datagram; returns it, or None if it is refused.
+        """Check a robot's datagram; returns the datagram, or None if it is refused.
 
         `payload`: the bytes of the datagram with its signature. `source`: the address of the
-        sender. A member list comes back without robots that the roster lacks. Refused are a
-        datagram with a wrong signature or of another roster, an answer that its robot did not sign
-        for this operator, and a beacon or member list that may be replayed.
+        sender. A member list comes back without robots that the roster lacks. Refused are
+
+        1. a datagram with a wrong signature, or signed with the keys of another roster,
+        2. an ack without a valid proof of the robot that acks,
+        3. a beacon or member list that may be replayed,
+        4. an answer that its robot did not sign for this operator.
         """
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):

@@ -40,9 +40,10 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
 def next_generation(operator: Operator, view: MembersView) -> int:
     """The generation for a new goal: the greatest generation of the goals in `view`, plus 1.
 
-    In a secured swarm robots take an unsigned goal only if it stops robots, up to the generation
-    MAX_UNSIGNED (`GoalCheck`). So a generation above counts only if its goal is signed: a robot
-    that was taken over may show any generation. Raises ConfigError beyond MAX_GENERATION.
+    In a secured swarm a generation above MAX_UNSIGNED counts only if its goal is signed, since a
+    robot that was taken over may show any generation. Up to MAX_UNSIGNED a generation counts
+    without a signature: robots accept such a goal if it only stops robots (`GoalCheck`). Raises
+    ConfigError beyond MAX_GENERATION.
     """
     greatest = view.goal_generation
     if operator.identity is not None and greatest > MAX_UNSIGNED:

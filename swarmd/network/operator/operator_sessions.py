@@ -32,6 +32,9 @@ REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
 Handler = Callable[[str, bytes], object]
 """Takes the robot and the payload of a reply or sample; may raise CodecError."""
 
+_Addresses = dict[tuple[str, str], Address]
+"""The address of each robot, by name and instance (one life of its daemon)."""
+
 
 class OperatorSessions:
     """The sessions to the robots of one swarm; `identity`: of the operator in a secured swarm."""
@@ -101,26 +104,8 @@ class OperatorSessions:
         a further session. Beyond MAX_SESSIONS all sessions are closed and all robots dialled anew.
         Returns the s after which to call again; inf if no robot waits to be dialled.
         """
-        # 1. The robots to dial: new robots, robots with a new address, and robots without answer.
-        with self._arrivals.lock:
-            reachable = discovery.to_dial(now)
-            answered = discovery.answered
-            if only is not None:  # robots without a link: an earlier answer does not count
-                answered = frozenset()
-                reachable = {
-                    (robot, instance): address
-                    for (robot, instance), address in reachable.items()
-                    if robot in only
-                }
-            round_trip = discovery.round_trip
-        redial_after = REDIAL_WAIT + REDIAL_TRIPS * round_trip
-        to_dial: dict[tuple[str, str], Address] = {}
-        for (robot, instance), address in reachable.items():
-            dialled_address, dialled_at = self._dialled.get((robot, instance), (None, 0.0))
-            waits_since = max(dialled_at, discovery.started)
-            lacks_answer = robot not in answered and now - waits_since >= redial_after
-            if dialled_address != address or lacks_answer:
-                to_dial[robot, instance] = address
+        # 1. The robots to dial.
+        reachable, to_dial = self._to_dial(discovery, now, only)
         if not to_dial or not self.needs_links:  # routers link all robots of profile routed
             self._waiting_since = None
             return float("inf")
@@ -172,6 +157,31 @@ class OperatorSessions:
     def question_links(self, name: str) -> QueryLinks:
         """Shows which robots a query `control/<name>` of this operator reaches; to be closed."""
         return QueryLinks(build(self._settings.swarm, ANY, CONTROL, name, self._asker))
+
+    def _to_dial(
+        self, discovery: Discovery, now: float, only: Collection[str] | None
+    ) -> tuple[_Addresses, _Addresses]:
+        """The robots that can be dialled, and of these the robots that must be dialled now.
+
+        Dialled are new robots, robots with a new address, and robots that have not answered for
+        some time. `only`: only these robots, which have no link, so that an earlier answer does not
+        count; None: all robots.
+        """
+        with self._arrivals.lock:
+            reachable = discovery.to_dial(now)
+            answered = discovery.answered
+            redial_after = REDIAL_WAIT + REDIAL_TRIPS * discovery.round_trip
+        if only is not None:
+            answered = frozenset()
+            reachable = {key: address for key, address in reachable.items() if key[0] in only}
+        to_dial: _Addresses = {}
+        for (robot, instance), address in reachable.items():
+            dialled_address, dialled_at = self._dialled.get((robot, instance), (None, 0.0))
+            waits_since = max(dialled_at, discovery.started)
+            lacks_answer = robot not in answered and now - waits_since >= redial_after
+            if dialled_address != address or lacks_answer:
+                to_dial[robot, instance] = address
+        return reachable, to_dial
 
     def get(
         self, robot: str, plane: str, name: str, payload: bytes, timeout: float, handler: Handler

@@ -7,7 +7,7 @@ base has not stopped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 
 from msgspec.structs import replace
 
@@ -73,8 +73,8 @@ class PendingStop:
         Without a known target no such datagram is due, since it would stop nobody. `names`: only
         for these targets; None: all targets.
         """
-        # `age`: of this copy. `repeated`: the age at which the operator itself sent it, now. A
-        # robot that relays the copy raises only `age`.
+        # `age`: s since the stop was issued. `repeated`: the age at which the operator itself sent
+        # the copy. Both are equal here; a robot that relays the copy raises only `age`.
         age_ms = round((now - self._started) * 1000)
         stop = replace(self._stop, age=age_ms, repeated=age_ms)
         lacking = set(self.lacking(now))
@@ -83,18 +83,9 @@ class PendingStop:
         if self._select is None:
             yield stop, self._addresses(lacking)
             return
-        targets: list[str] = []  # of the next datagram
-        for name in sorted(self.selected() if names is None else names):
-            # The datagram is full once its names, with `name`, exceed _MAX_TARGET_BYTES.
-            size = sum(len(target) + _NAME_OVERHEAD for target in (*targets, name))
-            if targets and size > _MAX_TARGET_BYTES:
-                addresses = self._addresses(lacking.intersection(targets))
-                yield replace(stop, targets=tuple(targets)), addresses
-                targets = []
-            targets.append(name)
-        if targets:
+        for targets in _in_datagrams(sorted(self.selected() if names is None else names)):
             addresses = self._addresses(lacking.intersection(targets))
-            yield replace(stop, targets=tuple(targets)), addresses
+            yield replace(stop, targets=targets), addresses
 
     def _addresses(self, names: Collection[str]) -> tuple[Address, ...]:
         addresses = {self._discovery.address(name) for name in names}
@@ -171,3 +162,18 @@ class PendingStop:
         view = self._discovery.result(now)
         left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}
         return self.selected() - (left - view.roster - self._discovery.doubted)
+
+
+def _in_datagrams(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """The names in groups of at most _MAX_TARGET_BYTES, at least one name a group."""
+    group: list[str] = []
+    size = 0  # bytes of `group` in a datagram
+    for name in names:
+        name_size = len(name) + _NAME_OVERHEAD
+        if group and size + name_size > _MAX_TARGET_BYTES:
+            yield tuple(group)
+            group, size = [], 0
+        group.append(name)
+        size += name_size
+    if group:
+        yield tuple(group)

@@ -19,6 +19,38 @@ PROGRESS_PERIOD = 3.0  # s between two reports of robots without an ack
 END_PERIOD = 0.05  # s between two tests of the end
 
 
+class _Progress:
+    """Reports to the user which robots have not stopped, whenever these change."""
+
+    def __init__(self, on_progress: Callable[[tuple[str, ...]], None], now: float) -> None:
+        self._on_progress = on_progress
+        self._timer = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
+        # By `_rest_time` each base rests, or its robot has reported that the base has not stopped.
+        self._rest_time = now + STOP_WAIT
+        self._unstopped: tuple[str, ...] = ()
+        self._is_any_moving = False
+        self._reported: tuple[str, ...] | None = None
+
+    def take(self, pending: PendingStop, now: float) -> None:
+        """Note the robots that have not stopped; with the lock held.
+
+        Before `_rest_time` these are only the robots without an ack, since a base needs time to
+        stop. After it, robots whose last ack says "moving" are added.
+        """
+        lacking = pending.lacking(now)  # without an ack, or the base still moves
+        self._unstopped = lacking if now >= self._rest_time else pending.silent(now)
+        self._is_any_moving = bool(lacking)
+
+    def report(self, now: float) -> None:
+        """Call `on_progress` if the noted robots are new, at most once per PROGRESS_PERIOD."""
+        # The user takes an empty list as the end of the stop: not while a base still moves.
+        is_premature = not self._unstopped and self._is_any_moving
+        is_new = self._unstopped != self._reported
+        if is_new and not is_premature and self._timer.is_due(now):
+            self._reported = self._unstopped
+            self._on_progress(self._unstopped)
+
+
 class StopSender:
     """Sends one stop at a time. `rosters` may take a newer roster meanwhile."""
 
@@ -55,13 +87,9 @@ class StopSender:
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
-        # By `rest_time` each base rests, or its robot has reported that the base has not stopped.
-        # From then on a robot whose last ack says "moving" counts as a robot without an ack.
-        rest_time = now + STOP_WAIT
         solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
-        progress_timer = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
+        progress = _Progress(on_progress, now)
         targets: frozenset[str] = frozenset()
-        reported: tuple[str, ...] | None = None
         try:
             while True:
                 with self._arrivals.lock:
@@ -73,11 +101,10 @@ class StopSender:
                     if is_over or is_ended() or pending.is_done(now):
                         break
 
-                    # 2. The datagrams to send: to all if a repeat is due, else only to robots that
-                    # were just found.
+                    # 2. Send to all targets if a repeat is due, else only to targets that were just
+                    # found.
                     targets_before, targets = targets, pending.selected()
-                    lacking = pending.lacking(now)  # without an ack, or its base still moves
-                    silent = lacking if now >= rest_time else pending.silent(now)  # without an ack
+                    progress.take(pending, now)
                     is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
                     stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:
@@ -88,13 +115,8 @@ class StopSender:
                 # 3. Find more robots, and report progress.
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
-                # All robots may have acked while some bases still move. An empty `silent` is
-                # reported only once all bases rest.
-                is_reportable = bool(silent) or not lacking
-                is_new = silent != reported
-                if until_all and is_new and is_reportable and progress_timer.is_due(now):
-                    reported = silent
-                    on_progress(silent)
+                if until_all:
+                    progress.report(now)
 
                 # 4. Wait for an ack, or until something is due.
                 pause = min(solicit_timer.pause(now), stop_timer.pause(now))

@@ -4,8 +4,8 @@ A goal is the run that an operator has given to a swarm; goals are numbered by g
 
 1. If the beacon of a peer shows another goal, of at least the generation of this robot's goal, this
    robot asks the peer for its goal.
-2. Each question has a random number that the answer repeats. An answer without such a number is
-   dropped, so that an attacker cannot replay an answer with an old goal or a wrong age.
+2. Each question has a random number, which the answer repeats. An answer without the number of a
+   question of this robot is dropped: an attacker cannot replay an answer with an old goal or age.
 3. The time from question to answer is added to the age of the goal.
 4. A robot that does not know the age of its goal asks robots that hold the same goal.
 """

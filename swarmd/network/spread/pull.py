@@ -114,16 +114,17 @@ class Puller:
         """Begin to pull a blob from a peer, in a task of the loop; False if no pull was begun.
 
         No pull is begun while another pull is under way, or beyond PULL_RATE: try again later.
-        `what`, `name`: the kind of blob, such as a table of patterns, and the name of the blob of
-        this kind. `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the
-        digest that the peer states. At the end the loop calls `on_done(blob, reason)`. A blob of
-        None means that the pull failed for this reason.
+        `what`: the kind of blob, such as a table of patterns. `name`: of a blob of this kind.
+        `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the digest
+        that the peer states. At the end the loop calls `on_done(blob, reason)`; `blob` is None if
+        the pull failed, for the reason `reason`.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
 
+        # `refusing` logs and counts an unexpected error of its block; the code goes on after it.
         async def run() -> None:
-            blob, reason = None, FAILED  # of an unexpected error, which `refusing` logs
+            blob, reason = None, FAILED  # the reason of an unexpected error
             with self._drops.refusing(f"shared/{what}"):
                 try:
                     blob = await pull(

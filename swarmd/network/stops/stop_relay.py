@@ -71,6 +71,32 @@ class _Relayed:
     handed_on: set[tuple[str, Address, bytes | None, str, bool]] = field(default_factory=set)
     """Acks that were handed on: robot, receiver, origin of a refusal, code, is_moving."""
 
+    def take_ages(self, copy: Stop, now: float) -> None:
+        """Update `issued` and `repeated` by a copy of the stop that came at `now`.
+
+        Copies that came by several ways have different ages, and the greatest age counts. A forged
+        great age would do harm, since a stop that looks older than the present run does not end
+        this run: later copies move `issued` back by at most MAX_AGE_SHIFT.
+        """
+        issued = now - copy.age / 1000.0
+        self.issued = max(min(self.issued, issued), self.first_issued - MAX_AGE_SHIFT)
+        # The operator has sent no copy after now: `repeated` is at most the present age.
+        repeated = min(copy.repeated / 1000.0, now - self.issued)
+        self.repeated = max(self.repeated, repeated)
+
+    def add_sender(self, source: Address, *, is_operator: bool) -> None:
+        """Note a sender of the stop, which gets acks.
+
+        Only MAX_SOURCES senders are noted. Beyond that the operator takes the place of the sender
+        that came first, and any other sender is left out.
+        """
+        if source in self.sources:
+            return
+        if is_operator and len(self.sources) >= MAX_SOURCES:
+            del self.sources[next(iter(self.sources))]
+        if len(self.sources) < MAX_SOURCES:
+            self.sources[source] = _NEVER  # no ack has gone to this sender
+
 
 class StopRelay:
     """The stops that the robot `own` has heard lately."""
@@ -95,9 +121,9 @@ class StopRelay:
         # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
-        issued = now - stop.age / 1000.0
         if relayed is None:
-            while len(self._stops) >= MAX_STOPS:
+            issued = now - stop.age / 1000.0
+            while len(self._stops) >= MAX_STOPS:  # end the relay of the stop that came first
                 del self._stops[next(iter(self._stops))]
             relayed = self._stops[key] = _Relayed(
                 stop=stop,
@@ -110,16 +136,8 @@ class StopRelay:
                 due=self._moment(now, FIRST_INTERVAL),
             )
 
-        # 2. Update the ages. Copies by several ways have different ages, and the greatest age
-        # counts: the earliest `issued`. An age may be forged: a stop that looks older than the
-        # present run would not end that run. So later copies move `issued` back by at most
-        # MAX_AGE_SHIFT. `repeated` is the greatest age at which the operator itself has sent a
-        # copy, at most the present age of the stop.
-        relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
-        repeated = min(stop.repeated / 1000.0, now - relayed.issued)
-        relayed.repeated = max(relayed.repeated, repeated)
-
-        # 3. Keep the copy with the fewest hops; count copies of other robots.
+        # 2. Keep the ages, and the copy with the fewest hops; count copies of other robots.
+        relayed.take_ages(stop, now)
         is_from_operator = stop.hops == 0
         if stop.hops <= relayed.stop.hops:
             relayed.stop = replace(
@@ -130,13 +148,9 @@ class StopRelay:
         elif is_member:
             relayed.copies += 1
 
-        # 4. Note the sender, which gets acks; the operator takes the place of the oldest sender.
-        if source not in relayed.sources:
-            if is_from_operator and len(relayed.sources) >= MAX_SOURCES:
-                del relayed.sources[next(iter(relayed.sources))]
-            if len(relayed.sources) < MAX_SOURCES:
-                relayed.sources[source] = _NEVER  # no ack has gone to this sender
-        if is_from_operator and source in relayed.sources:  # a repeat: the operator may lack acks
+        # 3. Note the sender. The operator gets acks again: it repeats the stop as it may lack some.
+        relayed.add_sender(source, is_operator=is_from_operator)
+        if is_from_operator and source in relayed.sources:
             return self._acks_again(relayed, source, now)
         return []
 
@@ -165,32 +179,35 @@ class StopRelay:
         relayed.sources[source] = now
         return True
 
-    def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
-        """Take another robot's ack of a relayed stop; returns copies of it to hand on.
+    def on_ack(self, ack: Ack, source: Address) -> list[Send]:
+        """Take another robot's ack of a relayed stop; returns copies of the ack to hand on.
 
-        The receivers are the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. Each ack is handed on to each receiver once. The exception is an
-        ack that refuses the stop as replayed and comes from the refusing robot itself: it is handed
-        on whenever it comes. A stop with many targets is relayed in parts, all with one id. An ack
-        that the base rests is not replaced by an ack that the base moves.
+        The copies go to the senders of the stop, except `source`, the sender of this ack. A copy
+        names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
+        each part has its own senders.
+
+        1. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
+           handed on whenever it comes.
+        2. Such an ack by way of a third robot could travel in circles: each sender gets it once for
+           each origin of the stop. The operator repeats a refused stop with a new origin.
+        3. Each sender gets any other ack once. The last ack of each robot is kept to be sent again,
+           but an ack that the base moves does not replace an ack that the base rests.
         """
-        parts = [part for (stop_id, _, _), part in self._stops.items() if stop_id == ack.id]
+        if ack.robot == self._own:
+            return []
+        handed = replace(ack, via=self._own)
+        is_refusal = ack.refusal == REPLAYED
         sends: list[Send] = []
-        for relayed in parts:
-            if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
+        for (stop_id, _, _), relayed in self._stops.items():
+            if stop_id != ack.id or len(relayed.acks) >= MAX_ACKS:
                 continue
-            handed = replace(ack, via=self._own)
             receivers = [address for address in relayed.sources if address != source]
-            origin: bytes | None = None  # only of a refusal as replayed: it counts for this origin
-            if ack.refusal == REPLAYED:  # the operator then sends the stop with a new origin
-                # A refusal that comes from the robot itself is always handed on. A refusal by way
-                # of a third robot could travel in circles: it is handed on once for each origin.
-                origin = relayed.stop.origin
-                if not ack.via:
-                    sends += [(handed, address) for address in receivers]
-                    continue
-            elif not ack.is_moving or ack.robot not in relayed.acks:
+            if is_refusal and not ack.via:
+                sends += [(handed, address) for address in receivers]
+                continue
+            if not is_refusal and (not ack.is_moving or ack.robot not in relayed.acks):
                 relayed.acks[ack.robot] = ack
+            origin = relayed.stop.origin if is_refusal else None
             for address in receivers:
                 key = ack.robot, address, origin, ack.code, ack.is_moving
                 if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
