@@ -244,8 +244,9 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    With a rehearsal, a run is sent only if no stop came while the rehearsal lasted: neither a stop
-    by this server, nor one by anybody else that a status of a robot shows.
+    A rehearsal simulates a run before the run is sent (`Rehearsal`). The run is then sent only if
+    no stop was requested during the rehearsal: no stop by this server, and no stop by another
+    operator that the epoch of a robot shows.
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
