@@ -136,8 +136,8 @@ def run(setting: _Setting) -> Agreement:
     """Simulate point robots on a tiled floor until they agree, and return the opinion and the time.
 
     Half of the points begin with each opinion, at random places of the room. The seed also draws
-    the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time is
-    that of the first of these samples. Without agreement within SECONDS: (None, inf).
+    the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time of
+    the first of these samples is returned. Without agreement within SECONDS: (None, inf).
     """
     rng = np.random.default_rng(setting.seed)
     half_side = 0.5 * SIDE - 0.2

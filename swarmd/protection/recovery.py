@@ -211,10 +211,10 @@ class Recovery:
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time.
 
-        The time is _TURN_BLOCKED_TIME for a request that only turns. Otherwise it is `patience` s
-        before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage the longer of
-        `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as blocked only
-        while it hardly moves.
+        The time is _TURN_BLOCKED_TIME for a request that only turns. For any other request the time
+        is `patience` s before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage
+        the longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
+        blocked only while it hardly moves.
         """
         request = self._request
         is_moving = self._is_moving(request)
@@ -240,10 +240,11 @@ class Recovery:
         return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
-        """True if the robot has neither moved nor turned for `_STALL_TIME` s, by odometry.
+        """True if the robot makes no progress near obstacles, although it may move.
 
-        Such a robot rocks to and fro, or avoidance reduces its request to nearly zero. A robot
-        without any return near is not blocked.
+        By odometry the robot has stayed near one place and heading for more than `_STALL_TIME` s:
+        it rocks to and fro, or avoidance reduces its request to nearly zero. False without a return
+        near the robot, and without odometry.
         """
         if context.odometry is None:
             return False

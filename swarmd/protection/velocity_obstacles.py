@@ -70,7 +70,7 @@ def line_of(
         vx, vy: the velocity of the robot relative to the place in m/s.
         robot_vx, robot_vy: the velocity of the robot in m/s.
         radius: m, the distance to keep.
-        share: the share of the necessary change of velocity that this robot makes.
+        share: the part of the necessary change of velocity that this robot makes, 0 to 1.
         horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
@@ -156,7 +156,8 @@ def track_lines(
         lead: m.
         robot_vx, robot_vy: m/s, the velocity of the robot.
         radius: m, of the robot alone.
-        share: the share of the change of velocity that the robot makes for an object that moves.
+        share: the part of the necessary change of velocity that this robot makes for an object that
+            moves; the object is expected to make the rest.
         standing_speed: m/s; a slower object counts as standing.
         horizon: s.
     """
