@@ -209,10 +209,10 @@ class SimulatedDriver:
                     sink.dropped(f"hw/{name}:overtaken")
                 newest[name] = payload
         last_read, self._last_read = self._last_read, monotonic()
-        waited: float | None = 0.0
+        waited: float | None = 0.0  # s for which the newest odometry has waited in the socket
         if take_late is not None:
-            # The link knows how long the last frame has waited, and of no earlier frame. None: the
-            # stamp gives the age (`_age`).
+            # The link knows the wait of the last frame of a read only. None: the wait follows from
+            # the stamp (`_age`).
             is_last = frames[-1].name == _ODOMETRY
             waited = self._link.age if is_last and self._link is not None else None
         batch = _Batch(take_late, waited, last_read)

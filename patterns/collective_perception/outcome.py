@@ -146,8 +146,8 @@ def run(setting: _Setting) -> Agreement:
     platform, scan_numbers = load_platform("burger"), count()
     ground = FloorField(name="ground", patches=(tiles(setting.share, setting.seed),))
 
-    def see(row: int, now: Array) -> Scan:
-        pose = Pose(*now[row].tolist())
+    def see(row: int, present_poses: Array) -> Scan:
+        pose = Pose(*present_poses[row].tolist())
         return scan_of(platform, room=SIDE, pose=pose, seq=next(scan_numbers))
 
     def sense(now: float, row: int, poses: Array) -> Mapping[str, float]:

@@ -1,9 +1,9 @@
 """`swarmctl mcp`: the verbs of swarmctl as tools of the Model Context Protocol, for agents.
 
-An agent is a program in which a language model chooses the next call. It starts `swarmctl mcp`, and
-speaks with it by standard input and output. Every agent may look at robots and simulate. It may
-command robots only by the verbs that a person allowed on the command line. Robots protect
-themselves from commands of an agent as from all others.
+An agent is a program in which a language model chooses the next call. The agent starts
+`swarmctl mcp`, and speaks with this process by standard input and output. Every agent may look at
+robots and simulate. An agent may command robots only by the verbs that a person allowed on the
+command line. Robots protect themselves from commands of an agent as from all other commands.
 """
 
 from __future__ import annotations

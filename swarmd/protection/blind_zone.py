@@ -680,7 +680,9 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        # 1. rad by which a hidden obstacle may have moved around the sensor between two scans.
+        # 1. rad by which a hidden obstacle may have moved around the sensor between two scans. A
+        # return that reappears within `sideways_shift` of an obstacle proves that the obstacle has
+        # reappeared; a return within `farthest_shift` makes the obstacle doubtful.
         farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
         sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
         is_robot_near: cython.bint = (
@@ -724,7 +726,9 @@ class BlindZoneMemory:
             self._age_by_ray[ray] = min(self._age_by_ray[ray], self._age[k])
             self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
             self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
-            if angle_off <= _PI / ray_count:  # whole rays would lose a slow turn
+            # Less than half a ray off: the bearing stays exact, since rounding to whole rays would
+            # lose a slow turn of the robot.
+            if angle_off <= _PI / ray_count:
                 self._exact_bearing[ray] = self._hidden_bearing[k]
         return 0
 
@@ -782,10 +786,12 @@ class BlindZoneMemory:
         fits:
 
         1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: they fill the
-           sector, doubtful, but no nearer than the corner of rule 2 where no other obstacle hides.
-        2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
-           Its age there: 0 where a robot has room; else at most doubtful while an obstacle crosses
-           the rim; else older by `seconds`.
+           sector. Each ray without a younger obstacle becomes doubtful. Each ray at which no other
+           obstacle is hidden gets the distance of the corner (rule 2 of the module).
+        2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector, at
+           its least distance. Its age becomes 0 in a sector with room for a robot. In a narrower
+           sector the age is at most that of a doubtful obstacle while an obstacle crosses the rim,
+           and grows by `seconds` otherwise.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         4. Else the rays stay as they are.
         """
