@@ -62,8 +62,10 @@ def line_of(
 ) -> Line:
     """The border of the velocities that keep `radius` m away from a place for `horizon` s.
 
-    ORCA (see the module): the velocity obstacle is a cone with a round cap. The line touches the
-    obstacle where the obstacle is nearest to the present velocity.
+    ORCA (see the module). The velocities relative to the place that lead nearer than `radius` m
+    within `horizon` s are the velocity obstacle: a cone from the origin around the direction of the
+    place, with a round cap in place of the tip (of radius / horizon, around the place / horizon).
+    The line is the tangent of the velocity obstacle at the point nearest to the present velocity.
 
     Args:
         px, py: the place in m, relative to the robot.
@@ -169,10 +171,10 @@ def track_lines(
         vy: cython.double = track.vy
         track_radius: cython.double = track.radius
         part: cython.double = 1.0 if hypot(vx, vy) < standing_speed else share
-        to_vx: cython.double = robot_vx - vx  # relative to the track
+        to_vx: cython.double = robot_vx - vx  # the velocity of the robot relative to the track
         to_vy: cython.double = robot_vy - vy
-        gap: cython.double = radius + track_radius  # m, to keep between the two centres
-        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, gap, part, horizon))
+        away: cython.double = radius + track_radius  # m to keep between the centres of both
+        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, away, part, horizon))
     return lines
 
 
