@@ -578,7 +578,7 @@ class DriverCheck:
         """The findings of a check whose hub answers."""
         # 1. The hub and the topics. A topic gets a finding if the robot needs the topic, if a
         # message has come, or if the user has named the topic in an option: imu, battery, or an
-        # entry of an option such as `readings` (`goes_stale`: only entries read the topic). Each
+        # entry of an option of topic_entries.py (`goes_stale`: only entries read the topic). Each
         # further entry with the same topic gets the same finding under the name of the entry.
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")

@@ -88,11 +88,7 @@ class RosDriver:
         zero_sender: ZeroSenderSpec,
         robot: str,
     ) -> None:
-        """Prepare the decoders and topics; connect nothing yet.
-
-        `name`: of the driver. `scheme`: of the middleware. `zero_sender`: how the watchdog sends
-        zeros. `robot`: the id of the robot.
-        """
+        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot."""
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
@@ -360,7 +356,7 @@ class RosDriver:
         # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
         # announcements of other topics cannot fill the table before them.
         now = asyncio.get_running_loop().time()
-        self._foreign_ends = None  # the next reader merges the endpoints anew
+        self._foreign_ends = None  # merge anew
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))

@@ -158,9 +158,9 @@ class Creeping:
     def allow(self, placed: PlacedPoints) -> cython.int:
         """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
 
-        The cap is CREEP_SPEED. It is less if the obstacle at one of the `placed` points is so near
-        that it could touch the robot before the next scan: the robot may use half of the gap beyond
-        contact until then, since the obstacle may use the other half.
+        The cap is CREEP_SPEED, or less if a `placed` point is so near that its obstacle could touch
+        the robot before the next scan: the robot may use half of the gap beyond contact until then,
+        since the obstacle may use the other half.
         """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED
