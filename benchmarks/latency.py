@@ -84,10 +84,10 @@ def between(start: Times, end: Times, span: Sequence[int]) -> tuple[list[float],
 
 
 def run_for(swarm: Swarm, pattern: str, seconds: float) -> tuple[tuple[int, int], list[float]]:
-    """Run a pattern for `seconds`; the span in ns without the first second, and a yardstick.
+    """Run a pattern for `seconds`; the span in ns without the first second, and wake-up delays.
 
-    The yardstick is the lateness in s of each wake-up of this process, which sleeps at 100 Hz and
-    does nothing else: the lateness of the machine itself.
+    The delays in s by which this process, which only sleeps, wakes up late at 100 Hz: how late the
+    machine itself is.
     """
     swarm.run(pattern)
     time.sleep(1.0)

@@ -1,7 +1,8 @@
 """Steps of agents per second of processor time in the environment: `python -m benchmarks.learning`.
 
-Random actions in one process. The work of a step is that of an experiment (noisy lidars of 360
-rays, odometry, protection), and observations and the reward. Each sample is 2 s of simulation.
+Random actions in one process. A step does the work of a step of an experiment (noisy lidars of 360
+rays, odometry, protection), and computes observations and the reward. Each sample is 2 s of
+simulation.
 
 `--vmas PYTHON` measures VMAS in the same run, by an interpreter that has vmas and torch.
 """

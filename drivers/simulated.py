@@ -190,10 +190,10 @@ class SimulatedDriver:
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
         """Take all messages of patterns in order, and of each sensor the newest frame only.
 
-        `frames`: all that one read of the socket gave, in order; a name is a kind of input. After a
-        call of `rest` with a `take_late` (the robot stands), odometry does not wake the daemon, and
-        waits in the socket for the next scan. Then `take_late` gets the newest odometry with its
-        age, and older odometry is not counted as dropped.
+        `frames`: all that one read of the socket gave, in order; a name is a kind of input. While
+        the robot stands (`rest` was called with a `take_late`), odometry does not wake the daemon
+        but waits in the socket for the next scan. `take_late` then gets the newest odometry with
+        its age. Older odometry is expected, and not counted as dropped.
         """
         newest: dict[str, bytes] = {}
         take_late = self._take_late
@@ -209,9 +209,10 @@ class SimulatedDriver:
                     sink.dropped(f"hw/{name}:overtaken")
                 newest[name] = payload
         last_read, self._last_read = self._last_read, monotonic()
-        waited: float | None = 0.0
+        waited: float | None = 0.0  # s for which the newest odometry has waited in the socket
         if take_late is not None:
-            # The link knows the age of the last frame alone; None: the stamp gives the age.
+            # The link knows the wait of the last frame of a read only. None: the wait follows from
+            # the stamp (`_age`).
             is_last = frames[-1].name == _ODOMETRY
             waited = self._link.age if is_last and self._link is not None else None
         batch = _Batch(take_late, waited, last_read)
@@ -246,8 +247,8 @@ class SimulatedDriver:
     def _age(self, stamp: float, batch: _Batch) -> float:
         """Seconds since a reading of odometry arrived.
 
-        The arrival of a reading that came before a scan (`waited` None) is not measured. The
-        reading is assumed to have come as long after its stamp (`_lag`) as the reading before.
+        The arrival of a reading that came before a scan (`waited` None) is not measured. The time
+        from its stamp to its arrival is then assumed to be that of the reading before (`_lag`).
         """
         now, waited = self._last_read, batch.waited
         arrival = stamp + self._lag if waited is None else now - waited

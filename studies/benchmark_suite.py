@@ -1,8 +1,9 @@
 """The page of the benchmark suite: `python -m studies.benchmark_suite RESULTS...`.
 
 Writes the table of docs/benchmark_suite.md from documents of `swarmctl exp bench -o json` and from
-CSV files as of `--with`; several may hold other seeds of the same pattern. Writes the picture of
-the tasks and the schema of their files, too. `make bench-suite` runs it.
+CSV files in the form of its option `--with`. Several files may have different seeds of one pattern.
+Writes the picture of the tasks and the schema of their files, too. `make bench-suite` runs this
+program.
 """
 
 from __future__ import annotations

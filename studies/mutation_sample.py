@@ -1,8 +1,8 @@
 """A seeded sample of the mutants: `python -m studies.mutation_sample START END`, after a run.
 
-Prints the names of the drawn mutants START to END, for `make mutants`. About half of the draw is
-of protection, a third of robot and the rest of the ROS conversion. Its order is random too, so
-that any first part of it is a fair sample.
+Prints the names of the drawn mutants START to END, for `make mutants`. About half of the drawn
+mutants are of protection, a third of robot, and the rest of the ROS conversion. The order is
+random, too, so that the first mutants are a fair sample.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Experiment 2 of Kaiser et al., ICRA 2022: `python -m studies.paper exp2 [OUT]`.
 
-Seven Waffle Pis agree on a distance and disperse to it: in the paper's arena, in one 1.4 times as
-long and wide, and with an eighth robot that joins late. Writes the table and the figures of
-docs/paper.md, section "Experiment 2", to OUT. Runs that OUT already holds are not repeated; with
-`--draw`, nothing is run.
+Seven Waffle Pis agree on a distance and disperse to this distance: in the paper's arena, in an
+arena 1.4 times as long and wide, and with an eighth robot that joins late. Writes the table and the
+figures of docs/paper.md, section "Experiment 2", to OUT. Runs that OUT already has are not
+repeated; with `--draw`, nothing is run.
 """
 
 from __future__ import annotations

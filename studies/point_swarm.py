@@ -98,7 +98,7 @@ class PointSwarm:
       mixed swarm; None: all linked robots.
     - `ends`: by row the time in s at which a robot leaves.
     - `air`: delay, jitter, loss and duplication of messages.
-    - `sense`, `see`: readings and scans of a robot; None: it has none.
+    - `sense`, `see`: give the readings and the scan of a robot; None: the robots have none.
     """
 
     def __init__(

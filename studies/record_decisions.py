@@ -1,8 +1,8 @@
 """Records decisions of mode `barrier` in adverse scenes, which tests replay.
 
-`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py. The file
-has, for each scene, the inputs and decisions of the robot and of the seconds with the most limited
-decisions. Inputs are rounded, so that the file is small.
+`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py. For each
+scene, the file has the inputs and decisions of one robot in a few seconds: the robot and the
+seconds with the most limited decisions. Inputs are rounded, so that the file is small.
 """
 
 from __future__ import annotations

@@ -181,7 +181,7 @@ class CrazyflieDriver:
         try:
             while True:
                 text = await self._connection()
-                self._lose(text)
+                self._close_gate(text)
                 await asyncio.sleep(RETRY_PERIOD)
         finally:
             self._threads.shutdown(wait=False)
@@ -221,28 +221,30 @@ class CrazyflieDriver:
         await asyncio.gather(task, return_exceptions=True)
         nothing = f"none from {self._uri}: {seen.text}"
         remedy = "switch the drone on, and check the radio and driver_options.uri"
-        found = [
+        findings = [
             Finding(kind, kind in seen.last, "heard" if kind in seen.last else nothing, remedy)
             for kind in ("scan", "odometry")
         ]
         if supervisor is None:
-            return (*found, Finding("supervisor", False, nothing, remedy))
-        hazards = ", ".join(one.text for one in _hazards(supervisor))
-        is_unarmed = _is_unarmed(supervisor)  # then it is well: it only does not take off
+            return (*findings, Finding("supervisor", False, nothing, remedy))
+        # `supervisor`: bits. An unarmed drone has no fault, but does not take off until armed.
+        hazards = ", ".join(hazard.text for hazard in _hazards(supervisor))
+        is_unarmed = _is_unarmed(supervisor)
         is_well = not hazards and (is_unarmed or bool(supervisor & CAN_FLY))
         text = NOT_ARMED if is_unarmed else "ready to fly" if is_well else "not ready to fly"
         remedy = "turn the drone upright, restart it"
-        found.append(Finding("supervisor", is_well, hazards or text, remedy))
+        findings.append(Finding("supervisor", is_well, hazards or text, remedy))
         is_charged = volts >= self._options.low_battery
-        found.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
-        return tuple(found)
+        findings.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
+        return tuple(findings)
 
     # The connection
 
     async def _connection(self) -> str:
         """Connect, and serve the drone until the connection ends; returns why it ended.
 
-        When cancelled, land a drone that was commanded.
+        When cancelled, land a drone that was commanded. The gate lets commands pass while the drone
+        is heard; a drone whose gate is closed counts as lost, but its link stays open.
         """
         loop = asyncio.get_running_loop()
         opened, lost = loop.create_future(), loop.create_future()
@@ -265,6 +267,7 @@ class CrazyflieDriver:
         )
         self._link = link
         try:
+            # `link.open` only begins to connect; then `opened` or `lost` gets a result.
             opening = loop.run_in_executor(self._threads, link.open)
             await asyncio.wait(
                 {opened, lost}, timeout=CONNECT_TIMEOUT, return_when=asyncio.FIRST_COMPLETED
@@ -277,7 +280,7 @@ class CrazyflieDriver:
                 await asyncio.wait({lost}, timeout=PERIOD)
                 now = time.monotonic()
                 if self._gate.is_open and now - self._heard > SILENCE_TIMEOUT:
-                    self._lose(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
+                    self._close_gate(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
                 # A silent drone that flies keeps its link: it needs set-points, as far as they
                 # arrive, and closing the link stops its motors.
                 if now - self._heard > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
@@ -310,7 +313,8 @@ class CrazyflieDriver:
             await asyncio.wait({self._sending})
             await asyncio.sleep(0)
 
-    def _lose(self, text: str) -> None:
+    def _close_gate(self, text: str) -> None:
+        """Drop commands from now on, and report in `text` why the drone counts as lost."""
         self._gate.close(time.monotonic())
         self._sink.state(False, text)
         self._told = text

@@ -18,7 +18,7 @@ Rule = Callable[[Any, str, float], str]
 
 
 def why_absent(message: Any, field: str, value: float = math.nan) -> str:
-    """Why the value of a field is not measured; empty if neither it nor its parents say so.
+    """Why the value of a field is not measured; empty if the field and its parents have no mark.
 
     `field`: names and indices separated by dots, such as `vector.x` or `data.0`. `value`: the value
     of the field; NaN if the field is no number.

@@ -576,18 +576,19 @@ class DriverCheck:
 
     def _findings(self) -> Iterator[Finding]:
         """The findings of a check whose hub answers."""
-        # 1. The hub and the topics. Entries of the options that share a topic have its finding.
+        # 1. The hub and the topics. A topic gets a finding if the robot needs the topic, if a
+        # message has come, or if the user has named the topic in an option: imu, battery, or an
+        # entry of an option of topic_entries.py (`goes_stale`: only entries read the topic). Each
+        # further entry with the same topic gets the same finding under the name of the entry.
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in topics.values():
-            # A topic that no option names, and that the robot does not need, may be absent. Options
-            # name the topics that only entries read (`goes_stale`), of imu and of battery.
             is_named = stats.goes_stale or stats.name in ("imu", "battery")
             has_come = bool(stats.count or stats.faults)
             if stats.is_needed or is_named or has_come:
                 yield self._topic(stats)
-            for name in stats.further:
-                yield replace(self._topic(stats, is_entry=True), subject=name)
+            for entry_option in stats.further:
+                yield replace(self._topic(stats, is_entry=True), subject=entry_option)
         ring = self.subscriptions.contents.get("ranges")
         if ring is not None and ring.last is not None:
             yield Finding("ranges", not ring.fault, ring.fault or ring.text)
@@ -596,16 +597,16 @@ class DriverCheck:
         if sweep is not None:
             yield sweep
         # 2. The commands. The first fault that applies: no base, a second base, or a hub that does
-        # not pass the commands on. Then nodes that are not known, and other nodes that command.
+        # not pass the commands on. (A second publisher of scans or odometry, the other kind of
+        # conflict, is in the finding of its topic.) Then nodes that are not known, and other nodes
+        # that command.
         conflict = self.graph.conflict(topics.values(), self.spec)
-        is_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
-        fault = (
-            self.graph.no_subscriber(
-                self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
-            )
-            or (conflict.text if conflict is not None and is_second_base else "")
-            or self.unpassed.get(self.cmd_vel, "")
+        has_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
+        no_base = self.graph.no_subscriber(
+            self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
         )
+        second_base = conflict.text if conflict is not None and has_second_base else ""
+        fault = no_base or second_base or self.unpassed.get(self.cmd_vel, "")
         yield Finding("cmd_vel", not fault, fault or self._subscriber())
         if self.unlisted:
             yield Finding("nodes", True, self.unlisted, is_measured=False)

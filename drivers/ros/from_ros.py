@@ -98,8 +98,9 @@ def header_fault(message: ros.LaserScan) -> str:
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
     """The finding on the order in time of a scan's rays (the sweep).
 
-    The finding compares `time_increment` of the message with the platform's `scan.sweep`. Only an
-    impossible `time_increment` is a fault, and only if the platform gives no sweep.
+    The finding compares `time_increment` of the message with the platform's `scan.sweep`. A
+    difference is no fault: the platform's sweep counts, since many drivers send a wrong
+    `time_increment`. If the platform gives no sweep, an impossible `time_increment` is a fault.
     """
     step, count = message.time_increment, len(message.ranges)
     message_s = abs(step) * count  # duration of the sweep by the message

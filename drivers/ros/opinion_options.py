@@ -28,8 +28,9 @@ class OpinionOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """The opinions that this robot publishes and hears.
 
     - `publish`: publish the own opinion on `swarmd/opinion`, a std_msgs/Int32.
-    - `topic`: the topic in the namespace of another robot with that robot's opinion.
-    - `robots`: the namespaces of the other robots; their topics are std_msgs/Int32.
+    - `robots`: the namespaces of the other robots.
+    - `topic`: the topic, a std_msgs/Int32, by which each of these robots publishes its opinion; a
+      name in the namespace of the robot.
     - `broadcast`: one topic for all robots, as in ROS2swarm: `OpinionMessage` with `id` and
       `opinion`. The own opinion is published there, too, if `publish` is set.
     - `ids`: the ids of the robots that `broadcast` hears.

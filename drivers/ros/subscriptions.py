@@ -57,22 +57,27 @@ class Subscriptions:
         self._scan_seq = 0
         self._laser: messages.LaserScan | None = None  # the last
         self.last_arrival = -math.inf
-        # Without a section `ranges` of the platform the ring of range sensors replaces the lidar.
+        # A robot has a lidar, a ring, or both. The option `ranges` names the topics of a ring. The
+        # section `ranges` of the platform describes a ring beside a lidar; without this section a
+        # ring replaces the lidar, and the section `scan` describes the ring.
+        has_ring = bool(options.ranges)
+        has_lidar = not has_ring or platform.ranges is not None
         ring_spec, ring_section = platform.ranges, "ranges"
         if ring_spec is None:
             ring_spec, ring_section = platform.scan, "scan"
         self.contents: dict[str, ScanContent] = {}
-        if platform.ranges is not None or not options.ranges:
+        if has_lidar:
             self.contents["scan"] = ScanContent(platform.scan)
-        if options.ranges:
+        if has_ring:
             self.contents["ranges"] = ScanContent(ring_spec, ring_section)
         ring = options.ring()  # name, bearing in rad and distance in m of each sensor
         self._ring = from_ros.RangeRingDecoder(
             [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
-        # For each option of topic_entries.py the object that collects the values of its entries;
-        # and by topic the entries that read it.
+        # An entry is one item of an option such as `readings` (ENTRY_KINDS): it reads a value from
+        # the messages of a topic. `_inputs`: by option, the object that collects the values of all
+        # its entries. `_entries_of`: by topic, the entries that read the topic.
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -82,7 +87,7 @@ class Subscriptions:
             for entry in entries[option].values():
                 self._entries_of.setdefault(entry.topic, []).append((inputs, entry))
         self.topics: Mapping[str, TopicStats] = {
-            stats.name: stats for stats in _topics(options, platform, "scan" in self.contents)
+            stats.name: stats for stats in _topics(options, platform, has_lidar)
         }
 
     def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:

@@ -346,7 +346,8 @@ class Adapter:
         listeners = [
             node
             for node in subscribers_of.get(command_topic, ())
-            if not _is_adapter(node) and master.is_alive(node)  # adapters hear commands, as no base
+            # An adapter of a driver subscribes to commands, too, but is no base.
+            if not _is_adapter(node) and master.is_alive(node)
         ]
         connected = 0 if self._publisher is None else self._bases()
         wants = {}

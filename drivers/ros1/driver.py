@@ -113,12 +113,14 @@ class Ros1Driver:
     ) -> None:
         """Send a safe command, that is a command that protection has checked.
 
-        While the base is lost, commands are dropped with two exceptions. Zero for a stopped robot
-        (`is_stopped`) is sent, since another node may command the base. For the first 2 s of a loss
-        each command is sent as zero. Zeros for half a second disarm the adapter, which then no
-        longer guards the base. An armed adapter would take the silence for the end of the daemon,
-        and would send zeros against the next node that drives the base. The first command after a
-        loss is sent as zero.
+        While the base is lost, commands are dropped, with two exceptions:
+
+        1. Zero for a stopped robot (`is_stopped`) is sent, since another node may command the base.
+        2. For the first 2 s of a loss each command is sent as zero. Half a second of zeros disarms
+           the adapter. An armed adapter would take the following silence for the end of the daemon,
+           and would send zeros against the next node that drives the base.
+
+        The first command after a loss is sent as zero.
         """
         twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)

@@ -65,11 +65,12 @@ _BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
-    """Queries the admin space of each Zenoh bridge periodically, and fills `nodes`.
+    """Queries the admin space of each Zenoh bridge periodically; keeps the ROS nodes in `nodes`.
 
-    Each bridge is queried by its own selectors, so that a silent bridge does not hide the answers
-    of other bridges. `asked_at`: s on the loop's clock, the begin of the last whole query that all
-    known bridges answered.
+    A whole query asks for nodes, DDS readers and DDS writers. More frequent queries ask for the
+    readers of the commands alone. Each bridge is queried by its own selectors, so that a silent
+    bridge does not hide the answers of other bridges. `asked_at`: s on the loop's clock, the begin
+    of the last whole query that all known bridges answered.
     """
 
     def __init__(
@@ -298,15 +299,17 @@ class NodeList:
         now: float,
         late: Collection[str] = (),
     ) -> None:
-        """Take all answers to a whole query: payload by key; None if all timed out.
+        """Update the lists by the answers to a whole query.
 
-        Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
+        `answers`: the payload of each answer by its key; None if no bridge answered in time. The
+        keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
         `.../dds/<participant>/reader/<id>/rt/<topic>`, or `writer` for `reader`. `announcing`: the
         ids of the sessions that announce topics. `late`: the ids of bridges whose answers are not
         complete; their earlier answers count for MAX_AGE.
         """
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}  # whole queries
-        # 1. The complete answers of this query, by bridge. Equal answers are not decoded again.
+        # 1. The complete answers of this query, by bridge. Equal answers are not decoded again. If
+        # all answers timed out, all bridges are late.
         before = self._by_bridge
         late = {*before} if answers is None else late
         if answers is not None and answers != self._answers:

@@ -88,7 +88,7 @@ class RosDriver:
         zero_sender: ZeroSenderSpec,
         robot: str,
     ) -> None:
-        """Not connected yet. `robot`: its id."""
+        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot."""
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
@@ -113,7 +113,7 @@ class RosDriver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command; while the base is lost it is dropped.
+        """Send a safe command; drop the command while the base is lost.
 
         The first command after a loss is sent as zero. Zero for a stopped robot (`is_stopped`) is
         sent even while the base is lost, since another node may command the base. A non-zero
@@ -355,7 +355,8 @@ class RosDriver:
             return
         # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
         # announcements of other topics cannot fill the table before them.
-        now, self._foreign_ends = asyncio.get_running_loop().time(), None  # None: merge anew
+        now = asyncio.get_running_loop().time()
+        self._foreign_ends = None  # merge anew
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))

@@ -5,9 +5,10 @@ process is frozen, or while the link is cut. So this process probes the hub all 
 
 1. The link keeps the order. A request that comes after the answer to a probe was handed to the link
    after the hub got that probe. So the request is no older than the last answered probe.
-2. A hub that continues after a freeze answers the probes first, and may then pass on requests that
-   waited in front of it, as long as the slowest answer took. So that time is added for SETTLE_TIME,
-   and after a gap of MAX_AGE no request has a known age for SETTLE_TIME.
+2. A hub that continues after a freeze answers the probes first. Then it may still pass on requests
+   that have waited in front of it, up to the time that the slowest answer took. So the slowest
+   answer of the last SETTLE_TIME is added to each age. After a gap of MAX_AGE between two answers,
+   the age of a request is unknown for SETTLE_TIME.
 3. A link that was lost begins anew, without any answered probe.
 
 What waited longer in front of a hub that answers all the time is not detected, except by the stamp

@@ -88,8 +88,9 @@ def subscribe_with_history(
 ) -> None:
     """Subscribe, and also receive the last message that publishers keep for late subscribers.
 
-    Messages come in order. A bridge hands the messages that a DDS writer keeps only to its first
-    subscriber. This advanced subscriber of zenoh-ext queries the bridge's cache for them.
+    Messages come in order. A DDS writer may keep messages for late subscribers (TRANSIENT_LOCAL). A
+    bridge sends the kept messages only to the first subscriber of the bridge. So this advanced
+    subscriber of zenoh-ext queries the bridge's cache for the kept messages.
     """
     zenoh.ext.declare_advanced_subscriber(
         session,

@@ -279,26 +279,29 @@ class Attraction(FieldPattern[AttractionParams]):
             self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
             present_state = "gather" if present_state == "lead" else present_state
         in_state_s = now - self._since
-        # 2. Go on with a roll or a lead. Few robots are in sight, unless messages say that there
-        # are no more. A place is incomplete if few robots are adjacent although there are more.
-        is_few = view.seen <= _FEW_ROBOTS and not 0 < received <= view.seen
-        is_all = view.adjacent == len(view.robots) and received <= view.seen
-        is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not is_all)
+        # 2. Go on with a roll or a lead. The swarm is known to be small if each robot that is heard
+        # is in sight. A place is incomplete if few robots are adjacent although there are more.
+        is_small_swarm = 0 < received <= view.seen
+        is_few = view.seen <= _FEW_ROBOTS and not is_small_swarm
+        are_all_adjacent = view.adjacent == len(view.robots) and received <= view.seen
+        is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not are_all_adjacent)
         if present_state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
         if present_state == "lead" and in_state_s < _LEAD_TIME:
             return "lead"
-        # 3. Begin a roll or a lead. A robot tries to roll before it settles in a line. At rest it
-        # tries again, a few times, after a wait that doubles with each try.
+        # 3. Begin a roll or a lead. A robot tries to roll before it settles in a line. A robot at
+        # rest tries again, a few times, after a wait (`_rest_time`) that `_try` doubles each time.
+        # `free`: the length of the pull, less what near obstacles take off.
         is_pulled = view.free > (_STOP_PULL if present_state == "gather" else _START_PULL)
-        is_first = is_in_line and present_state == "gather" and self._rest_time == _FIRST_REST_TIME
-        is_rested = (
+        has_not_tried = self._rest_time == _FIRST_REST_TIME
+        may_begin = is_in_line and present_state == "gather" and has_not_tried
+        may_try_again = (
             present_state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
         )
-        if (is_first or is_rested) and in_state_s > self._rest_time:
+        if (may_begin or may_try_again) and in_state_s > self._rest_time:
             if is_few and self._rest_time > _LEAD_REST_TIME:
                 return self._try("lead", view)
-            if is_first or is_incomplete:
+            if may_begin or is_incomplete:
                 return self._try("roll", view)
         return "gather" if is_pulled else "settled"
 

@@ -280,10 +280,11 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return drive_along(x, y, speed=params.speed, turn=params.turn)
 
     def _beyond(self, name: str) -> Vector:
-        """The place `distance` m behind the member `name`, in line with the member before it.
+        """The place where the chain continues: `distance` m from the member `name`, away from home.
 
-        In m in the base frame. If that member before it is not sensed, the line is that from this
-        robot to `name`.
+        The place is in m in the base frame, on the far side of `name` as seen from the member
+        before `name` (towards the nest). If that member is not sensed: on the far side of `name` as
+        seen from this robot.
         """
         x, y = self._places[name]
         before_x, before_y = self._places.get(self._heard[name].before, (2.0 * x, 2.0 * y))

@@ -136,8 +136,8 @@ def run(setting: _Setting) -> Agreement:
     """Simulate point robots on a tiled floor until they agree, and return the opinion and the time.
 
     Half of the points begin with each opinion, at random places of the room. The seed also draws
-    the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time is
-    that of the first of these samples. Without agreement within SECONDS: (None, inf).
+    the floor. The points agree if AGREED samples in a row, 1 s apart, hold one opinion; the time of
+    the first of these samples is returned. Without agreement within SECONDS: (None, inf).
     """
     rng = np.random.default_rng(setting.seed)
     half_side = 0.5 * SIDE - 0.2
@@ -146,8 +146,8 @@ def run(setting: _Setting) -> Agreement:
     platform, scan_numbers = load_platform("burger"), count()
     ground = FloorField(name="ground", patches=(tiles(setting.share, setting.seed),))
 
-    def see(row: int, now: Array) -> Scan:
-        pose = Pose(*now[row].tolist())
+    def see(row: int, present_poses: Array) -> Scan:
+        pose = Pose(*present_poses[row].tolist())
         return scan_of(platform, room=SIDE, pose=pose, seq=next(scan_numbers))
 
     def sense(now: float, row: int, poses: Array) -> Mapping[str, float]:

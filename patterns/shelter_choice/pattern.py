@@ -152,8 +152,8 @@ class ShelterChoice(CombinedPattern[ShelterChoiceParams]):
         resting = self._resting_neighbors(inputs) + self._is_resting
         filled = resting / params.capacity
         if self._is_resting:
-            hold = 1.0 + params.social * filled**params.exponent
-            if not is_dark or self._happens(params.leave / hold, inputs.dt):
+            leave_rate = params.leave / (1.0 + params.social * filled**params.exponent)
+            if not is_dark or self._happens(leave_rate, inputs.dt):
                 self._is_resting, self._walk_until = False, now + params.away
         elif is_dark and now >= self._walk_until:
             self._is_resting = self._happens(params.stop * (1.0 - filled), inputs.dt)

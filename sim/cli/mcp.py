@@ -1,9 +1,9 @@
 """`swarmctl mcp`: the verbs of swarmctl as tools of the Model Context Protocol, for agents.
 
-An agent is a program in which a language model chooses the next call. It starts `swarmctl mcp`, and
-speaks with it by standard input and output. Every agent may look at robots and simulate. It may
-command robots only by the verbs that a person allowed on the command line. Robots protect
-themselves from commands of an agent as from all others.
+An agent is a program in which a language model chooses the next call. The agent starts
+`swarmctl mcp`, and speaks with this process by standard input and output. Every agent may look at
+robots and simulate. An agent may command robots only by the verbs that a person allowed on the
+command line. Robots protect themselves from commands of an agent as from all other commands.
 """
 
 from __future__ import annotations
@@ -244,8 +244,9 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    With a rehearsal, a run is sent only if no stop came while the rehearsal lasted: neither a stop
-    by this server, nor one by anybody else that a status of a robot shows.
+    A rehearsal simulates a run before the run is sent (`Rehearsal`). The run is then sent only if
+    no stop was requested during the rehearsal: no stop by this server, and no stop by another
+    operator that the epoch of a robot shows.
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:

@@ -333,8 +333,9 @@ class Cluster:
     def _receive(self) -> tuple[str, Any]:
         """The key and the answer of the next finished run; ("", None) without one.
 
-        Waits for _POLL_PERIOD at most. The next answer may also be that of a query for a worker's
-        software. It decides whether the worker gets runs (`is_fit`), and the result is ("", None).
+        Waits for _POLL_PERIOD at most. If the next answer is that of a query for a worker's
+        software, the answer decides whether the worker gets runs (`is_fit`), and the result is
+        ("", None).
         """
         try:
             key, answer = self._answers.get(timeout=_POLL_PERIOD)

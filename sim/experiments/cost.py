@@ -37,8 +37,8 @@ def measured_cost(folder: Path) -> Cost:
     """The wall time per robot-second on one core here: medians of recorded runs in `folder`.
 
     Only the newest experiments are read. Experiments made with other software, on another
-    processor, with `--cores` or on a cluster are left out: their times are not those of one core of
-    this machine. Without any recorded run, a short simulation measures the cost.
+    processor, with `--cores` or on a cluster are left out, since their times do not hold for one
+    core of this machine. Without any recorded run, a short simulation measures the cost.
     """
     software = made_with()
     costs_of: dict[str, list[float]] = {}  # s of wall time per robot-second of runs, by scenario

@@ -180,11 +180,11 @@ class MissionSpace(Missions):
         return _HEAD.format(parts=", ".join(dict.fromkeys(used))) + _yaml(body)
 
     def _draw_transitions(self, trial: Trial, n: int, states: int, values: dict[str, Any]) -> None:
-        """Draw up to MAX_TRANSITIONS transitions of state n, to different other states.
+        """Draw up to MAX_TRANSITIONS transitions of state n, each to a different other state.
 
-        Adds to `values`, for transition k: `target_n_k`, `condition_n_k` and `bound_n_k`. A timeout
-        or a probability is an event. With any other condition, which may hold for long, also
-        `chance_n_k`: the probability per second of the transition while the condition holds.
+        Adds to `values`, for transition k: `target_n_k`, `condition_n_k` and `bound_n_k`. For a
+        condition that may hold for long (neither a timeout nor a probability), also `chance_n_k`:
+        the probability per second of the transition while the condition holds.
         """
         for k in range(1, min(MAX_TRANSITIONS, states - 1) + 1):
             place = f"{n}_{k}"

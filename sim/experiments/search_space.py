@@ -287,8 +287,8 @@ def _robot_of(scenario: Scenario, pattern: str) -> str:
 def _key(scenario: Scenario, pattern: str, name: str) -> str:
     """The dotted key of a scenario that sets a pattern's parameter.
 
-    If a group sets the parameter already, it is the key of the first such group. Else it is the key
-    for all robots, `parameters.PATTERN.NAME`.
+    The key is that of the first group that sets the parameter already. If no group sets the
+    parameter, the key is that for all robots, `parameters.PATTERN.NAME`.
     """
     for group, section in scenario.effective["groups"].items():
         if section["pattern"] == pattern and name in section["parameters"]:

@@ -513,9 +513,10 @@ class _Tuner:
         """Run the new candidates of a race in blocks of seeds, and set their losses.
 
         After each block, a rank test ends the candidates that are significantly worse than the
-        leader (`is_out`). The best candidate of the race before has all its losses already: it is
-        compared with new candidates, but does not run again and does not end early. `number`: of
-        the race, from 0 on. SwarmError if no run of the first block has a value.
+        leader (`is_out`). The best candidate of the race before is compared with the new
+        candidates, too, but does not run again and does not end early, since all its losses are
+        known. `number`: of the race, from 0 on. SwarmError if no run of the first block has a
+        value.
         """
         new = [candidate for candidate in racing if not candidate.losses]
         earlier_best = [candidate for candidate in racing if candidate.losses]  # none in race 0

@@ -66,9 +66,9 @@ def stage_of(
 ) -> Stage:
     """Build the MuJoCo model that shows a run in frames of `size` pixels (width, height).
 
-    `platforms`: those of the scenario, by name. `fields`: scalar fields of the scenario, of which
-    the colours of the floor are shown. `extent`: the part of the world that frames show; None: all
-    places of the run. ConfigError if the trace does not name its arena.
+    `platforms`: the platforms of the scenario, by name. `fields`: the scalar fields of the
+    scenario; only the colours of floor fields are shown. `extent`: the part of the world that
+    frames show; None: all places of the run. ConfigError if the trace does not name its arena.
     """
     # 1. The world of the run, with marks on the robots.
     arena_text = str(trace.meta.get("arena", ""))

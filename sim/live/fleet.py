@@ -1,8 +1,8 @@
 """A simulated world and its daemons as child processes, started and ended together.
 
-The children end with this process, even if it is killed. Each child asks the kernel for a signal at
-the death of its parent (`--die-with-parent`). The parent of the world is this process. The parent
-of a daemon is the fork server, which itself ends with this process. The kernel sends the signal
+The children end with this process, even if this process is killed. Each child asks the kernel for a
+signal at the death of its parent (`--die-with-parent`). The parent of the world is this process.
+The parent of a daemon is the fork server, whose parent is this process. The kernel sends the signal
 when the *thread* that started the child ends, so start a fleet from the main thread.
 
 Each child has its own session: a Ctrl-C in the terminal reaches only this process, which then ends

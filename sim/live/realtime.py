@@ -54,8 +54,9 @@ class RealTimeWorld:
         seed: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` gives the time in s; `link` and `emulated` stamp arrivals with the same clock.
+        """Start the schedules of all sensors now; no command has arrived yet.
 
+        - `clock`: gives the time in s. `link` and `emulated` must stamp arrivals with this clock.
         - `radio`: gives the neighbors. Without a radio, no neighbors are published and each robot
           hears all robots.
         - `emulated`: exchanges sensor data and commands with daemons in place of `link`.
@@ -88,7 +89,7 @@ class RealTimeWorld:
         scan_rates = np.array([p.scan.rate for p in world.platforms])
         self._sensor_times = SensorTimes(
             Staggered(scan_rates, start, order),
-            Staggered(world.ring_rates, start),
+            Staggered(world.ring_rates, start),  # rings of range sensors
             [
                 (sensor, Staggered(np.full(n, sensor.rate), start))
                 for sensor in SENSORS
@@ -98,7 +99,8 @@ class RealTimeWorld:
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)  # unused without a radio
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
-        # The robots with a fresh command when neighbors were last published to all.
+        # (n,) the robots that had a fresh command at the last step. If this changes, all robots get
+        # their neighbors at once (`_publish_radio`).
         self._last_commanded: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())

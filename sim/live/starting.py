@@ -97,10 +97,10 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
     """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
 
-    `view`: the members, for the first request, with the epoch of each robot: the number of its
-    changes, by which a robot refuses a request that was made before its last change. A later
-    request goes to the robots that do not run the pattern yet. ConfigError if all robots refuse the
-    first request. SwarmError if no robot runs the pattern after the last request.
+    `view`: the members, with the epochs that the first request names. An epoch counts the changes
+    of a robot: a robot refuses a request that names an earlier epoch. Each later request goes to
+    the robots that do not run the pattern yet. ConfigError if all robots refuse the first request.
+    SwarmError if no robot runs the pattern after the last request.
     """
     waiting = run.robots
     started_at_once: set[str] = set()

@@ -26,10 +26,10 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     """(T,) the floor in m2 that has been within `radius` m of a robot up to each instant.
 
     Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) on a grid of squares of
-    `cell` m. A square is covered when its centre is covered. Of all positions in the same tenth of
-    a square only the first is evaluated. Walls do not block. If the trace names an arena, floor
-    outside the arena does not count. The side of the squares doubles until the grid has at most
-    four million squares.
+    `cell` m. A square is covered when its centre is covered. To save time, a grid ten times finer
+    divides each square, and in each fine cell only the first position counts. Walls do not block.
+    If the trace names an arena, floor outside the arena does not count. The side of the squares
+    doubles until the grid has at most four million squares.
     """
     # 1. The positions of all robots at all instants (k,), and the square of each.
     instant, robot = np.nonzero(presence(trace))
@@ -45,17 +45,17 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     shape = square.max(axis=0) + margin + 1 - low
     from_centre = place - (square + 0.5) * cell
     first_in_square = _firsts(square)
-    first_in_tenth = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
-    # 2. For each offset of squares (`right`, `up`) within the margin: the square at this offset
-    # from a position is covered if its centre is within `radius` of the position. If the centre is
-    # within `radius` of each place in the square of the position, the first position in that square
-    # decides. Else the first positions in the tenths of that square do.
+    first_in_fine_cell = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
+    # 2. For each offset (`right`, `up`) in squares within the margin: a position covers the square
+    # at this offset from its own square if the centre of that square is within `radius`. If this is
+    # so for each place of the own square, only the first position in the own square is examined,
+    # else the first position in each fine cell.
     never = len(trace.t)
     covered_at = np.full(shape, never, dtype=np.int64)
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
             farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
-            rows = first_in_square if farthest_corner <= radius else first_in_tenth
+            rows = first_in_square if farthest_corner <= radius else first_in_fine_cell
             x, y = right * cell - from_centre[rows, 0], up * cell - from_centre[rows, 1]
             near = rows[np.hypot(x, y) <= radius]
             covered = square[near, 0] - low[0] + right, square[near, 1] - low[1] + up

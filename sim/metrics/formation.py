@@ -41,8 +41,8 @@ def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
 def line_errors(trace: Trace, spacing: float) -> Array:
     """(T,) how far the robots are from evenly spaced places on the best line, as a share.
 
-    The larger of the distances from the line over `spacing` (`line_offsets`) and of the deviations
-    of the gaps along it (`line_unevenness`). NaN for fewer than two robots.
+    The larger of two shares: the distance from the line over `spacing` (`line_offsets`), and the
+    deviation of the gaps along the line (`line_unevenness`). NaN for fewer than two robots.
     """
     larger: Array = np.maximum(line_offsets(trace) / spacing, line_unevenness(trace, spacing))
     return larger
@@ -76,9 +76,9 @@ def circle_unevenness(trace: Trace) -> Array:
 def circle_errors(trace: Trace, spacing: float) -> Array:
     """(T,) how far the robots are from evenly spaced places on the wanted circle, as a share.
 
-    The larger of the distances from the circle over `spacing` (`circle_offsets`) and of the
-    deviations of the angular gaps (`circle_unevenness`). The wanted circle has the radius at which
-    neighbours are `spacing` m apart. NaN for fewer than three robots.
+    The larger of two shares: the distance from the circle over `spacing` (`circle_offsets`), and
+    the deviation of the angular gaps (`circle_unevenness`). The wanted circle has the radius at
+    which neighbours are `spacing` m apart. NaN for fewer than three robots.
     """
     errors = circle_unevenness(trace)
     counts = presence(trace).sum(axis=1)

@@ -108,10 +108,10 @@ class PanelRows:
 def rows_of(names: Sequence[str]) -> PanelRows:
     """The places of rows for variants `names`: on a scale if the names are rising numbers.
 
-    On a scale, the distances of rows are those of the numbers, and the two closest rows are one row
-    apart. If this makes the figure too long, they are the distances of the logarithms. If the
-    figure still is too long, the names are not rising numbers, or there are fewer than
-    _FEWEST_ON_SCALE rows, all distances are equal.
+    On a scale, the distances of rows are proportional to the differences of the numbers, and the
+    two closest rows are one row apart. If this makes the figure too long, the logarithms of the
+    numbers are taken. All distances are equal if the figure is still too long, if the names are not
+    rising numbers, or if there are fewer than _FEWEST_ON_SCALE rows.
     """
     equal = PanelRows(range(len(names)))
     values = np.array([finite_number(name) for name in names])

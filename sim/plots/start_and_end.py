@@ -44,20 +44,22 @@ def start_and_end_figure(
     colour each. Smaller clusters are grey, single robots white. If robots report opinions, colours
     show opinions instead.
 
-    `link`: None: twice the largest protection threshold, as for metrics. Without a threshold in the
-    trace, all robots have one colour. `width`: in inches, for a paper. SwarmError if the trace has
-    no instant or no robot.
+    `link`: in m. None: twice the largest protection threshold of the robots' platforms
+    (`cluster_link`), as in metrics; all robots have one colour if the trace has no threshold.
+    `width`: in inches, for a paper. SwarmError if the trace has no instant or no robot.
     """
     scene.check_drawable(trace)
     link_m = cluster_link(trace) if link is None else link
     opinions = opinions_of(trace)
 
-    # 1. Two maps, side by side, or one below the other if they are wide. Sizes are in inches.
+    # 1. Two maps, side by side, or one below the other if the maps are wide. Sizes are in inches.
     extent = scene.extent_of(trace)
     map_width, map_height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
     rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
-    size = columns * (map_width + 0.2) + 0.7, rows * (map_height + 0.4) + 1.1
-    if width is not None:
+    if width is None:
+        # Room beside each map and for the y axis; above each map for its title, and for the texts.
+        size = columns * (map_width + 0.2) + 0.7, rows * (map_height + 0.4) + 1.1
+    else:  # a paper: the same rooms for small texts; 0.55 of the width is for the y axis
         scale = (width - 0.55) / (columns * map_width)
         size = width, rows * (map_height * scale + 0.25) + 0.6
     figure = new_figure(*size, is_map=True)

@@ -54,7 +54,8 @@ def survival_curve(times: Times) -> Curve:
     censored = times.ends[~is_known]
     estimate = ecdf(CensoredData(uncensored=times.times[is_known], right=censored)).sf
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # log(0) where no run, or each, had it
+        # log(0) where no run has had the event, or each run.
+        warnings.simplefilter("ignore", RuntimeWarning)
         interval = estimate.confidence_interval(LEVEL, method="log-log")
     t = np.concatenate(([0.0], estimate.quantiles))
     share, low, high = (

@@ -56,10 +56,11 @@ def trajectories_figure(
     entries = (_names(trace) if is_named and width is None else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
     if width is None:
+        # The legend has a sample and 0.07 for each character; 0.7 and 0.5 are for the two axes.
         legend_width = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
         title_height = 0.25 * (1 + title.count("\n"))
         size = map_width + 0.7 + legend_width, map_height + 0.5 + title_height
-    else:
+    else:  # a paper: of the width, 0.6 is for the y axis, and 0.6 for a colour bar
         scale = (width - (0.6 if is_named else 1.2)) / map_width
         size = width, map_height * scale + 0.75
     figure = new_figure(*size, is_map=True)
@@ -236,9 +237,11 @@ def overview_figure(
     # Few runs have larger pictures.
     side = next((inches for most, inches in _SIDES if len(drawn) <= most), _SIDE)
     map_width, map_height = extent.panel(side) if extent else (side, side)
+    # Each map has 0.1 beside it, and 0.3 (in a paper 0.25) above it for its name.
     size = columns * (map_width + 0.1), rows * (map_height + 0.3) + 0.6
     if width is not None:
-        size = width, rows * (map_height * (width / columns - 0.1) / map_width + 0.25) + 0.1
+        scaled_height = map_height * (width / columns - 0.1) / map_width
+        size = width, rows * (scaled_height + 0.25) + 0.1
     figure = new_figure(*size, is_map=True)
     grid = figure.subplots(rows, columns, squeeze=False)
 

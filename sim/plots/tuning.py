@@ -55,12 +55,12 @@ def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
             axes.set_xticks(range(len(parameter.choices)), list(map(str, parameter.choices)))
         else:
             low, high = parameter.low, parameter.high
-            margins = (0.03 * (low - high), 0.03 * (high - low))
+            left_margin = right_margin = 0.03 * (high - low)
             if parameter.is_log:
                 axes.set_xscale("log")
-                margins = (-0.1 * low, 0.1 * high)
+                left_margin, right_margin = 0.1 * low, 0.1 * high
             left, right = axes.get_xlim()  # present values may be outside of the range
-            axes.set_xlim(min(left, low + margins[0]), max(right, high + margins[1]))
+            axes.set_xlim(min(left, low - left_margin), max(right, high + right_margin))
         share = tuning.importance.get(parameter.key)
         importance = "" if share is None else f"\nimportance {share:.0%}"
         unit = f" [{parameter.unit}]" if parameter.unit else ""
@@ -69,6 +69,7 @@ def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
         axes.set_axis_off()
     for axes in grid[:, 0]:
         axes.set_ylabel(_label(tuning.metric))
+    # The marks mean the same in all panels, so the first panel gives the legend.
     handles, labels = grid.flat[0].get_legend_handles_labels()
     if handles:
         figure.legend(handles, labels, loc="outside upper center", ncols=2)

@@ -63,8 +63,8 @@ def report_of(
     """The report of the experiment in `folder`, as HTML.
 
     `metrics`: the metrics that are shown first; None: a default choice. `seed` and `variant` choose
-    the run to play; without them it is a typical run of the first variant. ConfigError if there is
-    no such experiment or run, SwarmError if no run has finished.
+    the run to play; by default a typical run of the first variant. ConfigError if there is no such
+    experiment or run, SwarmError if no run has finished.
     """
     results, manifest = load_results(folder), read_manifest(folder)
     if not results.runs:

@@ -88,7 +88,7 @@ def check_patterns(
         )
         try:
             event = executor.handle(load)
-        except SystemExit:  # it would end this process without a message
+        except SystemExit:  # sys.exit in a pattern would end this process without a message
             event = LoadRefused(
                 load.generation, f"{preflight.pattern} calls sys.exit; leave that out"
             )
@@ -157,7 +157,7 @@ def check_compatibility(
     if has_whole_bodies:
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
     notes, held = [], []
-    # `platform`: that of the robot that has the finding about a peer.
+    # `platform`: the platform of the robot that reports the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), accepts):
         is_unseen = finding.kind == "unseen"
         if is_unseen and finding.holds and file.radio.range_and_bearing:

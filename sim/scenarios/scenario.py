@@ -40,7 +40,7 @@ Action = Literal[
 class ScheduledEvent:
     """An action at `at` s of simulation.
 
-    - run: on `robots`, with `pattern`, `parameters` and perhaps `seconds` and `until`.
+    - run: on `robots`, with `pattern` and `parameters`, and optionally `seconds` and `until`.
     - param: on `robots`, with `parameters`.
     - stop, estop, reset, join, leave, kill: on `robots`.
     - place: on the box `box`, at `pose` (x, y in m, yaw in rad).

@@ -133,7 +133,7 @@ class _ShownRun:
     """One recorded run as the page shows it; times are in s from its start."""
 
     def __init__(self, run: RecordedRun) -> None:
-        """Prepares robots, arena and marks; scans need platforms that are known here."""
+        """Prepare robots, arena and marks; scans are shown if all platforms are known here."""
         trace = self._trace = run.trace
         self.robots = [
             ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
@@ -155,7 +155,8 @@ class _ShownRun:
         self.link = cluster_link(trace)  # m, within which two robots are in one cluster
         self.marks = self._marks()
 
-        # Ideal lidars; None if a platform is not known here.
+        # Ideal lidars, which give the scans; None if a platform of the trace is not known on this
+        # machine.
         self._sensors: RangeSensors | None = None
         with suppress(ConfigError):
             names = set(trace.platforms)

@@ -102,7 +102,8 @@ class Bases:
         self._caps = memoryview(np.array(caps))
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
-        # Inertia, and what motors and tyres can do.
+        # Inertia; the greatest change of each velocity per step by the motors; the greatest force
+        # in N (`grip`) and torque in N m that the tyres transmit.
         accelerations = [_accelerations(platform) for platform in platforms]
         self._max_steps = memoryview(np.array(accelerations, np.float64).reshape(n, 3) * dt)
         mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
@@ -116,7 +117,7 @@ class Bases:
         # The velocities that the servos aim at, and the wind's drift in m/s.
         self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
         self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
-        # Of the velocity's error, the share that a base takes off in a step: below 1 with a lag.
+        # The share of the velocity error that a base removes in a step; below 1 if the base lags.
         self._shares = memoryview(np.array([_share(p, dt) for p in platforms], np.float64))
 
     def put(self, twists):
@@ -154,8 +155,8 @@ class Bases:
             self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
         for row in range(self._n):
             # 1. The velocity to drive to: the delayed command, clipped to the limits, then capped
-            # in its change per step, and followed as fast as the motors can. It is clipped first: a
-            # ramp towards a speed beyond the limits would lag when the command reverses.
+            # in its change per step, and followed as fast as the motors can. Clipping comes before
+            # the cap: a ramp towards a speed beyond the limits would lag when the command reverses.
             for k in range(3):
                 self._delay_line[newest, row, k] = self._command[row, k]
             for k in range(3):

@@ -91,9 +91,10 @@ class ContactReader:
         """The contact points of robots in the last step, with the speeds towards each other.
 
         `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
-        detects contacts there, before the solver stops the colliding bodies.
+        detects contacts at these poses, before the solver stops the colliding bodies.
         """
-        # 1. The contacts that count, of a robot with anything. Rows of bodies: robots come first.
+        # 1. The contacts that count: of a robot with any body. The row of a body is its index in
+        # `qpos`; robots come first, so a contact with a robot has a row below `_robots`.
         contact = data.contact
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)

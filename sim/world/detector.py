@@ -32,7 +32,7 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
     `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. An object is
     recognised if its middle is within the field of view and the range, and if the line of sight
     from the sensor to the nearest point of its extent is clear. Bearings and distances are measured
-    from the axle to the middle of the object. At most MAX_DETECTIONS.
+    from the axle to the middle of the object. The first MAX_DETECTIONS in the order of `around`.
     """
     # 1. The objects that any sensor recognises.
     pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
@@ -58,8 +58,12 @@ def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...
     bearings = np.arctan2(offset[:, 1], offset[:, 0]) - pose[2]
     bearings = np.arctan2(np.sin(bearings), np.cos(bearings))
     distances = np.hypot(offset[:, 0], offset[:, 1])
-    objects = zip(seen.tolist(), bearings.tolist(), distances.tolist(), strict=True)
+    objects = zip(
+        (around.names[row] for row in seen.tolist()),
+        bearings.tolist(),
+        distances.tolist(),
+        strict=True,
+    )
     return tuple(
-        Detection(around.names[row][0], bearing, distance, around.names[row][1])
-        for row, bearing, distance in objects
+        Detection(kind, bearing, distance, name) for (kind, name), bearing, distance in objects
     )[:MAX_DETECTIONS]

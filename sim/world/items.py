@@ -49,13 +49,13 @@ class Items:
         items = [item for kind in kinds for item in kind.things]
         self.names = tuple(item.name for item in items)
         self.shapes = np.array([item.shape for item in items]).reshape(-1, 4, 2)
-        # (q,) the index of the kind, and (q, 3) x, y and yaw, of each item.
+        # Of each of q items: (q,) the index of its kind, and (q, 3) its x, y and yaw.
         self._kind_of = np.repeat(np.arange(len(kinds)), [len(kind.things) for kind in kinds])
         self._places = np.zeros((len(self.names), 3))
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
         # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
         mass = np.array([kind.mass or 0.0 for kind in kinds])
-        # A puck is a round disc of the diameter `size`: m r^2 / 2 about its middle.
+        # Mass twice, and moment of inertia: a puck is a disc of the diameter `size`, so m r^2 / 2.
         inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
         self._is_flat = (mass == 0.0)[self._kind_of]
         self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)

@@ -49,7 +49,8 @@ class MovableBoxes:
         for row, box in enumerate(boxes):
             self._put(row, starts[row], is_there=box.is_placed)
         for row in np.flatnonzero(self.is_there).tolist():
-            # All boxes are placed now. No robots are given: the layout keeps them off the boxes.
+            # All boxes are placed now. The call passes no robots, since the layout of the robots
+            # keeps them off the boxes.
             fault = self._fault(row, starts[row], ())
             if fault:
                 where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
@@ -83,7 +84,7 @@ class MovableBoxes:
         """Set the floor's isotropic friction for the next step.
 
         MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Dry friction
-        limits them together, by an ellipsoid in force and torque (Howe and Cutkosky 1996). The
+        limits force and torque together, by an ellipsoid (Howe and Cutkosky 1996). The
         three limits are the coordinates of a point on this ellipsoid, in the direction of the force
         and torque that would stop the box. The half axes of the ellipsoid are the friction force
         and, for the torque, this force times the box's lever.

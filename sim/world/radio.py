@@ -156,11 +156,11 @@ class Radio:
     ) -> list[Flight]:
         """The flights of `value` on channel `name`, sent at `now` s by robot `row`.
 
-        A flight is a message in transit to receivers at which it arrives at one time: all receivers
-        without jitter, each receiver by itself with jitter. Hand the flights to `carry`. The
-        receivers are the present neighbors of the sender, except those that miss the message by
-        random loss. A random rank per sender and instant decides the order of messages that arrive
-        at one instant.
+        A flight is a message in transit, which arrives at all its receivers at one time. Without
+        jitter all receivers share a flight; with jitter each receiver has a flight of its own. Hand
+        the flights to `carry`. The receivers are the present neighbors of the sender, except those
+        that miss the message by random loss. If several messages arrive at one instant, a random
+        rank, drawn for each sender and instant, decides their order.
         """
         # The sender's own generator: the messages of other robots do not change the losses.
         settings, rng = self.settings, self._loss_rngs[row]

@@ -130,8 +130,8 @@ def readings_at(
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform, which also provides `reading:<name>` of each field, and of its sensors.
 
-    The reading of sensor i of a field is `reading:<name>_<i>`. The platform also provides each of
-    OPTION_INPUTS (such as seen tags) for which it has sensors.
+    The reading of sensor i of a field is `reading:<name>_<i>`. If the platform has sensors for a
+    kind of input of OPTION_INPUTS (such as seen tags), the result also provides this kind.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

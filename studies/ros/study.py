@@ -213,8 +213,8 @@ class _Looking:
 def _noticed(chain: Chain, robot: str, since: float, ordered: float) -> tuple[float, str]:
     """When a daemon's status first reported a fault, and its last fault text before the order.
 
-    Without a report before the order, the last text after it. (inf, "") without any report. From
-    `ordered` on the state is that of the order, so only the driver's text counts.
+    Without a report before the order: the last text after the order. (inf, "") without any report.
+    From `ordered` on, the order decides the state, so only the driver's text counts.
     """
     texts = [
         (at, _fault(status, chain.usual, is_ordered=at >= ordered))

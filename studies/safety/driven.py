@@ -1,10 +1,10 @@
 """Whether a robot drove into an obstacle or was pushed, from the motion that its drives allow.
 
-A ram beside the centre turns a robot, and one of its corners then moves towards the rammer. A robot
-that backs away may be thrown against the rammer, and a pushed robot may be pushed into a third.
-Without contact, a robot moves by its own drives. After a contact begins, its drives can move it at
-most at the speed before, less braking since, or at the commanded speed; only the part of that
-motion towards the other robot counts.
+A rammer that meets a robot beside the robot's centre turns the robot, and a corner of the robot may
+then move towards the rammer. A robot that backs away may be thrown against the rammer, and a pushed
+robot may be pushed into a third robot. Without contact, a robot moves by its own drives. After a
+contact begins, the drives can move the robot at most at its speed before the contact, less braking
+since, or at the commanded speed. Only the part of this motion towards the other robot counts.
 """
 
 from __future__ import annotations

@@ -39,9 +39,10 @@ _RETREAT = 1.0  # s
 class Rammer:
     """Drives into one robot after the other; no point of its surface exceeds `speed` in m/s.
 
-    `reach` is the distance of its farthest corner from its axle in m. Turning reduces the speed for
-    driving. The higher of the commanded and the actual turn rate counts, since the body still turns
-    after its command ends. The previous commands count too, since a state may be older than they.
+    `reach` in m is the distance of the rammer's farthest corner from its axle. Turning reduces the
+    speed that is left for driving. The higher of the commanded and the actual turn rate counts,
+    since the body still turns after its command ends. Earlier commands count, too, since the state
+    may be older than these commands.
     """
 
     def __init__(self, speed: float, reach: float) -> None:
@@ -54,8 +55,8 @@ class Rammer:
     def command(self, state: WorldState, row: int) -> Twist:
         """The command for the rammer, which is robot `row`.
 
-        It chases the nearest robot other than its last target. After a contact, or after `_CHASE` s
-        without one, it backs away and chooses another.
+        The rammer chases the nearest robot except its last target. After a contact, or after
+        `_CHASE` s without a contact, the rammer backs away and chooses another robot.
         """
         if state.contacts > self._touches or state.time >= self._chases_until:
             self._touches = state.contacts

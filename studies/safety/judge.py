@@ -1,10 +1,10 @@
 """Collisions of a trace and the robot at fault, from MuJoCo's contacts and not from the arbiter.
 
-A collision is a contact of two robots, at least one of them protected; it counts once for each
-second that it lasts. A protected robot is at fault if its own surface moved towards the other at
-more than 2 cm/s. A resting robot that is rammed is not at fault. A robot that moves although its
-command has been zero for half a second is pushed and not at fault; such collisions are counted
-separately.
+A collision is a contact of two robots, at least one of them protected. A contact counts once for
+each second that it lasts. A protected robot is at fault if its own surface moved towards the other
+robot at more than 2 cm/s. A resting robot that is rammed is not at fault. A robot that moves
+although its command has been zero for half a second is pushed and not at fault; such collisions are
+counted separately.
 """
 
 from __future__ import annotations
@@ -36,10 +36,12 @@ _ROUNDING = 1e-9
 class Collision(Struct, frozen=True):
     """One counted part of a contact.
 
-    `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
-    highest speed of a protected robot's own surface towards the other; `pushed_speed` the same of
-    a robot with a zero command; `robot` is the id of that robot. `first_speed` m/s: `own_speed` at
-    the first step of a contact, before anything can have been pushed; 0 in later counts.
+    - `a`: a robot's id. `b`: the id of another robot, the name of a movable box, or WALLS.
+    - `own_speed`: m/s, the highest speed of a protected robot's own surface towards the other body;
+      `robot`: the id of this robot.
+    - `pushed_speed`: m/s, the same of a robot whose command is zero.
+    - `first_speed`: m/s, `own_speed` at the first step of a contact, before a robot can have been
+      pushed; 0 in later counts.
     """
 
     time: float

@@ -38,10 +38,10 @@ def top_speeds(platform: Platform) -> dict[str, float]:
 def needed_floor(platform: Platform, late: float = 0.0) -> float:
     """The side in m of the free square floor that a calibration needs, rounded up to 0.1 m.
 
-    The robot stands in the middle. The floor has room for the longest drive, and for the gap that
-    mode `barrier` needs at top speed (docs/safety.md): ahead, and for a base that moves sideways
-    also at the sides. `late`: s by which scans arrive later than declared, which protection adds to
-    the age of scans.
+    The robot stands in the middle. The floor has room for the longest drive, and ahead for the gap
+    that mode `barrier` needs at top speed (docs/safety.md). For a base that moves sideways the
+    floor has this gap at the sides, too. `late`: s by which scans arrive later than declared, which
+    protection adds to the age of scans.
     """
     front, left = platform.footprint.max(axis=0).tolist()
     speeds = top_speeds(platform)

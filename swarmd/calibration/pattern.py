@@ -286,9 +286,10 @@ class Calibration(Pattern[CalibrationParams]):
     ) -> _Drives:
         """Measure stops on an axis: to and fro, from two speeds.
 
-        Appends pairs of commanded speed and stop to `stops`, and distances to `scales`. After a
-        drive without a steady speed, all stops are repeated at a slower speed. Ends the calibration
-        by _EndError after more than _RETRIES such drives.
+        Appends to `stops` the commanded speed and the measured stop (`Braking`) of each drive, and
+        to `scales` the distances of the drive in m by odometry and by scans. After a drive without
+        a steady speed, all stops are repeated at a slower speed. Ends the calibration by _EndError
+        after more than _RETRIES such drives.
         """
         failures, words = 0, _AXES[axis]
         while len(stops) < 4 * self.params.repeats:
@@ -316,9 +317,9 @@ class Calibration(Pattern[CalibrationParams]):
         """Drive or turn until the speed is steady, then stop; yields the command of each step.
 
         `speed` in m/s or rad/s, signed. `axis`: the field of Twist: linear, lateral or angular. The
-        distances by odometry and by scans are appended to `scales`. Returns the stop; None if the
-        speed did not become steady, after the robot has driven back. Ends the calibration by
-        _EndError if odometry shows no motion.
+        distances by odometry and by scans are appended to `scales`. Returns the measured stop. If
+        the speed did not become steady, the robot drives back, and the result is None. Ends the
+        calibration by _EndError if odometry shows no motion.
         """
         # 1. Drive until the speed was steady for _CLEAR s, or the drive gets too long.
         twist = Twist(**{axis: speed})

@@ -66,8 +66,7 @@ class CommandGate:
     def close(self, now: float) -> bool:
         """Note that the base is lost; returns True if the driver must publish zero now.
 
-        In that case `repeats_zero` is True for ZERO_REPEAT_TIME: the driver publishes zero
-        repeatedly.
+        If True, the driver repeats the zero while `repeats_zero` is True, for ZERO_REPEAT_TIME.
         """
         is_wanted = self._is_open and self._has_sent
         self._is_open = False

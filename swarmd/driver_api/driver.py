@@ -54,9 +54,9 @@ class Driver(Protocol):
         """Send a safe command. Never blocks, keeps no queue, drops commands to a lost base.
 
         The first command after each (re)connect is zero: see `CommandGate`. `is_stopped`: the robot
-        is stopped, estopped or faulted. In these states a base that other nodes may command is sent
-        zero although it is lost: with each call, and at once when a command of another node is
-        heard.
+        is stopped, estopped or faulted. In these states a driver whose base other nodes may command
+        sends zero even to a lost base: with each call, and at once when a command of another node
+        is heard.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:

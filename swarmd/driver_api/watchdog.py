@@ -9,10 +9,11 @@ end.
    until the daemon ticks again. A daemon that is back before the zeros end sends zero as well, so
    that the base stands.
 3. Before the first tick the watchdog sends nothing.
-4. The watchdog of a daemon that has ended goes on until it is asked to end: by a farewell of that
-   daemon, by SIGTERM, by the end of the process to which it is tied, or by the watchdog of a new
-   daemon for this robot (relief), whose sender is open by then. It ends after the 2 s of zeros.
-   After a daemon that never ticked it ends at once.
+4. When the daemon has ended, the watchdog sends zeros until a request to end: a farewell of the
+   daemon, SIGTERM, the end of the process to which the watchdog is tied, or relief by the watchdog
+   of a new daemon for this robot, whose sender is open by then. The watchdog ends at this request,
+   but not before the 2 s of zeros are over. If the daemon has never ticked, the watchdog ends with
+   the daemon.
 """
 
 from __future__ import annotations

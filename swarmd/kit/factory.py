@@ -54,10 +54,11 @@ def assemble(
     _check_needs(name, kind.needs, platform)
     params, sources = build(kind.params_type, full_layers(kind, platform, layers))
 
-    # The pattern calls this function for each pattern that it contains. With `private` the inner
-    # pattern has message channels of its own (`part-channel`), else it shares those of the
-    # stand-alone pattern (`inner_name/channel`). The prefix holds no `channel_prefix`: each
-    # combined pattern adds the prefix of its own parts, except to a name with `/`.
+    # The pattern calls this function for each pattern that it contains. A `private` inner pattern
+    # has message channels of its own (`part-channel`). Any other inner pattern shares the channels
+    # of the stand-alone pattern (`inner_name/channel`). Here only the prefix of this level is made:
+    # a pattern that is itself an inner pattern puts its own prefix before the names of its parts'
+    # channels, unless they contain `/` and so are shared.
     def make(
         inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:

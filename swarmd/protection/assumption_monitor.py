@@ -237,9 +237,10 @@ class _Brake:
     def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
         """Drop the stop under way if the speed on another `axis` changes, too.
 
-        `speed` is the last measured speed on that axis, at `stamp`. The base may still follow any
-        command of the last _LONGEST_DELAY s. So the change is the greatest difference between the
-        present command of that axis and its measured speed or any of these commands.
+        `speed` is the last measured speed on the other axis, at `stamp`. The base may still follow
+        any command of the last _LONGEST_DELAY s. So the change of speed is taken as the greatest
+        difference between the present command of the other axis and its measured speed, or any of
+        its commands of that time.
         """
         stop: _Stop = self._stop
         if stop is None:
@@ -363,8 +364,9 @@ class _Brake:
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
-        # The second argument: the mean time between two readings of the stop.
-        self._respond(delay, (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps))
+        # Is the base late? A delay is known up to the mean time between two readings of the stop.
+        mean_period = (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps)
+        self._respond(delay, mean_period)
 
         # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
         least_misfit = float(misfits.min())
@@ -375,17 +377,18 @@ class _Brake:
         self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
-        # 3. CUSUM: adds the logarithm of the likelihood ratio of WEAK and SOUND: half of the
-        # difference of their misfits, which are chi-squares in units of the variance (the greater
-        # of the pooled variance and that of this stop, so that a noisy stop counts less).
-        misfits = (misfits - least_misfit) / max(self._variance, stop_variance)
-        log_ratio = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
+        # 3. CUSUM. A misfit over the variance is a chi-square; the best fit gets 0. The variance is
+        # the greater of the pooled variance and that of this stop, so that a noisy stop counts
+        # less. Half of a difference of chi-squares is the logarithm of a likelihood ratio: here
+        # positive if WEAK fits better than SOUND.
+        chi_squares = (misfits - least_misfit) / max(self._variance, stop_variance)
+        log_ratio = 0.5 * float(chi_squares[_SOUND] - chi_squares[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
         if self._log_likelihood_sum <= 0.0:
             self._begin()
             return False
         self._stop_count += 1
-        self._misfits += misfits
+        self._misfits += chi_squares
         return self._log_likelihood_sum >= ALARM and self._conclude()
 
     def _respond(self, delay: float, period: float) -> None:
@@ -503,8 +506,9 @@ def _weighted_residuals(
 ):
     """The weighted sums of squared residuals of the model of the base, and the best delays.
 
-    (2, s), for each braking of `brakings` (s,): the sum, and the delay in s. The delay is the best
-    of a coarse grid, then of a fine grid around the best coarse delay.
+    (2, s): row 0 has the least sum for each braking of `brakings` (s,), row 1 the delay in s that
+    gives this sum. The delay is the best of a coarse grid, then of a fine grid around the best
+    coarse delay.
 
     Args:
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
@@ -554,7 +558,7 @@ def _weighted_residuals(
             for i in range(len(periods)):
                 period_begin: cython.double = periods[i, 0]
                 duration: cython.double = periods[i, 1]
-                speed_sum: cython.double = 0.0
+                speed_sum: cython.double = 0.0  # of two speeds of the model
                 for part in range(2):  # the speeds at a quarter and three quarters of the period
                     stamp: cython.double = period_begin + parts[part] * duration - delay
                     while command + 1 < count and stamps[command + 1] <= stamp:
@@ -785,7 +789,8 @@ class AssumptionMonitor:
         if speed - _STANDARD_DEVIATIONS * spread < _CLEARLY_FASTER * assumed:
             return ""
 
-        # 4. Counts the approach. At least two were as fast as the second fastest: the evidence.
+        # 4. Counts the approach. The evidence is the second fastest approach: at least two
+        # approaches were that fast.
         self._approaches.append((stamp, speed, spread))
         evidence = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:

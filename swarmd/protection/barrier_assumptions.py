@@ -88,9 +88,9 @@ class Assumptions:
     def binding_range(self, age: cython.double) -> cython.double:
         """The gap in m beyond which a return constrains no command of the robot.
 
-        `age`: s of the return when the command takes effect. With a keep-out circle around the
-        lidar, the gap is the greater of that within which a return constrains the outline, and that
-        within which it constrains the circle. See BindingRange.for_scan_age.
+        `age`: s of the return when the command takes effect. See BindingRange.for_scan_age. A
+        return constrains the outline within one gap. If the platform keeps a circle around the
+        lidar free, a return constrains this circle within a second gap, and the greater gap counts.
         """
         outline_gap: cython.double = (
             self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age

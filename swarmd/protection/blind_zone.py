@@ -680,7 +680,8 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        # 1. rad by which a hidden obstacle may have moved around the sensor between two scans.
+        # 1. rad by which an obstacle may have moved around the sensor between two scans. A return
+        # that reappears within `sideways_shift` is the obstacle; within `farthest_shift` it may be.
         farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
         sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
         is_robot_near: cython.bint = (
@@ -724,7 +725,7 @@ class BlindZoneMemory:
             self._age_by_ray[ray] = min(self._age_by_ray[ray], self._age[k])
             self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
             self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
-            if angle_off <= _PI / ray_count:  # whole rays would lose a slow turn
+            if angle_off <= _PI / ray_count:  # exact, since whole rays would lose a slow turn
                 self._exact_bearing[ray] = self._hidden_bearing[k]
         return 0
 
@@ -778,14 +779,13 @@ class BlindZoneMemory:
     def _fill(self, seconds: cython.double) -> cython.int:
         """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        An obstacle is doubtful once its age is above 0. A sector is treated by the first case that
-        fits:
+        An obstacle with an age above 0 is doubtful. The first case that fits a sector counts:
 
-        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: they fill the
-           sector, doubtful, but no nearer than the corner of rule 2 where no other obstacle hides.
+        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: a ray at which
+           nothing else hides becomes doubtful, at the distance of the corner (rule 2 of the file).
         2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
-           Its age there: 0 where a robot has room; else at most doubtful while an obstacle crosses
-           the rim; else older by `seconds`.
+           Its age becomes 0 where a robot has room; else at most that of a doubtful obstacle while
+           an obstacle crosses the rim; else the age grows by `seconds`.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         4. Else the rays stay as they are.
         """

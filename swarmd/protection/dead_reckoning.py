@@ -146,10 +146,11 @@ class DeadReckoning:
     ) -> cython.int:
         """Set `into` to the pose `seconds_before` s before a decision.
 
-        The pose is interpolated between two readings. Before the oldest reading the pose is
-        extrapolated at the twist of that reading; after the newest reading likewise, for
-        LONGEST_EXTRAPOLATION s at most. Without a reading the pose is (0, 0, 0). `odometry_age` in
-        s is the age of the newest reading at the decision.
+        The pose is interpolated between two readings. Before the oldest reading, the pose is
+        extrapolated at the twist of the oldest reading. After the newest reading, the pose is
+        extrapolated at the twist of the newest reading, for LONGEST_EXTRAPOLATION s at most.
+        Without a reading the pose is (0, 0, 0). `odometry_age` in s is the age of the newest
+        reading at the decision.
         """
         r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         if self._count == 0:
@@ -327,8 +328,9 @@ class ScanMotion:
     ):
         """Store time and pose of a scan, and the motion since the scan before.
 
-        False if the newest ray is not newer than that of the scan before; then nothing changes. A
-        scan of age 0 has only rays that arrived just now, and always counts. Times in s:
+        False, and nothing changes, if the newest ray of the scan is not newer than the newest ray
+        of the scan before. A scan of age 0 always counts, since all its rays arrived just now.
+        Times in s:
 
         Args:
             now: the time of the call.

@@ -156,10 +156,11 @@ class Creeping:
     @cython.cfunc
     @cython.exceptval(-1)
     def allow(self, placed: PlacedPoints) -> cython.int:
-        """Set `cap` for the placed points of a decision.
+        """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
 
-        The cap is CREEP_SPEED, or less where an obstacle could touch the robot before the next
-        scan. Robot and obstacle each use half of the gap.
+        The cap is CREEP_SPEED, or less if a `placed` point is so near that its obstacle could touch
+        the robot before the next scan: the robot may use half of the gap beyond contact until then,
+        since the obstacle may use the other half.
         """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED

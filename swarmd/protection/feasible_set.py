@@ -65,8 +65,8 @@ class Situation:
     ) -> cython.int:
         """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
 
-        In the second case the constraints of the last decision do not hold any more: sets
-        `is_known` to False. The arguments are described at the attributes of these names.
+        With 0 the constraints of the last decision do not hold any more, and `is_known` becomes
+        False. The arguments are described at the attributes of these names.
         """
         if (
             self.is_known

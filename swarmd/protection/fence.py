@@ -125,8 +125,8 @@ class Fence:
             requested: within the limits of the platform.
             context: the time, odometry and the anchor with their ages.
             command: the command in force, by which the base moves until the next command.
-            is_even: reduce all speeds by one share. If the request satisfies constraints that are
-                convex and permit zero, such as those of a mode, then so does the result.
+            is_even: reduce all speeds by one share. Then the result satisfies all constraints that
+                the request satisfies, if they are convex and permit zero, as those of a mode do.
         """
         if requested.is_zero or context.anchor is None or context.odometry is None:
             return requested

@@ -193,11 +193,16 @@ class _Stops:
     ) -> cython.bint:
         """True if the circle stays clear, or comes inwards, in a stop.
 
-        The base begins at the speeds `ahead`, `left` and `turn`. It changes them towards `to_ahead`
-        and so on (not beyond) for TICK, and then towards zero, at `braking` in m/s2 and `turning`
-        in rad/s2. Inwards: the clearance never falls from step to step, and at each step exceeds
-        that at the begin by what an error of the direction can feign. Between two steps the axle
-        is at most half of a step away from the nearer step, which a clear step has as a reserve.
+        The base begins at the speeds `ahead`, `left` and `turn`. For TICK these speeds change
+        towards `to_ahead`, `to_left` and `to_turn` (not beyond), and then towards zero, at
+        `braking` in m/s2 and `turning` in rad/s2. At each step of the stop the circle must be clear
+        or come inwards:
+
+        - Clear: the clearance is at least `need`, plus what an error of the direction can hide,
+          plus half of the step, since between two steps the axle is up to half of a step away from
+          the nearer step.
+        - Inwards: the clearance has not fallen since the step before, and exceeds the clearance at
+          the begin by what an error of the direction can feign.
         """
         linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         fastest: cython.double = max(fabs(turn), fabs(to_turn))
@@ -206,7 +211,7 @@ class _Stops:
         east: cython.double = 0.0
         north: cython.double = 0.0
         turned: cython.double = 0.0
-        before: cython.double = self.present
+        last_room: cython.double = self.present  # m, the clearance at the step before
         i: cython.Py_ssize_t
         for i in range(_STEPS):
             until: cython.double = step * (i + 0.5)  # the middle of the step
@@ -228,11 +233,12 @@ class _Stops:
             )
             off: cython.double = self.turn_error * way  # m, by an error of the direction
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
-            if not is_clear and (
-                room < self.present + off - _ROUNDING or room < before - _ROUNDING
-            ):
+            comes_inwards: cython.bint = not (
+                room < self.present + off - _ROUNDING or room < last_room - _ROUNDING
+            )
+            if not (is_clear or comes_inwards):
                 return False
-            before = room
+            last_room = room
         return True
 
 

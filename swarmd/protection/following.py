@@ -153,12 +153,13 @@ class _Axis:
         """
         i: cython.Py_ssize_t
 
-        # 1. Moves the slow base on. Two periods are added to its delay: a command has the stamp of
-        # the reading before it, and the motion that is compared began with the last period.
+        # 1. Moves the slow base on: `_held` becomes the index of the command that it follows now,
+        # DELAY s late. Two periods are added to the delay: a command has the stamp of the reading
+        # before it, and the motion that is compared began with the last period.
         response: cython.double = stamp - DELAY - 2.0 * period
         while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
             self._held += 1
-        # Goes back if the period has grown.
+        # Goes back if the period has grown, since `response` may then be earlier than before.
         while self._held > self._first and self._stamps[self._held] > response:
             self._held -= 1
         # Drops commands that ended before the window, up to the command of the slow base.
@@ -181,8 +182,8 @@ class _Axis:
             self._follow()
             return
 
-        # 3. The bounds: the slow base, and all commands of the last WINDOW. Of the two speeds, the
-        # speed nearer to the bounds counts.
+        # 3. The bounds: the slow base, and all commands of the last WINDOW (the fast base). Of the
+        # two measured speeds, the speed nearer to the bounds counts.
         low = high = self._slow_speed
         for i in range(self._first, self._end):
             low, high = min(self._speeds[i], low), max(self._speeds[i], high)

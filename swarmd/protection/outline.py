@@ -169,10 +169,10 @@ class Outline:
         """Set gap, direction, lever and hidden gap of the points of a chunk (up to 64 points).
 
         The direction is the unit vector from the nearest place of the outline to the point. The
-        lever in m is that of the nearest place about the axle in this direction. The hidden gap in
-        m is how far the blind zone, a circle of `blind` m around the lidar, reaches beyond the
-        outline on the shortest line from the outline to the point. An obstacle with a return at the
-        point may extend unseen into the blind zone, but not beyond it.
+        lever in m gives the speed of the nearest place in this direction for each rad/s of the
+        angular speed. The hidden gap in m is how far the blind zone, a circle of `blind` m around
+        the lidar, reaches beyond the outline on the shortest line from the outline to the point: an
+        obstacle with a return at the point may extend unseen into the blind zone up to this line.
         """
         self._find_nearest_edges(chunk)
         j: cython.Py_ssize_t
@@ -317,8 +317,8 @@ class Outline:
 
         `nearest` in m is the least range of the scan. The outline lies between two circles around
         the lidar. So the return with the least range need not be the return nearest to the outline.
-        The result is -inf if no return is measured, or if one is too close to measure: the gap is
-        then None or 0, whatever the ranges.
+        The result is -inf if the scan has no return (no gap is known), or a return too close to
+        measure (the gap is 0): then no range needs to be examined.
         """
         if nearest == INFINITY or nearest == -INFINITY:
             return -INFINITY

@@ -53,8 +53,8 @@ class Room:
     def clearance(self, speed: float) -> Clearance:
         """The room in m that the robot needs to drive at `speed` m/s, ahead and to each side.
 
-        Lengths ahead are from the axle. At most _FARTHEST_AHEAD, which is also the result where
-        even an obstacle that far does not allow the speed.
+        Lengths ahead are from the axle. The length ahead is at most _FARTHEST_AHEAD, even if an
+        obstacle at that distance does not allow the speed.
         """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions

@@ -163,11 +163,11 @@ class Recovery:
             safe_for: gives the safe command for any requested command; None: no escape is
                 tried.
         """
-        # Whether the robot is idle is judged by the request before avoidance, which may slow it.
+        # The request before avoidance: avoidance may slow a request so much that it seems idle.
         now, pattern_request = context.now, others.wanted or requested
 
-        # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
-        # or takes too long.
+        # 1. Ends a recovery if nothing is requested, if right of way settles the command
+        # (`is_settled`), or if the recovery takes too long.
         is_idle = not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
         duration = now - self._began_at
         if (
@@ -178,7 +178,9 @@ class Recovery:
             self.reset()
             return requested
 
-        # 2. Begins a recovery if the robot is blocked. A robot in a passage keeps to its middle.
+        # 2. Before a recovery. A robot that is neither blocked nor stalled keeps its request, which
+        # is led along the middle line in a passage. A blocked robot waits, or begins a recovery.
+        # `patience`: s of blocked motion before a recovery begins.
         patience = _CROWD_PATIENCE if others.are_near else self._patience
         is_blocked = self._is_blocked(safe, now, max(patience, others.patience))
         if not self.has_taken_over:
@@ -189,10 +191,10 @@ class Recovery:
                 else:
                     self._request = self._through_passage(requested, safe, points)
                 return self._request
-            if self._should_wait(context, points()):
-                return self._request  # unchanged; the next block must last for a longer `_patience`
+            if self._should_wait(context, points()):  # sets a longer `_patience` for the next block
+                return self._request
             self._start(pattern_request, context, points())
-            is_blocked = False  # the block was that of the request, not of the recovery's state
+            is_blocked = False  # the request was blocked, not yet the command of the recovery
 
         # 3. Continues the recovery.
         self._speed = max(self._speed, math.hypot(pattern_request.linear, pattern_request.lateral))
@@ -211,10 +213,10 @@ class Recovery:
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
         """True once the safe command has been far below the last request for some time.
 
-        The time is _TURN_BLOCKED_TIME for a request that only turns. Otherwise it is `patience` s
-        before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage the longer of
-        `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as blocked only
-        while it hardly moves.
+        The time is _TURN_BLOCKED_TIME for a request that only turns. For any other request the time
+        is `patience` s before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage
+        the longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
+        blocked only while it hardly moves.
         """
         request = self._request
         is_moving = self._is_moving(request)
@@ -240,10 +242,11 @@ class Recovery:
         return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
-        """True if the robot has neither moved nor turned for `_STALL_TIME` s, by odometry.
+        """True if the robot makes no progress near obstacles, although it may move.
 
-        Such a robot rocks to and fro, or avoidance reduces its request to nearly zero. A robot
-        without any return near is not blocked.
+        By odometry the robot has stayed near one place and heading for more than `_STALL_TIME` s:
+        it rocks to and fro, or avoidance reduces its request to nearly zero. False without a return
+        near the robot, and without odometry.
         """
         if context.odometry is None:
             return False

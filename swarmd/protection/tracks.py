@@ -604,9 +604,9 @@ class Tracker:
     ) -> cython.Py_ssize_t:
         """The index of the last run of the surface that begins with run `index`.
 
-        A single return between two runs may be an outlier: if the runs on both sides of the return
-        fit together, they are a single surface. So a surface consists of every second run up to the
-        last.
+        A run of a single return between two runs may be an outlier: if the runs on both sides of
+        this return fit together, they are of one surface. So the surface consists of every second
+        run from `index` to the result, and the runs between them are outliers.
         """
         while index + 2 < run_count and self._run_first[index + 1] == self._run_last[index + 1]:
             i: cython.Py_ssize_t = self._run_last[index]
@@ -634,8 +634,9 @@ class Tracker:
         surface than _MIN_WIDTH counts as standing, so as a wall.
 
         `clusters`: the list to which the cluster is added. `index`, `end`: the first and the last
-        run of the surface. The surface has every second run between them: the others are single
-        outliers, see `_end_of_surface`. `scan_time`: s, the time of the newest ray of the scan.
+        run of the surface. The surface has every second run from `index` to `end`: the runs between
+        are single outliers, see `_end_of_surface`. `scan_time`: s, the time of the newest ray of
+        the scan.
         """
         xs: cython.double[::1] = self._x
         ys: cython.double[::1] = self._y

@@ -62,15 +62,17 @@ def line_of(
 ) -> Line:
     """The border of the velocities that keep `radius` m away from a place for `horizon` s.
 
-    ORCA (see the module): the velocity obstacle is a cone with a round cap. The line touches the
-    obstacle where the obstacle is nearest to the present velocity.
+    ORCA (see the module). The velocities relative to the place that lead nearer than `radius` m
+    within `horizon` s are the velocity obstacle: a cone from the origin around the direction of the
+    place, with a round cap in place of the tip (of radius / horizon, around the place / horizon).
+    The line is the tangent of the velocity obstacle at the point nearest to the present velocity.
 
     Args:
         px, py: the place in m, relative to the robot.
         vx, vy: the velocity of the robot relative to the place in m/s.
         robot_vx, robot_vy: the velocity of the robot in m/s.
         radius: m, the distance to keep.
-        share: the share of the necessary change of velocity that this robot makes.
+        share: the part of the necessary change of velocity that this robot makes, 0 to 1.
         horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
@@ -156,7 +158,8 @@ def track_lines(
         lead: m.
         robot_vx, robot_vy: m/s, the velocity of the robot.
         radius: m, of the robot alone.
-        share: the share of the change of velocity that the robot makes for an object that moves.
+        share: the part of the necessary change of velocity that this robot makes for an object that
+            moves; the object is expected to make the rest.
         standing_speed: m/s; a slower object counts as standing.
         horizon: s.
     """
@@ -168,10 +171,10 @@ def track_lines(
         vy: cython.double = track.vy
         track_radius: cython.double = track.radius
         part: cython.double = 1.0 if hypot(vx, vy) < standing_speed else share
-        to_vx: cython.double = robot_vx - vx  # relative to the track
+        to_vx: cython.double = robot_vx - vx  # the velocity of the robot relative to the track
         to_vy: cython.double = robot_vy - vy
-        gap: cython.double = radius + track_radius  # m, to keep between the two centres
-        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, gap, part, horizon))
+        away: cython.double = radius + track_radius  # m to keep between the centres of both
+        lines.append(line_of(x - lead, y, to_vx, to_vy, robot_vx, robot_vy, away, part, horizon))
     return lines
 
 

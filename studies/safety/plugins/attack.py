@@ -1,8 +1,8 @@
 """Attacks the nearest robot that it detects, backs off, and attacks again.
 
-It moves in any direction without turning, so every point of its outline has exactly `speed`, which
-is what protection assumes of others. It backs off because minutes of leaning against one robot
-prove little.
+The attacker moves in any direction without turning. So every point of its outline has exactly
+`speed`, the speed that protection assumes of others. The attacker backs off, since minutes of
+leaning against one robot prove little.
 """
 
 from __future__ import annotations

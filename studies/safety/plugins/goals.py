@@ -1,7 +1,8 @@
 """Drives from goal to goal and counts them, without regard to obstacles.
 
-Two readings give its position. No reading gives its heading: it estimates the angle between the
-frame of its odometry and that of the arena from its displacements in both, because odometry drifts.
+Two readings give the robot's position. No reading gives the heading. So the pattern estimates the
+angle between the frame of the odometry, which drifts, and the frame of the arena from the robot's
+displacements in both frames.
 """
 
 from __future__ import annotations
