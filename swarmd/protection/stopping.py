@@ -137,6 +137,10 @@ class StopPoints:
         to_needed_gap: cython.p_double = checked(self.needed_gap, points)
         others: cython.p_double = checked(placed.others, points)
         to_others: cython.p_double = checked(self.others, points)
+        x: cython.p_double = checked(placed.x, points)
+        y: cython.p_double = checked(placed.y, points)
+        to_x: cython.p_double = checked(self.x, points)
+        to_y: cython.p_double = checked(self.y, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
             if is_granted and i < placed.seen and placed.in_touch_zone[i]:
@@ -144,7 +148,7 @@ class StopPoints:
             others_speed: cython.double = others[i] if is_passive else 0.0
             needed_gap: cython.double = free[i] + others_speed * age[i]
             if gap[i] <= needed_gap + others_speed * seconds + travel:
-                self.x[count], self.y[count] = placed.x[i], placed.y[i]
+                to_x[count], to_y[count] = x[i], y[i]
                 to_gap[count], to_needed_gap[count] = gap[i], needed_gap
                 to_others[count] = others_speed
                 count += 1
