@@ -299,9 +299,14 @@ class Constraints:
         The points are those of `near` with a gap below `furthest` m, and `discs` discs.
         """
         points: Points = near.points
-        count: cython.Py_ssize_t = 0
-        while count < points.count and not (points.gap[count] >= furthest):
-            count += 1
+        count: cython.Py_ssize_t = 0  # points before `end` that count; their gaps rise
+        end: cython.Py_ssize_t = points.count
+        while count < end:
+            middle: cython.Py_ssize_t = (count + end) // 2
+            if points.gap[middle] >= furthest:
+                end = middle
+            else:
+                count = middle + 1
         contacts: cython.Py_ssize_t = min(near.contacts, count)
         touch_rows: cython.Py_ssize_t = len(self.touch.corners) if self.touch.is_granted else 0
         rows_of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges

@@ -81,11 +81,11 @@ class LimitingRows:
         last_cap: cython.double = INFINITY  # cap and gap of the last row of a full ranking
         last_gap: cython.double = INFINITY
         for i in range(rows.all):
+            if row_cap[i] > last_cap or (row_cap[i] == last_cap and row_gap[i] >= last_gap):
+                continue
             if not row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
                 continue
             tight_count += 1
-            if row_cap[i] > last_cap or (row_cap[i] == last_cap and row_gap[i] >= last_gap):
-                continue
             if i < rows.count:
                 self._rank(rows, i)
                 if self.count == MAX_REPORTED:
