@@ -88,6 +88,8 @@ class Protection:
     _tracker = cython.declare(object, visibility="public")
     _avoids: cython.bint  # as the platform says
     _is_avoiding: cython.bint  # as the permit says
+    _has_avoided: cython.bint  # right of way may know openings
+    _odometry: object  # the last reading; None without one
     _right_of_way: object
     _latency: cython.double
     _has_walls: cython.bint  # walls that have stood are assumed to stand on
@@ -176,7 +178,8 @@ class Protection:
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
-        if self._recovery is not None:  # a hold may end avoidance for a while
+        self._odometry = odometry
+        if self._has_avoided:  # a hold may end avoidance for a while
             self._right_of_way.on_odometry(odometry)
 
     def tracks(self, context: DecisionContext) -> tuple[Track, ...] | None:
@@ -228,6 +231,9 @@ class Protection:
             is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
             if is_avoiding != self._is_avoiding:
                 self._is_avoiding = is_avoiding
+                if not self._has_avoided and self._odometry is not None:
+                    self._right_of_way.on_odometry(self._odometry)
+                self._has_avoided = True
                 self._tracker.reset()  # objects have moved meanwhile
                 self._avoidance.reset()
                 self._right_of_way.reset()
@@ -407,7 +413,7 @@ class Protection:
                 self.events.append(text)
         # 2. Stores and reports the command.
         self.following.on_command(safe)
-        if safe is not _zero and not safe.is_zero:
+        if safe is not _zero and (safe.linear != 0.0 or safe.angular != 0.0 or safe.lateral != 0.0):
             self.moved_at = context.now
         # The mode decides by `_safe`, so the last decision must not be repeated after a change;
         # `decide` sets `_last_context` again.

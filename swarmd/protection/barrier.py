@@ -299,8 +299,10 @@ class Barrier:
         is_reduced: cython.bint = self._stop.limit(self._speeds)
         if not is_reduced and projection.x == wanted_x and projection.y == wanted_y:
             return 0
-        if creeping.cap > 0.0 and 0.0 < fabs(speed) <= SLOW_REQUEST:
-            self._creep(wanted_x, wanted_y)
+        if creeping.is_possible and 0.0 < fabs(speed) <= SLOW_REQUEST:
+            creeping.allow(self._feasible.constraints.placed)
+            if creeping.cap > 0.0:
+                self._creep(wanted_x, wanted_y)
         return 1
 
     @cython.cfunc

@@ -45,6 +45,7 @@ class Assumptions:
     angular_limit: cython.double  # rad/s
     surface_speed: cython.double  # m/s, fastest corner of this robot near an obstacle
     top_surface_speed: cython.double  # m/s, fastest place of this robot's surface anywhere
+    has_special_caps: cython.bint  # of walls that stand, or reciprocal ones
     side_reserve: cython.double  # m/s by which a corner passes an obstacle more slowly
     keep_out: cython.double  # m around the lidar that stay free; NaN: no circle
     blind_radius: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
@@ -63,6 +64,7 @@ class Assumptions:
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
         self.standing_speed = settings.standing_speed
+        self.has_special_caps = not is_passive or self.standing_speed < self.others_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
         within = settings.envelope_within
         self.envelope_range = binding.for_envelope() if within is None else within

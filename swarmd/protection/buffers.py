@@ -87,6 +87,14 @@ def maximum(a: cython.double, b: cython.double) -> cython.double:
 @cython.cfunc
 @cython.inline
 @cython.exceptval(check=False)
+def at_least(value: cython.double, least: cython.double) -> cython.double:
+    """As `maximum` for a `least` that is not NaN: one instruction in place of six."""
+    return least if least > value else value
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
 def sign(a: cython.double) -> cython.double:
     """-1, 0 or 1; 0 for NaN."""
     return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)

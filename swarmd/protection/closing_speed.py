@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.clock import TICK
-from swarmd.protection.buffers import maximum
+from swarmd.protection.buffers import at_least
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -56,11 +56,21 @@ def closing_cap(
     """
     if not is_passive:
         return reciprocal_cap(room, braking, unseen)
+    return passive_cap(room, braking, unseen, others)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def passive_cap(
+    room: cython.double, braking: cython.double, unseen: cython.double, others: cython.double
+) -> cython.double:
+    """As `closing_cap` if `is_passive`; a function of its own for loops that become vector code."""
     # The positive root of s^2 + 2 half_slope s = 2 b room_left; 0 without room left.
     room_left: cython.double = room - others * (unseen + DECISION_PERIOD)
     half_slope: cython.double = braking * DECISION_PERIOD + others
-    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * maximum(room_left, 0.0))
-    return maximum(root - half_slope, 0.0)
+    root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * at_least(room_left, 0.0))
+    return at_least(root - half_slope, 0.0)
 
 
 @cython.cfunc
@@ -73,10 +83,10 @@ def wall_cap(
 
     `error_speed`: m/s at which the place of the wall may be wrong for each s of its age.
     """
-    cap: cython.double = closing_cap(room - WALL_MARGIN, braking, unseen, error_speed, True)
+    cap: cython.double = passive_cap(room - WALL_MARGIN, braking, unseen, error_speed)
     if cap > WALL_SPEED:
         return cap
-    cap = closing_cap(room, braking, unseen, error_speed, True)
+    cap = passive_cap(room, braking, unseen, error_speed)
     return cap if cap < WALL_SPEED else WALL_SPEED
 
 
@@ -92,10 +102,10 @@ def reciprocal_cap(
     V = 0, half of the room, and a reaction time of two ticks plus `unseen`. After barrier
     certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
     """
-    half_room: cython.double = 0.5 * maximum(room, 0.0)
+    half_room: cython.double = 0.5 * at_least(room, 0.0)
     half_slope: cython.double = braking * (2.0 * DECISION_PERIOD + unseen)  # as in `closing_cap`
     root: cython.double = sqrt(half_slope * half_slope + 2.0 * braking * half_room)
-    return maximum(root - half_slope, 0.0)
+    return at_least(root - half_slope, 0.0)
 
 
 @cython.cfunc
@@ -111,4 +121,4 @@ def closing_deceleration(
     """
     braking: cython.double = fabs(linear) * slowing
     braking += fabs(lever) * turning
-    return maximum(braking, MIN_BRAKING)
+    return at_least(braking, MIN_BRAKING)

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from swarmd.core.values import Limits
 from swarmd.protection.barrier_assumptions import REACTION, Assumptions
 from swarmd.protection.buffers import (
+    at_least,
     checked,
     checked_indices,
     doubles,
@@ -24,8 +25,8 @@ from swarmd.protection.buffers import (
 from swarmd.protection.closing_speed import (
     CREEP_SPEED,
     DECISION_PERIOD,
-    closing_cap,
     closing_deceleration,
+    passive_cap,
     reciprocal_cap,
     wall_cap,
 )
@@ -229,7 +230,7 @@ class PlacedPoints:
 
 @cython.cfunc
 @cython.exceptval(-1)
-def _limit_corner_to_walls(
+def _set_special_caps(
     chunk: Chunk,
     axes: SpeedAxes,
     assumptions: Assumptions,
@@ -238,13 +239,14 @@ def _limit_corner_to_walls(
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
 ) -> cython.int:
-    """Set the caps of one corner for points on walls that stand.
+    """Set the caps of one corner that are not passive: of walls that stand, and reciprocal caps.
 
-    A loop of its own: the loop over all points would else not be compiled to vector code.
+    A loop of its own: the loop over all points would else compute both caps for each point.
     """
     j: cython.Py_ssize_t
     for j in range(begin, end):
-        if chunk.others[j] < assumptions.others_speed:
+        is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+        if is_wall or not assumptions.is_passive:
             distance: cython.double = chunk.row_gap[j]
             dx: cython.double = (chunk.x[j] - corner_x) / distance
             dy: cython.double = (chunk.y[j] - corner_y) / distance
@@ -254,7 +256,10 @@ def _limit_corner_to_walls(
                 linear, lever, assumptions.braking_linear, assumptions.braking_angular
             )
             room: cython.double = distance - chunk.free[j]
-            chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+            if is_wall:
+                chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+            else:
+                chunk.row_cap[j] = reciprocal_cap(room, braking, chunk.age[j])
     return 0
 
 
@@ -294,9 +299,14 @@ class Constraints:
         The points are those of `near` with a gap below `furthest` m, and `discs` discs.
         """
         points: Points = near.points
-        count: cython.Py_ssize_t = 0
-        while count < points.count and not (points.gap[count] >= furthest):
-            count += 1
+        count: cython.Py_ssize_t = 0  # points before `end` that count; their gaps rise
+        end: cython.Py_ssize_t = points.count
+        while count < end:
+            middle: cython.Py_ssize_t = (count + end) // 2
+            if points.gap[middle] >= furthest:
+                end = middle
+            else:
+                count = middle + 1
         contacts: cython.Py_ssize_t = min(near.contacts, count)
         touch_rows: cython.Py_ssize_t = len(self.touch.corners) if self.touch.is_granted else 0
         rows_of_a_point: cython.Py_ssize_t = ROWS_OF_A_POINT + self._outline.edges
@@ -451,18 +461,16 @@ class Constraints:
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
         others: cython.p_double = chunk.others
-        others_speed: cython.double = assumptions.others_speed
-        is_passive: cython.bint = assumptions.is_passive
         # 1. Finds the nearest place of the outline for each point, and the cap.
         self._outline.separate(chunk, blind)
         for j in range(count):
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
-            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j], is_passive)
+            cap[j] = passive_cap(gap[j] - free[j], braking, age[j], others[j])
             # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
-        if assumptions.standing_speed < others_speed:
-            self._limit_to_walls()  # walls that stand have caps of their own
+        if assumptions.has_special_caps:
+            self._set_special_caps()
         # 2. Copies the constraints into the table.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -479,17 +487,18 @@ class Constraints:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _limit_to_walls(self) -> cython.int:
-        """Set the caps of the points of the chunk that are on walls that stand.
+    def _set_special_caps(self) -> cython.int:
+        """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
 
-        Such a wall is straight, so no part of it extends unseen into the blind zone.
+        A wall that stands is straight, so no part of it extends unseen into the blind zone.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
         axes: SpeedAxes = self.axes
         assumptions: Assumptions = self._assumptions
         for j in range(chunk.count):
-            if chunk.others[j] < assumptions.others_speed:
+            is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+            if is_wall or not assumptions.is_passive:
                 linear: cython.double = (
                     chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
                 )
@@ -497,8 +506,11 @@ class Constraints:
                     linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
                 )
                 room: cython.double = chunk.gap[j] - chunk.free[j]
-                chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
-                chunk.hidden[j] = 0.0
+                if is_wall:
+                    chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+                    chunk.hidden[j] = 0.0
+                else:
+                    chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
         return 0
 
     @cython.cfunc
@@ -603,6 +615,7 @@ class Constraints:
         row_y: cython.p_double = checked(rows.y, row + count)
         row_cap: cython.p_double = checked(rows.cap, row + count)
         row_gap: cython.p_double = checked(rows.gap, row + count)
+        source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
             if cap[j] <= 0.0 and not chunk.others[j] < others_speed:  # no wall that stands
                 # m, then m/s: half of the gap, used up when the next command takes effect
@@ -612,7 +625,7 @@ class Constraints:
                 linear: cython.double = side_x[j] * axes.along_x + side_y[j] * axes.along_y
                 row_x[row], row_y[row] = linear * axes.limit, lever[j] * axes.angular_limit
                 row_cap[row] = maximum(allowed, CREEP_SPEED)
-                row_gap[row], rows.source[row] = gap[j] - chunk.radius[j], first + j
+                row_gap[row], source[row] = gap[j] - chunk.radius[j], first + j
                 row += 1
         rows.count = row
         return 0
@@ -720,8 +733,6 @@ class Constraints:
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
         others: cython.p_double = chunk.others
-        others_speed: cython.double = assumptions.others_speed
-        is_passive: cython.bint = assumptions.is_passive
         # 1. Leaves out points at the end of the chunk that are not near.
         while end > begin and not (
             gap[end - 1] <= 2.0 * free[end - 1] + others[end - 1] * (age[end - 1] + DECISION_PERIOD)
@@ -734,17 +745,17 @@ class Constraints:
             for j in range(begin, end):
                 dx: cython.double = x[j] - corner_x
                 dy: cython.double = y[j] - corner_y
-                distance: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+                distance: cython.double = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
                 dx /= distance
                 dy /= distance
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
-                new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j], is_passive)
+                new_cap[j] = passive_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
-            if assumptions.standing_speed < others_speed:
-                _limit_corner_to_walls(chunk, axes, assumptions, corner_x, corner_y, begin, end)
+            if assumptions.has_special_caps:
+                _set_special_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0
 
@@ -768,14 +779,22 @@ class Constraints:
         new_x: cython.p_double = chunk.row_x
         new_y: cython.p_double = chunk.row_y
         new_cap: cython.p_double = chunk.row_cap
+        new_gap: cython.p_double = chunk.row_gap
+        radius: cython.p_double = chunk.radius
         row: cython.Py_ssize_t = rows.count
+        room: cython.Py_ssize_t = row + end - begin
+        row_x: cython.p_double = checked(rows.x, room)
+        row_y: cython.p_double = checked(rows.y, room)
+        row_cap: cython.p_double = checked(rows.cap, room)
+        row_gap: cython.p_double = checked(rows.gap, room)
+        source: cython.p_longlong = checked_indices(rows.source, room)
         for j in range(begin, end):
             if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
                 continue  # |x| and |y| are at most 1 within the limits
             if gap[j] <= 2.0 * free[j] + others[j] * (age[j] + DECISION_PERIOD):
-                rows.x[row], rows.y[row] = new_x[j], new_y[j]
-                rows.cap[row], rows.gap[row] = new_cap[j], chunk.row_gap[j] - chunk.radius[j]
-                rows.source[row] = first + j
+                row_x[row], row_y[row] = new_x[j], new_y[j]
+                row_cap[row], row_gap[row] = new_cap[j], new_gap[j] - radius[j]
+                source[row] = first + j
                 row += 1
         rows.count = row
         return 0
@@ -798,7 +817,7 @@ class Constraints:
         for j in range(chunk.count):
             dx: cython.double = chunk.x[j] - lidar_x
             dy: cython.double = chunk.y[j] - lidar_y
-            distance: cython.double = maximum(sqrt(dx * dx + dy * dy), _NEAREST)
+            distance: cython.double = at_least(sqrt(dx * dx + dy * dy), _NEAREST)
             dx /= distance
             dy /= distance
             linear: cython.double = dx * axes.along_x + dy * axes.along_y

@@ -141,7 +141,8 @@ class Envelope:
 class Creeping:
     """Raises the caps, so that a robot may creep towards an obstacle that stops a faster robot."""
 
-    cap: cython.double  # m/s; 0 where the robot must not creep
+    is_possible: cython.bint  # in the present situation
+    cap: cython.double  # m/s, set by `allow`
     is_active: cython.bint
     _kept_cap: cython.double[::1]  # the caps of all constraints before `begin` raised them
     # The envelope while the robot creeps or touches, and the usual envelope near obstacles.

@@ -235,10 +235,9 @@ class FeasibleSet:
                 self.creeping.usual.put(rows, constraints.axes)
 
         # 5. Allows creeping, where the scan alone shows the obstacles.
-        self.creeping.is_active, self.creeping.cap = False, 0.0
         has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
-        if assumptions.may_creep and near.is_near and has_only_returns:
-            self.creeping.allow(constraints.placed)
+        self.creeping.is_active = False
+        self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
         return 0
 
     @cython.cfunc

@@ -72,19 +72,25 @@ class LimitingRows:
         row_x: cython.p_double = checked(rows.x, rows.all)
         row_y: cython.p_double = checked(rows.y, rows.all)
         row_cap: cython.p_double = checked(rows.cap, rows.all)
+        row_gap: cython.p_double = checked(rows.gap, rows.all)
 
         # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, which
-        # those of the envelope follow up to `rows.all`. Skips a row whose cap is above all caps of
-        # a full ranking.
+        # those of the envelope follow up to `rows.all`. Skips a row that `_rank` would put behind
+        # a full ranking: a robot at rest in a crowd has a hundred tight rows of cap 0.
         self.count = 0
+        last_cap: cython.double = INFINITY  # cap and gap of the last row of a full ranking
+        last_gap: cython.double = INFINITY
         for i in range(rows.all):
-            if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
-                tight_count += 1
-                if i < rows.count and (
-                    self.count < MAX_REPORTED
-                    or not (row_cap[i] > row_cap[self.row[MAX_REPORTED - 1]])
-                ):
-                    self._rank(rows, i)
+            if row_cap[i] > last_cap or (row_cap[i] == last_cap and row_gap[i] >= last_gap):
+                continue
+            if not row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
+                continue
+            tight_count += 1
+            if i < rows.count:
+                self._rank(rows, i)
+                if self.count == MAX_REPORTED:
+                    last_cap = row_cap[self.row[MAX_REPORTED - 1]]
+                    last_gap = row_gap[self.row[MAX_REPORTED - 1]]
 
         # 2. Without a tight constraint: the first constraint of the nearest point.
         points: cython.Py_ssize_t = placed.seen + placed.discs

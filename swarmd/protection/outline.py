@@ -126,25 +126,29 @@ class Outline:
             raise ValueError(f"{self.edges} edges of {len(self.corner_x)} corners")
 
     @cython.cfunc
+    @cython.inline
     @cython.exceptval(-1.0, check=True)
     def gap_of(self, x: cython.double, y: cython.double) -> cython.double:
         """The distance in m from the outline to a point; 0 for a point inside.
 
         A rectangle along the axes (`is_box`) needs fewer operations; its result differs by 1e-16.
         """
-        k: cython.Py_ssize_t
-        edges: cython.Py_ssize_t = self.edges
-        least_square: cython.double = INFINITY
-
-        # 1. A box, and a point that is not NaN: distances beyond front or rear, and a side.
+        # A box, and a point that is not NaN: distances beyond front or rear, and a side.
         if self.is_box and x == x and y == y:
             ahead: cython.double = x - self.front if x > self.front else self.rear - x
             aside: cython.double = y - self.left if y > self.left else self.right - y
             ahead = ahead if ahead > 0.0 else 0.0
             aside = aside if aside > 0.0 else 0.0
             return sqrt(aside * aside + ahead * ahead)
+        return self._gap_of_polygon(x, y)
 
-        # 2. A polygon: the least distance to the edges that have the point on their outer side.
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _gap_of_polygon(self, x: cython.double, y: cython.double) -> cython.double:
+        """The least distance in m to the edges that have the point on their outer side."""
+        k: cython.Py_ssize_t
+        edges: cython.Py_ssize_t = self.edges
+        least_square: cython.double = INFINITY
         # `beyond_end` in m: how far the point is beyond an end of the edge.
         for k in range(edges):
             above_edge: cython.double = (

@@ -83,11 +83,22 @@ class Projection:
                 count: cython.Py_ssize_t = min(CHUNK, row_count - first)
                 for i in range(count):
                     excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
-                for i in range(count):
+                i = 0
+                while i < count:
+                    if (  # four rows at once: few rows are worse than all rows before them
+                        i + 4 <= count
+                        and excess[i] <= worst_excess
+                        and excess[i + 1] <= worst_excess
+                        and excess[i + 2] <= worst_excess
+                        and excess[i + 3] <= worst_excess
+                    ):
+                        i += 4
+                        continue
                     if not (excess[i] <= worst_excess):
                         worst_excess, worst_row = excess[i], first + i
                         if worst_excess != worst_excess:
                             break
+                    i += 1
                 if worst_excess != worst_excess:
                     break
                 first += count

@@ -137,6 +137,10 @@ class StopPoints:
         to_needed_gap: cython.p_double = checked(self.needed_gap, points)
         others: cython.p_double = checked(placed.others, points)
         to_others: cython.p_double = checked(self.others, points)
+        x: cython.p_double = checked(placed.x, points)
+        y: cython.p_double = checked(placed.y, points)
+        to_x: cython.p_double = checked(self.x, points)
+        to_y: cython.p_double = checked(self.y, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
             if is_granted and i < placed.seen and placed.in_touch_zone[i]:
@@ -144,7 +148,7 @@ class StopPoints:
             others_speed: cython.double = others[i] if is_passive else 0.0
             needed_gap: cython.double = free[i] + others_speed * age[i]
             if gap[i] <= needed_gap + others_speed * seconds + travel:
-                self.x[count], self.y[count] = placed.x[i], placed.y[i]
+                to_x[count], to_y[count] = x[i], y[i]
                 to_gap[count], to_needed_gap[count] = gap[i], needed_gap
                 to_others[count] = others_speed
                 count += 1
@@ -173,6 +177,7 @@ class StopCheck:
     _stop_travel: cython.double[4]
     _stop_linear: cython.double[4]
     _stop_angular: cython.double[4]
+    _stop_turns: cython.bint[4]  # the turn is fast enough to move a place outwards
 
     def __init__(
         self, assumptions: Assumptions, outline: Outline, constraints: Constraints
@@ -333,6 +338,9 @@ class StopCheck:
             braked_s = step_s * j - DECISION_PERIOD
             self._stop_linear[j] = _braked(speed, linear_braking, braked_s) * sign(linear)
             self._stop_angular[j] = _braked(turn_rate, turn_braking, braked_s) * sign(angular)
+            self._stop_turns[j] = not (
+                fabs(self._stop_angular[j]) * radius + _ROUNDING <= FAULT_SPEED
+            )
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
 
             # 3. Bounds the motion of the outline.
@@ -394,9 +402,10 @@ class StopCheck:
 
             # 3. The turn must not move a place outwards within the reach of the obstacle, of which
             # the margin, a reserve for noise, is no part.
-            reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
-            if present_gap < reach and self._turns_outwards(j, x, y, reach):
-                return 1
+            if self._stop_turns[j]:
+                reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
+                if present_gap < reach and self._turns_outwards(j, x, y, reach):
+                    return 1
 
             # 4. The rest of the stop, `travel` less the travel so far, cannot use up the gap.
             # (`_stop_travel` is negative, so the subtraction adds the travel so far.)
@@ -431,8 +440,6 @@ class StopCheck:
         edges: cython.Py_ssize_t = outline.edges
         linear: cython.double = self._stop_linear[pose]
         angular: cython.double = self._stop_angular[pose]
-        if fabs(angular) * outline.radius + _ROUNDING <= FAULT_SPEED:
-            return 0
         for k in range(edges):
             nx: cython.double = outline.axis_x[edges + k]
             ny: cython.double = outline.axis_y[edges + k]
