@@ -70,20 +70,24 @@ class RollingScans:
         """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
         self._waiting.add(robot)
 
-    def advance(self, poses: Array, step: int) -> list[CompleteScan]:
+    def advance(self, poses: Array, step: int, *, ends_only: bool = False) -> list[CompleteScan]:
         """Measure the rays of `step`; returns the scans that this step completes.
 
         Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
+        `ends_only`: measure no rays of other scans; a second call for this step measures those.
         """
         if self._waiting:
             self._start(step)
         robots, begun, rows = self._scans
-        since = step - begun
+        since, done = step - begun, 0
+        if len(since) and since[0] == self._steps:  # scans are in the order of their begin
+            done = np.count_nonzero(since == self._steps)
+        if ends_only:
+            robots, since, rows = robots[:done], since[:done], rows[:done]
         first, counts = self._first, self._counts
         self._lidar.cast_sectors(self._ranges, rows, poses, robots, since, first, counts)
-        if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
+        if not done:
             return []
-        done = np.count_nonzero(since == self._steps)
         self._scans = self._scans[:, done:]
         return [
             CompleteScan(robot, self._ranges[row], self._ages, step - self._steps)
