@@ -33,12 +33,18 @@ T = TypeVar("T")
 TIMEOUT = 50.0
 """Limit in s of wall time for one step of a process; below STEP_TIMEOUT, the limit of a run."""
 
-_SPIN = 50e-6  # s of busy waiting before a process sleeps; to wake up takes about as long
+# s of busy waiting before a process sleeps: more than the shares of a step differ. To wake up takes
+# about 50 us, often twice in a step of 1 ms.
+_SPIN = 1e-3
 _POLL_PERIOD = 0.25  # s between two checks of processes while one waits
 _CHUNK = 1 << 20  # bytes of each process that one round exchanges
 _HEAD = struct.Struct("q")
 _SLOT = _HEAD.size + _CHUNK
 _MAX_ERROR = 1 << 16  # bytes, which a pipe holds without a reader
+
+
+def _nothing() -> None:
+    pass
 
 
 class RunProcess:
@@ -73,10 +79,11 @@ class RunProcess:
         """The rows among `rows` that this process simulates, in order."""
         return rows if self.count == 1 else [row for row in rows if row in self._own]
 
-    def exchange(self, part: T) -> list[T]:
+    def exchange(self, part: T, meanwhile: Callable[[], None] = _nothing) -> list[T]:
         """Give `part` to all processes; the parts of all processes in the order of processes.
 
-        Blocks until all processes have made this call, so each must make it equally often.
+        Blocks until all processes have made this call, so each must make it equally often. With
+        several processes, `meanwhile` is called once, before this process waits for the others.
         """
         return [part]
 
@@ -110,20 +117,23 @@ class _Member(RunProcess):
         self._half = 0
         self._pid: int | None = None
 
-    def exchange(self, part: T) -> list[T]:
-        received = self._exchange_bytes(pickle.dumps(part, pickle.HIGHEST_PROTOCOL), keeps=True)
-        return self._loaded(received, part)
+    def exchange(self, part: T, meanwhile: Callable[[], None] = _nothing) -> list[T]:
+        data = pickle.dumps(part, pickle.HIGHEST_PROTOCOL)
+        return self._loaded(self._exchange_bytes(data, meanwhile, keeps=True), part)
 
     def collect(self, part: T) -> list[T]:
         if self.index == 0:
-            return self._loaded(self._exchange_bytes(b"", keeps=True), part)
-        self._exchange_bytes(pickle.dumps(part, pickle.HIGHEST_PROTOCOL), keeps=False)
+            return self._loaded(self._exchange_bytes(b"", _nothing, keeps=True), part)
+        data = pickle.dumps(part, pickle.HIGHEST_PROTOCOL)
+        self._exchange_bytes(data, _nothing, keeps=False)
         return []
 
     def _loaded(self, received: list[bytearray], own: T) -> list[T]:
         return [own if i == self.index else pickle.loads(data) for i, data in enumerate(received)]
 
-    def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
+    def _exchange_bytes(
+        self, data: bytes, meanwhile: Callable[[], None], *, keeps: bool
+    ) -> list[bytearray]:
         """Exchange `data` in rounds of _CHUNK bytes until the longest data are sent.
 
         Returns the data by process, empty for this process, and empty for all unless `keeps`.
@@ -141,6 +151,8 @@ class _Member(RunProcess):
             self._write(len(data), data[sent : sent + _CHUNK])
             for process in peers:
                 self._ready[self.index][process].release()
+            if sent == 0:
+                meanwhile()
             # 2. Read the peers' chunks; the last chunk may be short or empty.
             longest = len(data)
             for process in peers:
@@ -171,6 +183,7 @@ class _Member(RunProcess):
         while time.perf_counter() < end:
             if ready.acquire(False):
                 return
+            os.sched_yield()  # to the awaited process, if it has no core of its own
         before = time.monotonic()
         while not ready.acquire(True, _POLL_PERIOD):
             now = time.monotonic()

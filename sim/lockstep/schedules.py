@@ -83,7 +83,9 @@ class Alarms:
     def __init__(self, n: int, dt: float) -> None:
         self._dt = dt
         self._step = 0
-        self._due = np.full(n, -1)  # the step of each alarm; a past step is no alarm
+        self._due = [-1] * n  # the step of each alarm; a past step is no alarm
+        # The rows by step; an alarm that was moved is left in the set of its former step.
+        self._rows: dict[int, set[int]] = {}
 
     def set(self, row: int, at: float | None) -> None:
         """Set the alarm of `row` to the first step at or after `at` s; None: no alarm.
@@ -94,13 +96,15 @@ class Alarms:
             self._due[row] = -1
             return
         step = int(-((_ROUNDING - at) // self._dt))  # ceil((at - _ROUNDING) / dt)
-        self._due[row] = max(step, self._step + 1)
+        step = max(step, self._step + 1)
+        if step != self._due[row]:
+            self._due[row] = step
+            self._rows.setdefault(step, set()).add(row)
 
     def due(self, step: int) -> list[int]:
         """The rows whose alarm is this step, in order; call it for every step."""
         self._step = step
-        rows: list[int] = (self._due == step).nonzero()[0].tolist()
-        return rows
+        return sorted(row for row in self._rows.pop(step, ()) if self._due[row] == step)
 
 
 class EventTimeline:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -154,8 +154,8 @@ class Lidar:
         walls = np.concatenate((start, end - start), axis=1)
         farthest_sides = -spec.range_max * np.hypot(walls[:, 2], walls[:, 3])
         corners = shapes.polygons
-        kernel = load_kernel("swarmd.sim.world.ray_caster")
-        self._caster = kernel.Caster(
+        self._kernel = load_kernel("swarmd.sim.world.ray_caster")
+        self._caster = self._kernel.Caster(
             spec,
             self._rays,
             np.concatenate((walls, farthest_sides[:, None]), axis=1),
@@ -172,43 +172,24 @@ class Lidar:
         The range of a beam with a cone is the least of _RAYS_IN_BEAM rays across the cone. A body
         whose pose is NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
-        count, rays = len(observers), len(self._spec.bearings)
-        ranges = np.full((count, rays), np.inf)
-        first, counts = np.array([0], dtype=np.intp), np.array([rays], dtype=np.intp)
-        whole = np.zeros(count, dtype=np.intp)
-        observers = np.ascontiguousarray(observers)
-        self._caster.cast(poses, observers, whole, first, counts, np.arange(count), ranges)
+        ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
+        self._caster.cast(poses, np.ascontiguousarray(observers), ranges)
         if self._spec.cone > 0.0:
-            ranges = ranges.reshape(count, -1, _RAYS_IN_BEAM).min(axis=2)
+            ranges = ranges.reshape(len(observers), -1, _RAYS_IN_BEAM).min(axis=2)
         return ranges
 
-    def sectors(self, ends: Indices) -> tuple[Indices, Indices]:
-        """The sectors of a sweep: first index in order of bearing, and number of rays, (k,) each.
+    def sweeps(self, ends: Indices, ranges: Array) -> Any:
+        """The kernel `Sweeps` of this sensor, which casts scans sector by sector into `ranges`.
 
-        `ends` (k,): the number of rays that are measured by the end of each sector.
+        `ends` (steps + 1,): the number of rays that are measured by each step of a sweep. `ranges`
+        (2 n, rays) in m: two rows for each of n robots.
         """
         sweep, bearings = self._spec.sweep, self._spec.bearings
         assert sweep is not None
         counts = np.diff(ends, prepend=0)
         start = self._rays.place_of(sweep_order(bearings, sweep)[0][0])
         first = start + ends - counts if sweep.direction > 0.0 else start + 1 - ends
-        return first % len(bearings), counts
-
-    def cast_sectors(
-        self,
-        ranges: Array,
-        rows: Indices,
-        poses: Array,
-        observers: Indices,
-        sectors: Indices,
-        first: Indices,
-        counts: Indices,
-    ) -> None:
-        """Cast sectors `sectors` (m,) of robots `observers` (m,) into `rows` (m,) of `ranges`.
-
-        `ranges` (r, rays) in m; `first` and `counts` (k,) of `sectors`; `poses` as in `cast`.
-        """
-        self._caster.cast(poses, observers, sectors, first, counts, rows, ranges)
+        return self._kernel.Sweeps(self._caster, first % len(bearings), counts, ranges)
 
 
 class RangeSensors:

@@ -22,8 +22,6 @@ from swarmd.sim.world.seeding import generator
 ODOMETRY_RATE = 20.0
 """Hz, in live worlds and in lockstep."""
 
-_DRAWS = 32  # readings whose random numbers are drawn at once
-
 
 class Odometers:
     """The odometry of n bases, each in the frame of its own start."""
@@ -49,8 +47,8 @@ class Odometers:
         self._turns = self._turns.reshape(-1, 2)
         if noise.is_ideal:
             return
-        self._rngs = [generator(seed, "odometry", robot) for robot in ids]
-        errors = np.array([rng.standard_normal(2) for rng in self._rngs]).reshape(-1, 2)
+        rngs = [generator(seed, "odometry", robot) for robot in ids]
+        errors = np.array([rng.standard_normal(2) for rng in rngs]).reshape(-1, 2)
         # (n, 3, 3) from true to measured motion.
         self._measured = measurement(
             diameter=1.0 + noise.diameter * errors[:, 0],
@@ -58,14 +56,10 @@ class Odometers:
             separation=np.array([value(platform, "wheel_separation") for platform in platforms]),
             is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        # Random numbers of slip, drawn in blocks: a draw for each reading would take half of the
-        # time of a reading. `_used`: how many of a robot's block are used; at first all, so that
-        # the first reading draws a block.
-        self._draws = np.empty((len(ids), _DRAWS, 2))
-        self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
         base = load_kernel("swarmd.sim.world.base")
-        self._wheels = base.Wheels(self._measured, self._truth, self._reported)
+        kept = self._measured, self._truth, self._reported
+        self._wheels = base.Wheels(*kept, noise.slip, rngs)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """A reading of robots `rows` (m,): poses x, y, yaw, and twists linear, angular, lateral.
@@ -79,7 +73,7 @@ class Odometers:
             return self._relative(rows, poses), twists[rows]
         reported, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
         at = np.ascontiguousarray(rows)
-        self._wheels.read(at, poses, twists, self._slips(rows), reported, measured)
+        self._wheels.read(at, poses, twists, reported, measured)
         return reported, measured
 
     def _relative(self, rows: Indices, poses: Array) -> Array:
@@ -89,16 +83,6 @@ class Odometers:
         left = cos * reported[:, 1] - sin * reported[:, 0]
         yaw = (reported[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
         return np.stack((ahead, left, yaw), axis=-1)
-
-    def _slips(self, rows: Indices) -> Array:
-        """(m, 2) random slip factors near 1 on linear and angular motion, for one reading each."""
-        used = self._used.take(rows)
-        for row in rows[used == _DRAWS].tolist():
-            self._rngs[row].standard_normal(out=self._draws[row])
-        used %= _DRAWS
-        self._used[rows] = used + 1
-        slips: Array = 1.0 + self._noise.slip * self._draws[rows, used]
-        return slips
 
 
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:

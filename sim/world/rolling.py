@@ -50,53 +50,40 @@ class RollingScans:
         steps = np.minimum(steps, self._steps)
         # 2. The number of rays measured by each step since the begin of a scan.
         ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
-        self._first, self._counts = lidar.sectors(ends)
         # 3. (rays,) the age in s of each ray at the end of a scan.
         self._ages = np.empty(len(order))
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
-        self._lidar, self._n = lidar, n
+        self._n = n
         # 4. Two rows for each robot, used in turn: a scan begins at the step at which the previous
         # scan ends, and both write in that step. At first each robot is as if its last scan had
         # ended at step 0.
         self._ranges = np.full((2 * n, len(order)), np.inf)
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()
-        # (3, m) the scans in progress in order of first steps: robots, first steps, and rows of
-        # `_ranges`.
-        self._scans = np.empty((3, 0), dtype=np.intp)
+        self._sweeps = lidar.sweeps(ends, self._ranges)
 
     def begin(self, robot: int) -> None:
         """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
         self._waiting.add(robot)
 
-    def advance(self, poses: Array, step: int) -> list[CompleteScan]:
+    def advance(self, poses: Array, step: int, *, ends_only: bool = False) -> list[CompleteScan]:
         """Measure the rays of `step`; returns the scans that this step completes.
 
         Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
+        `ends_only`: measure no rays of other scans; a second call for this step measures those.
         """
         if self._waiting:
             self._start(step)
-        robots, begun, rows = self._scans
-        since = step - begun
-        first, counts = self._first, self._counts
-        self._lidar.cast_sectors(self._ranges, rows, poses, robots, since, first, counts)
-        if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
-            return []
-        done = np.count_nonzero(since == self._steps)
-        self._scans = self._scans[:, done:]
         return [
             CompleteScan(robot, self._ranges[row], self._ages, step - self._steps)
-            for robot, row in zip(robots[:done].tolist(), rows[:done].tolist(), strict=True)
+            for robot, row in self._sweeps.advance(poses, step, ends_only)
         ]
 
     def _start(self, step: int) -> None:
         ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)
-        if not ready:
-            return
         self._waiting.difference_update(ready)
         for robot in ready:
-            self._last_begun[robot] = step
-            self._last_row[robot] = (self._last_row[robot] + self._n) % len(self._ranges)
-        new = ready, [step] * len(ready), [self._last_row[robot] for robot in ready]
-        self._scans = np.concatenate((self._scans, np.array(new, dtype=np.intp)), axis=1)
+            row = (self._last_row[robot] + self._n) % len(self._ranges)
+            self._last_begun[robot], self._last_row[robot] = step, row
+            self._sweeps.begin(robot, step, row)

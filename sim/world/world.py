@@ -51,6 +51,8 @@ class World:
     - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
+    - `measures_late`: `arrived_scans` measures only the rays that end a scan, and leaves all other
+      rays of rolling scans to `measure_rays`. The results are equal.
     """
 
     def __init__(
@@ -145,6 +147,7 @@ class World:
         self._rolling: list[RollingScans] = []
         self._rolling_of: list[RollingScans | None] = [None] * n  # by row
         self._is_rolled = False  # the rolling rays of this step have been measured
+        self.measures_late = False
         # A lidar of a platform with a sweep is rolling: its rays are measured one after the other.
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
@@ -193,7 +196,7 @@ class World:
 
     def _step(self) -> None:
         data = self.data
-        self._roll()
+        self.measure_rays()
         self._hovering.step()
         self._bases.drive()
         if self.movable_boxes:
@@ -207,14 +210,17 @@ class World:
             self._touching.append(self._contacts.after_step(data, *self._bases.before))
         self._is_rolled = False
 
-    def _roll(self) -> None:
-        """Measure the rays of this step of all rolling scans, unless already done."""
+    def measure_rays(self, *, ends_only: bool = False) -> None:
+        """Measure the rays of this step of all rolling scans, unless already done.
+
+        `ends_only`: of scans that end at this step, and no others. `step` measures what is left.
+        """
         if self._is_rolled or not self._rolling:
             return
-        self._is_rolled = True
+        self._is_rolled = not ends_only
         poses = self._all_poses()
         for rolling in self._rolling:
-            for scan in rolling.advance(poses, self._steps):
+            for scan in rolling.advance(poses, self._steps, ends_only=ends_only):
                 ranges = self._noise.measured(scan.row, scan.ranges)
                 sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
                 self._transport.send(scan.row, sent, self.time)
@@ -269,7 +275,7 @@ class World:
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:
         """The scans that have arrived since the last call, with their rows, in order of rows."""
-        self._roll()
+        self.measure_rays(ends_only=self.measures_late)
         return self._transport.arrived(self.time)
 
     def scans(self, robots: Indices) -> list[Scan]:

@@ -188,8 +188,10 @@ def test_robots_of_one_step_are_shared_out_evenly() -> None:
 def test_parts_longer_than_a_round_arrive_whole() -> None:
     def work(process: RunProcess) -> list[bool]:
         part = (process.index, bytes([process.index]) * (3_000_000 * process.index + 5))
-        for _ in range(3):
-            found = process.exchange(part)
+        meanwhile: list[int] = []
+        for turn in range(3):
+            found = process.exchange(part, lambda turn=turn: meanwhile.append(turn))
+        assert meanwhile == [0, 1, 2]
         found = process.collect(part)
         return [data == bytes([index]) * (3_000_000 * index + 5) for index, data in found]
 

@@ -123,17 +123,19 @@ def test_the_measurement_is_that_of_two_wheels() -> None:
 def test_a_reading_is_the_matrix_times_the_motion_times_the_slip() -> None:
     matrix = np.array([[[2.0, 0.25, 0.0], [0.5, 3.0, 0.0], [0.0, 0.0, 0.75]]])
     base = load_kernel("swarmd.sim.world.base")
-    wheels = base.Wheels(matrix, np.zeros((1, 3)), np.zeros((1, 3)))
+    rngs = [np.random.default_rng(0)]
+    wheels = base.Wheels(matrix, np.zeros((1, 3)), np.zeros((1, 3)), 0.5, rngs)
+    slips = *(1.0 + 0.5 * np.random.default_rng(0).standard_normal(2)), 1.0
     reported, measured = np.empty((1, 3)), np.empty((1, 3))
     # A turn by 0.1 rad about a chord of 0.4 m along the mean heading, and 0.2 m to its left.
     chord, left = 0.4, 0.2
     c, s = math.cos(0.05), math.sin(0.05)
     poses = np.array([[c * chord - s * left, s * chord + c * left, 0.1]])
-    twist, slips = np.array([[0.3, -1.2, 0.5]]), np.array([[1.5, 0.8]])
-    wheels.read(np.zeros(1, np.intp), poses, twist, slips, reported, measured)
-    speeds = twist[0] @ matrix[0] * (1.5, 0.8, 1.0)
+    twist = np.array([[0.3, -1.2, 0.5]])
+    wheels.read(np.zeros(1, np.intp), poses, twist, reported, measured)
+    speeds = twist[0] @ matrix[0] * slips
     assert measured[0] == pytest.approx(speeds)
-    moved, turn, aside = np.array([chord, 0.1, left]) @ matrix[0] * (1.5, 0.8, 1.0)
+    moved, turn, aside = np.array([chord, 0.1, left]) @ matrix[0] * slips
     c, s = math.cos(turn / 2.0), math.sin(turn / 2.0)
     assert reported[0] == pytest.approx([c * moved - s * aside, s * moved + c * aside, turn])
 

@@ -53,10 +53,14 @@ def after(world: World, robots: int = 1) -> tuple[dict[int, Scan], list[Array]]:
     return scans, poses
 
 
+@pytest.mark.parametrize("measures_late", [False, True])
 @pytest.mark.parametrize("sweep", SWEEPS)
-def test_rays_are_those_of_scans_at_the_poses_of_their_times(sweep: Sweep) -> None:
+def test_rays_are_those_of_scans_at_the_poses_of_their_times(
+    sweep: Sweep, measures_late: bool
+) -> None:
     platform = turning(sweep)
     world = world_of(platform, robots=2)
+    world.measures_late = measures_late
     world.set_commands(np.array([[0.2, 2.5, 0.0], [-0.1, -1.0, 0.0]]))
     world.step(100)
     begun = world.time
