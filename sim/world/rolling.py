@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmd.core.values import Array, Platform
+from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.lidar import Lidar, sweep_order
 
 _ROUNDING = 1e-9
@@ -23,6 +24,23 @@ class CompleteScan:
     """(rays,) in s at the end of the scan."""
     begun: int
     """The step at which the scan began."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredSegment:
+    """The rays of a rolling scan in progress that were measured since the segment before."""
+
+    row: int
+    ranges: Array
+    """(rays,) in m, exact, of all rays of the sensor; valid until the next `advance`."""
+    rays: Indices
+    """(k,) the numbers of the measured rays, in the order of the sweep."""
+    bearings: Array
+    """(k,) rad."""
+    ages: Array
+    """(k,) s against the newest of these rays."""
+    oldest: int
+    """The step at which the first of these rays was measured."""
 
 
 class RollingScans:
@@ -56,6 +74,20 @@ class RollingScans:
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._lidar, self._n = lidar, n
+        # By the last step of each segment but the last: its rays, their bearings and ages, and the
+        # step of its first ray. The last segment comes with the whole scan.
+        self._segments: dict[int, tuple[Indices, Array, Array, int]] = {}
+        self.segments: list[MeasuredSegment] = []  # of the last `advance`
+        measured = 0
+        for number in range(1, spec.segments):
+            step = round(number * self._steps / spec.segments)
+            rays, first = order[measured : ends[step]], measured
+            measured = int(ends[step])
+            if len(rays):
+                own = steps[first:measured]
+                bearings, ages = spec.bearings[rays], (own[-1] - own) * dt
+                bearings.flags.writeable = ages.flags.writeable = False
+                self._segments[step] = rays, bearings, ages, int(own[0])
         # 4. Two rows for each robot, used in turn: a scan begins at the step at which the previous
         # scan ends, and both write in that step. At first each robot is as if its last scan had
         # ended at step 0.
@@ -81,6 +113,13 @@ class RollingScans:
         since = step - begun
         first, counts = self._first, self._counts
         self._lidar.cast_sectors(self._ranges, rows, poses, robots, since, first, counts)
+        if self._segments:
+            self.segments = [
+                MeasuredSegment(robot, self._ranges[row], rays, bearings, ages, begin + oldest)
+                for robot, begin, row in self._scans.T.tolist()
+                if step - begin in self._segments
+                for rays, bearings, ages, oldest in (self._segments[step - begin],)
+            ]
         if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
             return []
         done = np.count_nonzero(since == self._steps)
