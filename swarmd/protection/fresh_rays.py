@@ -37,11 +37,10 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other one
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY, atan2, cos, fabs, fmod, hypot, remainder, sin
+    from cython.cimports.libc.math import INFINITY, cos, fabs, fmod, hypot, remainder, sin
 else:
     from swarmd.core.cython_shadow import (
         INFINITY,
-        atan2,
         cos,
         fabs,
         fmod,
@@ -70,6 +69,16 @@ def _ahead(angle: cython.double) -> cython.double:
     """The angle modulo a full turn, from 0."""
     rest: cython.double = fmod(angle, _WHOLE_TURN)
     return rest + _WHOLE_TURN if rest < 0.0 else rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _quadrants(x: cython.double, y: cython.double) -> cython.double:
+    """From 0 to 4, rising with the angle of (x, y) from 0 to a full turn: without a slow atan2."""
+    if y >= 0.0:
+        return y / (x + y) if x > 0.0 else (1.0 - x / (y - x) if y - x > 0.0 else 0.0)
+    return 2.0 + y / (x + y) if x < 0.0 else 3.0 + x / (x - y)
 
 
 @cython.final
@@ -111,6 +120,19 @@ def _meets(
     return not hypot(x, y) > reach
 
 
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _ahead_of(
+    ray: RayLine, x: cython.double, y: cython.double, direction: cython.double
+) -> cython.double:
+    """As `_quadrants`, of the place (x, y) in m from the lidar, from a ray on in a direction.
+
+    `direction`: 1.0 counter-clockwise, -1.0 clockwise.
+    """
+    return _quadrants(x * ray.cos + y * ray.sin, direction * (y * ray.cos - x * ray.sin))
+
+
 @cython.final
 @cython.cclass
 class FreshRays:
@@ -130,6 +152,7 @@ class FreshRays:
     _begun_at: cython.double  # s, the time of the first ray
     _newest_at: cython.double  # s, the time of the last ray
     _angle: cython.double  # rad from the first to the last ray
+    _swept: cython.double  # the same angle as `_quadrants`
     _first: RayLine
     _last: RayLine
     # The rays without information: x, y, cos, sin, and 1.0 if they may hide an obstacle beside.
@@ -227,6 +250,7 @@ class FreshRays:
         if turned < _MAX_ANGLE:  # else rounding before a turn of 0
             self._angle += turned
         self._last.set(self._ray)
+        self._swept = _quadrants(cos(self._angle), sin(self._angle))
         self._newest_at = newest_at
 
         # 3. The returns of the segment, and its rays without information.
@@ -363,11 +387,9 @@ class FreshRays:
         reach: cython.double = others_speed * (self._newest_at - measured_at) + _DISC_SLACK
         first: RayLine = self._first
         last: RayLine = self._last
-        ahead: cython.double = atan2(y - first.y, x - first.x) - first.angle
-        behind: cython.double = last.angle - atan2(y - last.y, x - last.x)
         if not (
-            _ahead(self._direction * ahead) <= self._angle
-            and _ahead(self._direction * behind) <= self._angle
+            _ahead_of(first, x - first.x, y - first.y, self._direction) <= self._swept
+            and _ahead_of(last, x - last.x, y - last.y, -self._direction) <= self._swept
         ):
             return 0
         if _meets(x - last.x, y - last.y, last.cos, last.sin, reach):

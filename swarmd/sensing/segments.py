@@ -21,6 +21,7 @@ _LATEST = 1.25  # turns behind the last whole turn, within which the turn in pro
 _ROUNDING = 1e-6  # s, of stamps
 _MAX_STEPS = 3.0  # steps between two segments without a ray in between
 _DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
+_KEPT_CHECKS = 16  # directions of segments
 _REMEMBERED_TURNS = 2  # turns whose segments are compared with a new one
 
 
@@ -49,6 +50,8 @@ class SegmentCheck:
         self._max_step = max(spec.max_gap, self._step) + 1e-9
         self._period = max(1.0 / spec.rate, spec.sweep.duration)
         self._is_noisy = spec.is_noisy
+        # Bearings and ages that were checked, with the ages against the newest ray.
+        self._checked = deque[tuple[Array, Array | None, Array]](maxlen=_KEPT_CHECKS)
         self._recent = deque[bytes](maxlen=max(_REMEMBERED_TURNS * spec.segments, 1))
         # The last whole turn: its number, and the stamp and the time of its newest ray. None: no
         # turn, or a turn that dates no segment.
@@ -84,16 +87,9 @@ class SegmentCheck:
         count = len(ranges) if ranges.ndim == 1 else 0
         if not 0 < count <= self._ray_count or bearings.shape != (count,):
             return f"{count} ranges, {bearings.size} bearings and {self._ray_count} rays of a turn"
-        steps = self._steps(np.diff(bearings))
-        sweep = float(steps.sum())
-        # The comparisons are false for NaN.
-        if not (sweep <= _MAX_SWEEP and (count == 1 or steps.min() > 0.0)):
-            return "its bearings do not follow the sweep"
-        if count > 1 and steps.max() > self._max_step:
-            return f"no ray for {math.degrees(steps.max()):.0f} degrees"
-        ages = self._ages(scan.ages, steps)
-        if ages is None:
-            return "its ages do not fall, or are impossible"
+        ages = self._ages(bearings, scan.ages)
+        if isinstance(ages, str):
+            return ages
 
         # 2. The turn, and the order of its segments. Comparisons are false for NaN.
         seq, end_stamp, end_at = self._whole
@@ -112,7 +108,8 @@ class SegmentCheck:
             return "its ranges are those of a segment before"
 
         # 3. Whether the first ray follows the ray before.
-        step = float(self._steps(bearings[:1] - self._newest_bearing)[0])
+        turned = self._sweep.direction * (float(bearings[0]) - self._newest_bearing)
+        step = math.remainder(turned, TURN)
         follows = -self._step <= step <= _MAX_STEPS * self._step
         gap = max(scan.stamp - self._newest_stamp, 0.0) if follows else math.inf
         self._seq, self._newest_stamp = scan.seq, newest_stamp
@@ -124,14 +121,32 @@ class SegmentCheck:
         steps: Array = (self._sweep.direction * differences + math.pi) % TURN - math.pi
         return steps
 
-    def _ages(self, given: Array | None, steps: Array) -> Array | None:
-        """(n,) the ages against the newest ray; None if impossible. `steps` (n - 1,) in rad."""
+    def _ages(self, bearings: Array, given: Array | None) -> Array | str:
+        """(n,) the ages of rays against the newest ray; or the fault of the bearings or ages.
+
+        A lidar measures the same directions in each turn: the same arrays are checked once.
+        """
+        for kept_bearings, kept_given, kept_ages in self._checked:
+            if kept_bearings is bearings and kept_given is given:
+                return kept_ages
+        # The comparisons are false for NaN.
+        steps = self._steps(np.diff(bearings))
+        if not (steps.sum() <= _MAX_SWEEP and (steps > 0.0).all() and np.isfinite(bearings[0])):
+            return "its bearings do not follow the sweep"
+        if steps.max(initial=0.0) > self._max_step:
+            return f"no ray for {math.degrees(steps.max()):.0f} degrees"
         if given is None:
             duration = self._sweep.duration / TURN
-            return np.concatenate((duration * np.cumsum(steps[::-1])[::-1], [0.0]))
-        if given.shape != (len(steps) + 1,) or not (given[-1] >= 0.0 and given[0] <= _MAX_RAY_AGE):
-            return None
-        return given - given[-1] if (np.diff(given) <= 0.0).all() else None
+            ages = np.append(duration * np.cumsum(steps[::-1])[::-1], 0.0)
+        elif given.shape != bearings.shape or not ((given >= 0.0) & (given <= _MAX_RAY_AGE)).all():
+            return f"an age of a ray is not within 0 to {_MAX_RAY_AGE:g} s"
+        elif not (np.diff(given) <= 0.0).all():
+            return "its ages do not fall"
+        else:
+            ages = given - given[-1]
+        if not (bearings.flags.writeable or (given is not None and given.flags.writeable)):
+            self._checked.append((bearings, given, ages))
+        return ages
 
     def _is_frozen(self, ranges: Array) -> bool:
         """True if a noisy sensor gives the ranges of one of its last segments again."""
