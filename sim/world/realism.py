@@ -150,13 +150,14 @@ def configured(platform: Platform, realism: Realism) -> Platform:
     """The platform that robots assume in a world of this realism.
 
     Without scan noise a repeated scan is no sign of a frozen sensor (`is_noisy` False). Without
-    rolling scans all rays are measured at once (no `sweep`).
+    rolling scans all rays are measured at once (no `sweep`, no `segments`).
     """
     lidar = realism.lidar
     scan = replace(
         platform.scan,
         is_noisy=platform.scan.is_noisy and lidar.differs_each_time,
         sweep=platform.scan.sweep if lidar.rolling else None,
+        segments=platform.scan.segments if lidar.rolling else 0,
         measures_sweep=False,
     )
     ring = platform.ranges

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmd.core.values import Array, Platform
+from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.lidar import Lidar, sweep_order
 
 _ROUNDING = 1e-9
@@ -23,6 +24,23 @@ class CompleteScan:
     """(rays,) in s at the end of the scan."""
     begun: int
     """The step at which the scan began."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredSegment:
+    """The rays of a rolling scan in progress that were measured since the segment before."""
+
+    row: int
+    ranges: Array
+    """(rays,) in m, exact, of all rays of the sensor; valid until the next `advance`."""
+    rays: Indices
+    """(k,) the numbers of the measured rays, in the order of the sweep."""
+    bearings: Array
+    """(k,) rad."""
+    ages: Array
+    """(k,) s against the newest of these rays."""
+    oldest: int
+    """The step at which the first of these rays was measured."""
 
 
 class RollingScans:
@@ -55,6 +73,20 @@ class RollingScans:
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
         self._n = n
+        # By the last step of each segment but the last: its rays, their bearings and ages, and the
+        # step of its first ray. The last segment comes with the whole scan.
+        self._segments: dict[int, tuple[Indices, Array, Array, int]] = {}
+        self.segments: list[MeasuredSegment] = []  # of the last `advance`
+        measured = 0
+        for number in range(1, spec.segments):
+            step = round(number * self._steps / spec.segments)
+            rays, first = order[measured : ends[step]], measured
+            measured = int(ends[step])
+            if len(rays):
+                own = steps[first:measured]
+                bearings, ages = spec.bearings[rays], (own[-1] - own) * dt
+                bearings.flags.writeable = ages.flags.writeable = False
+                self._segments[step] = rays, bearings, ages, int(own[0])
         # 4. Two rows for each robot, used in turn: a scan begins at the step at which the previous
         # scan ends, and both write in that step. At first each robot is as if its last scan had
         # ended at step 0.
@@ -62,6 +94,11 @@ class RollingScans:
         self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
         self._waiting: set[int] = set()
         self._sweeps = lidar.sweeps(ends, self._ranges)
+
+    @property
+    def has_segments(self) -> bool:
+        """Whether scans in progress are handed over in segments."""
+        return bool(self._segments)
 
     def begin(self, robot: int) -> None:
         """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
@@ -75,10 +112,20 @@ class RollingScans:
         """
         if self._waiting:
             self._start(step)
-        return [
+        completed = [
             CompleteScan(robot, self._ranges[row], self._ages, step - self._steps)
             for robot, row in self._sweeps.advance(poses, step, ends_only)
         ]
+        if self._segments:
+            self.segments = [
+                MeasuredSegment(
+                    robot, self._ranges[self._last_row[robot]], rays, bearings, ages, begun + oldest
+                )
+                for robot, begun in enumerate(self._last_begun)
+                if step - begun in self._segments and not ends_only
+                for rays, bearings, ages, oldest in (self._segments[step - begun],)
+            ]
+        return completed
 
     def _start(self, step: int) -> None:
         ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)

@@ -309,6 +309,8 @@ class ScanSpec:
     - `sweep`: None if all rays are measured at once, or if the robot measures the sweep.
     - `measures_sweep`: the robot measures the sweep. The ray ages of the driver then give only the
       duration of a scan, or show that all rays have the same time.
+    - `segments`: the number of segments of a turn that the driver hands over as they are measured,
+      the last with the whole turn; 0: whole turns alone. Needs `sweep`.
     """
 
     bearings: Array
@@ -324,6 +326,7 @@ class ScanSpec:
     sweep: Sweep | None = None
     measures_sweep: bool = False
     cone: float = 0.0
+    segments: int = 0
 
     @property
     def stale_after(self) -> float:

@@ -133,7 +133,12 @@ class Converter:
                 twist, scan_seq = stepped.outputs.twist or ZERO, stepped.scan_seq
                 message = messages.requested_message(twist, scan_seq, stamp)
                 self._write(entry, "/command/requested", message)
-            case events.HostInput() | events.NoteInput() | events.TickInput():
+            case (
+                events.SegmentInput()  # the whole turn follows
+                | events.HostInput()
+                | events.NoteInput()
+                | events.TickInput()
+            ):
                 pass  # nothing to view
             case _:  # as JSON: an input of a single field as this field, else a list of its fields
                 fields = structs.astuple(input)

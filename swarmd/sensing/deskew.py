@@ -114,7 +114,8 @@ class Deskewer:
     _cos: cython.const[cython.double][::1]
     _sin: cython.const[cython.double][::1]
     _ages: cython.const[cython.double][::1]
-    _span: cython.double
+    # s from the oldest ray of the last scan, as measured, to its newest ray
+    span = cython.declare(cython.double, visibility="readonly")
     _newest_age: cython.double
     _direction: cython.double
     _oldest: cython.double
@@ -190,7 +191,7 @@ class Deskewer:
         self._ray_ages = rays.ages
         self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
         self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
-        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
+        self.span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
         self._direction, self._oldest = rays.direction, rays.oldest
         self._spacing = rays.spacing
 
@@ -206,7 +207,7 @@ class Deskewer:
         the newest ray. `seconds`: s by which the newest ray of the scan before is older.
         """
         history: OdometryHistory = self._history
-        path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
+        path_rows: cython.Py_ssize_t = history.set_path(stamp, self.span)
         if path_rows == 0:
             return None
         # rad: the sector that the sensor missed, if the robot turned against it. The pose at the

@@ -1,0 +1,410 @@
+"""Fresh rays of mode `barrier`: those of the turn in progress, before the turn is whole.
+
+The lidar sweeps over the obstacles while it turns. Each segment of the turn brings the rays of a
+sector, which replace returns of the last whole scan by these rules:
+
+1. Each return of a segment is added, at its place in the frame of the last scan and with its age.
+2. A return of the last scan is dropped if the sweep has passed every place at which its obstacle
+   may be: the disc around the return whose radius is the way at `others_speed` since that ray, and
+   _DISC_SLACK. Each ray through the disc must have a return: the return is the obstacle, or the ray
+   shows that the obstacle is not before it.
+3. All else stays as the last scan shows it, with its age: contacts, hidden obstacles (nearer to the
+   lidar than it measures), returns of standing walls, and returns ahead of the sweep.
+4. Rays that hit a standing wall tell nothing: the wall is charged less than a fresh return. A few
+   lost rays between returns tell nothing about the return behind them alone.
+5. A missing segment ends the sweep, and the next segment begins another: then the disc must not
+   reach its first ray either.
+
+An obstacle is therefore within `others_speed` times its age of a return, or behind one: the return
+of the last scan if that stays, else the return of the ray that met the obstacle since. Part of the
+library of barrier.py. Units: m, s, rad, in the base frame of the last scan.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from swarmd.core.values import Platform
+from swarmd.protection.barrier_assumptions import Assumptions
+from swarmd.protection.buffers import doubles, indices
+from swarmd.protection.dead_reckoning import DeadReckoning, PlanarPose, ScanMotion
+from swarmd.protection.obstacles import NearObstacles, Points
+from swarmd.protection.outline import Outline
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, cos, fabs, fmod, hypot, remainder, sin
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        remainder,
+        sin,
+    )
+
+# m beside the way of an obstacle: noise of a range, and the distance between two rays
+_DISC_SLACK = cython.declare(cython.double, 0.02)
+# m that an obstacle may move between two segments of one sweep: no body is so narrow that it passes
+# from the one to the other unseen
+_SEAM_WAY = cython.declare(cython.double, 0.01)
+_RAY_WIDTH = cython.declare(cython.double, 0.01)  # m beside a lost ray
+_WALL_WIDTH = cython.declare(cython.double, 0.1)  # m around a standing return
+_LOST_RAYS = cython.declare(cython.Py_ssize_t, 6)  # side by side that a lidar loses: one packet
+# rad of a sweep beyond which nothing is dropped: its ends must not meet
+_MAX_ANGLE = cython.declare(cython.double, 2.0 * math.pi - 0.2)
+_WHOLE_TURN = cython.declare(cython.double, 2.0 * math.pi)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _ahead(angle: cython.double) -> cython.double:
+    """The angle modulo a full turn, from 0."""
+    rest: cython.double = fmod(angle, _WHOLE_TURN)
+    return rest + _WHOLE_TURN if rest < 0.0 else rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _quadrants(x: cython.double, y: cython.double) -> cython.double:
+    """From 0 to 4, rising with the angle of (x, y) from 0 to a full turn: without a slow atan2."""
+    if y >= 0.0:
+        return y / (x + y) if x > 0.0 else (1.0 - x / (y - x) if y - x > 0.0 else 0.0)
+    return 2.0 + y / (x + y) if x < 0.0 else 3.0 + x / (x - y)
+
+
+@cython.final
+@cython.cclass
+class RayLine:
+    """A ray: the place of the lidar when it measured the ray, and the direction."""
+
+    x: cython.double
+    y: cython.double
+    angle: cython.double
+    cos: cython.double
+    sin: cython.double
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def set(self, ray: RayLine) -> cython.int:
+        """Take the values of another ray."""
+        self.x, self.y, self.angle = ray.x, ray.y, ray.angle
+        self.cos, self.sin = ray.cos, ray.sin
+        return 0
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _meets(
+    x: cython.double,
+    y: cython.double,
+    ray_cos: cython.double,
+    ray_sin: cython.double,
+    reach: cython.double,
+) -> cython.bint:
+    """True unless a ray stays farther than `reach` m from a place (x, y) in m from the lidar.
+
+    `ray_cos`, `ray_sin`: the direction of the ray.
+    """
+    if x * ray_cos + y * ray_sin > 0.0:
+        return not fabs(y * ray_cos - x * ray_sin) > reach
+    return not hypot(x, y) > reach
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _ahead_of(
+    ray: RayLine, x: cython.double, y: cython.double, direction: cython.double
+) -> cython.double:
+    """As `_quadrants`, of the place (x, y) in m from the lidar, from a ray on in a direction.
+
+    `direction`: 1.0 counter-clockwise, -1.0 clockwise.
+    """
+    return _quadrants(x * ray.cos + y * ray.sin, direction * (y * ray.cos - x * ray.sin))
+
+
+@cython.final
+@cython.cclass
+class FreshRays:
+    """The sweep of the turn in progress; puts its returns into the near obstacles."""
+
+    _assumptions: Assumptions
+    _outline: Outline
+    _reckoning: DeadReckoning
+    _motion: ScanMotion
+    _near: NearObstacles
+    _range_min: cython.double
+    _range_max: cython.double
+    _direction: cython.double  # of the sweep: 1.0 counter-clockwise
+    # The sweep so far.
+    _is_swept: cython.bint  # a segment has come since the last whole scan
+    _has_seam: cython.bint  # rays before the first ray are missing, or much older
+    _begun_at: cython.double  # s, the time of the first ray
+    _newest_at: cython.double  # s, the time of the last ray
+    _angle: cython.double  # rad from the first to the last ray
+    _swept: cython.double  # the same angle as `_quadrants`
+    _first: RayLine
+    _last: RayLine
+    # The rays without information: x, y, cos, sin, and 1.0 if they may hide an obstacle beside.
+    _blind: cython.double[::1]
+    _blind_count: cython.Py_ssize_t
+    _run: cython.Py_ssize_t  # the last rays of the sweep, if these are without information
+    _has_return: cython.bint  # a ray of the sweep has a return
+    _ray: RayLine
+    _pose: PlanarPose
+    _begin: PlanarPose
+    _end: PlanarPose
+    _is_dropped: cython.longlong[::1]
+    _returns: Points  # of the segment
+
+    def __init__(
+        self,
+        platform: Platform,
+        assumptions: Assumptions,
+        outline: Outline,
+        reckoning: DeadReckoning,
+        motion: ScanMotion,
+        near: NearObstacles,
+    ) -> None:
+        """Without a sweep of the platform all segments are ignored."""
+        spec = platform.scan
+        self._assumptions, self._outline = assumptions, outline
+        self._reckoning, self._motion, self._near = reckoning, motion, near
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._direction = 0.0 if spec.sweep is None else spec.sweep.direction
+        self._first, self._last, self._ray = RayLine(), RayLine(), RayLine()
+        self._pose, self._begin, self._end = PlanarPose(), PlanarPose(), PlanarPose()
+        self._blind, self._is_dropped = doubles(5), indices(1)
+        self._returns = Points(1)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def forget(self) -> cython.int:
+        """End the sweep: a whole scan has come."""
+        self._is_swept = False
+        return 0
+
+    def take(
+        self,
+        ranges: cython.const[cython.double][::1],
+        bearings: cython.const[cython.double][::1],
+        ages: cython.const[cython.double][::1],
+        newest_at: cython.double,
+        gap: cython.double,
+        age: cython.double,
+        odometry_age: cython.double,
+    ):
+        """Take in a segment.
+
+        Ignored without a scan before, and after a reset of odometry since that scan.
+
+        Args:
+            ranges: (n,) m, of the driver; all but a range that the lidar measures is unknown.
+            bearings: (n,) rad, in the order of the sweep.
+            ages: (n,) s against the newest ray; they fall to 0.
+            newest_at: s, the time of the newest ray.
+            gap: s from the ray before to the first ray; inf if rays are missing there.
+            age: s of the newest ray, now.
+            odometry_age: s of the newest odometry, now.
+        """
+        i: cython.Py_ssize_t
+        motion: ScanMotion = self._motion
+        near: NearObstacles = self._near
+        count: cython.Py_ssize_t = len(ranges)
+        if count == 0 or self._direction == 0.0 or motion.measured_at == -INFINITY:
+            return
+        if motion.resets != self._reckoning.resets:
+            return
+        if len(bearings) != count or len(ages) != count:
+            raise IndexError(f"{count} ranges, {len(bearings)} bearings and {len(ages)} ages")
+
+        # 1. The poses of the first and the last ray in the frame of the last scan.
+        span: cython.double = ages[0]
+        self._reckoning.find_pose(odometry_age, age, self._pose)
+        self._end.set_relative(self._pose, motion.pose)
+        self._reckoning.find_pose(odometry_age, age + span, self._pose)
+        self._begin.set_relative(self._pose, motion.pose)
+
+        # 2. The sweep: continued, or begun anew at the first ray.
+        self._place(bearings[0], 0.0)
+        is_continued: cython.bint = self._assumptions.others_speed * gap <= _SEAM_WAY
+        if not (self._is_swept and is_continued):
+            self._has_seam = not is_continued
+            self._is_swept, self._angle = True, 0.0
+            self._begun_at = newest_at - span
+            self._blind_count, self._run, self._has_return = 0, 0, False
+            self._first.set(self._ray)
+            self._last.set(self._ray)
+        self._place(bearings[count - 1], 1.0)
+        turned: cython.double = _ahead(self._direction * (self._ray.angle - self._last.angle))
+        if turned < _MAX_ANGLE:  # else rounding before a turn of 0
+            self._angle += turned
+        self._last.set(self._ray)
+        self._swept = _quadrants(cos(self._angle), sin(self._angle))
+        self._newest_at = newest_at
+
+        # 3. The returns of the segment, and its rays without information.
+        self._take_rays(ranges, bearings, ages, span)
+
+        # 4. Drops the returns that the sweep has passed, and adds those of the segment.
+        points: Points = near.points
+        if len(self._is_dropped) < points.count:
+            self._is_dropped = indices(2 * points.count)
+        for i in range(near.contacts, points.count):
+            self._is_dropped[i] = self._angle <= _MAX_ANGLE and self._has_passed(i)
+        near.drop_returns(self._is_dropped, self._returns.count)
+        for i in range(self._returns.count):
+            near.add_return(
+                self._returns.x[i],
+                self._returns.y[i],
+                self._returns.gap[i],
+                motion.measured_at - newest_at + self._returns.age[i],
+            )
+        near.end_refresh()
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place(self, bearing: cython.double, share: cython.double) -> cython.int:
+        """Set `_ray` to the ray of a `bearing` in rad that the lidar measured on its way.
+
+        `share`: 0 at the first ray of the segment, 1 at the last.
+        """
+        begin: PlanarPose = self._begin
+        end: PlanarPose = self._end
+        ray: RayLine = self._ray
+        yaw: cython.double = begin.yaw + share * remainder(end.yaw - begin.yaw, _WHOLE_TURN)
+        cos_yaw: cython.double = cos(yaw)
+        sin_yaw: cython.double = sin(yaw)
+        lidar_x: cython.double = self._outline.lidar_x
+        lidar_y: cython.double = self._outline.lidar_y
+        ray.x = begin.x + share * (end.x - begin.x) + cos_yaw * lidar_x - sin_yaw * lidar_y
+        ray.y = begin.y + share * (end.y - begin.y) + sin_yaw * lidar_x + cos_yaw * lidar_y
+        ray.angle = bearing + yaw
+        ray.cos, ray.sin = cos(ray.angle), sin(ray.angle)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _take_rays(
+        self,
+        ranges: cython.const[cython.double][::1],
+        bearings: cython.const[cython.double][::1],
+        ages: cython.const[cython.double][::1],
+        span: cython.double,
+    ) -> cython.int:
+        """Fill `_returns` with the returns of a segment, and add its blind rays.
+
+        A return has its gap at the pose of its ray, and its age against the newest ray.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = len(ranges)
+        outline: Outline = self._outline
+        ray: RayLine = self._ray
+        returns: Points = self._returns
+        returns.reserve(count)
+        returns.count = 0
+        if len(self._blind) < 5 * (self._blind_count + count):
+            blind = doubles(10 * (self._blind_count + count))
+            for i in range(5 * self._blind_count):
+                blind[i] = self._blind[i]
+            self._blind = blind
+        for i in range(count):
+            self._place(bearings[i], 1.0 - ages[i] / span if span > 0.0 else 1.0)
+            distance: cython.double = ranges[i]
+            x: cython.double = ray.x + distance * ray.cos
+            y: cython.double = ray.y + distance * ray.sin
+            if (
+                self._range_min <= distance <= self._range_max
+                and distance > 0.0
+                and not self._is_on_wall(x, y)
+            ):
+                # Few lost rays between two returns hide no obstacle beside.
+                if self._has_return and self._run <= _LOST_RAYS:
+                    for k in range(self._blind_count - self._run, self._blind_count):
+                        self._blind[5 * k + 4] = 0.0
+                self._run, self._has_return = 0, True
+                base_x: cython.double = outline.lidar_x + distance * cos(bearings[i])
+                base_y: cython.double = outline.lidar_y + distance * sin(bearings[i])
+                returns.add(x, y, outline.gap_of(base_x, base_y), ages[i], 0.0)
+                continue
+            self._run += 1
+            k = 5 * self._blind_count
+            self._blind[k], self._blind[k + 1] = ray.x, ray.y
+            self._blind[k + 2], self._blind[k + 3] = ray.cos, ray.sin
+            self._blind[k + 4] = 1.0
+            self._blind_count += 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_on_wall(self, x: cython.double, y: cython.double) -> cython.int:
+        """1 if a place is near a return of a wall that stands."""
+        i: cython.Py_ssize_t
+        points: Points = self._near.points
+        if not self._near.has_standing():
+            return 0
+        for i in range(self._near.contacts, points.count):
+            if (
+                points.others[i] < self._assumptions.others_speed
+                and hypot(points.x[i] - x, points.y[i] - y) <= _WALL_WIDTH
+            ):
+                return 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _has_passed(self, point: cython.Py_ssize_t) -> cython.int:
+        """1 if the sweep has passed every place at which the obstacle of a return may be (rule 2).
+
+        `point`: the index of the return among the near obstacles.
+        """
+        k: cython.Py_ssize_t
+        points: Points = self._near.points
+        outline: Outline = self._outline
+        x: cython.double = points.x[point]
+        y: cython.double = points.y[point]
+        measured_at: cython.double = self._motion.measured_at - points.age[point]
+        others_speed: cython.double = self._assumptions.others_speed
+
+        # 1. Returns of this sweep, of standing walls, and hidden obstacles (rule 3).
+        if not measured_at < self._begun_at or points.others[point] < others_speed:
+            return 0
+        if not hypot(x - outline.lidar_x, y - outline.lidar_y) > self._range_min + _DISC_SLACK:
+            return 0
+
+        # 2. The disc lies between the first and the last ray.
+        reach: cython.double = others_speed * (self._newest_at - measured_at) + _DISC_SLACK
+        first: RayLine = self._first
+        last: RayLine = self._last
+        if not (
+            _ahead_of(first, x - first.x, y - first.y, self._direction) <= self._swept
+            and _ahead_of(last, x - last.x, y - last.y, -self._direction) <= self._swept
+        ):
+            return 0
+        if _meets(x - last.x, y - last.y, last.cos, last.sin, reach):
+            return 0
+        if self._has_seam and _meets(x - first.x, y - first.y, first.cos, first.sin, reach):
+            return 0
+
+        # 3. Each ray through the disc has a return.
+        for k in range(0, 5 * self._blind_count, 5):
+            if _meets(
+                x - self._blind[k],
+                y - self._blind[k + 1],
+                self._blind[k + 2],
+                self._blind[k + 3],
+                reach if self._blind[k + 4] else _RAY_WIDTH,
+            ):
+                return 0
+        return 1
