@@ -21,10 +21,10 @@ LOCKED := $(if $(shell command -v flock),flock $(VENV)/lock)
 # Not $(MAKE), which `make -n` would run, too.
 REST := env -u MAKEFLAGS make --no-print-directory
 ARGS ?=
-# Test files at a time. Five for two cores: at most four wait for processes, since with six of these
-# daemons on slow cores stall for more than 1 s, which refuses their runs; the fifth computes
-# (tests/support/scheduling.py). 0: one after the other, in this process.
-JOBS ?= 5
+# Test files at a time. Six for two cores: at most four wait for processes, since with six of these
+# daemons on slow cores stall for more than 1 s, which refuses their runs; two compute, at a lower
+# priority (tests/support/scheduling.py). 0: one after the other, in this process.
+JOBS ?= 6
 
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router

@@ -393,7 +393,7 @@ def cast(sensor: Array, angles: Array, outlines: Sequence[Array]) -> Array:
     ranges = np.full(len(angles), np.inf)
     rays = np.stack((np.cos(angles), np.sin(angles)), axis=1)[:, None]
     for corners in outlines:
-        start, edge = corners - sensor, np.roll(corners, -1, axis=0) - corners
+        start, edge = corners - sensor, _edges(corners)
         cross = rays[..., 0] * edge[:, 1] - rays[..., 1] * edge[:, 0]
         with np.errstate(divide="ignore", invalid="ignore"):
             along = (start[:, 0] * edge[:, 1] - start[:, 1] * edge[:, 0]) / cross
@@ -406,13 +406,24 @@ def cast(sensor: Array, angles: Array, outlines: Sequence[Array]) -> Array:
 def separation(one: Array, other: Array) -> tuple[float, Array, Array]:
     """Gap in m between two convex polygons, the place on `one` and the direction to `other`.
 
-    0 where they overlap, with a place and direction that mean nothing.
+    0 where they overlap, with a place and direction that mean nothing. The arrays below are (k, j),
+    by the corners of `one` and of `other`.
     """
-    if not (_is_apart(one, other) or _is_apart(other, one)):
+    edges, facing = _edges(one), _edges(other)
+    x = other[:, 0] - one[:, 0, None]
+    y = other[:, 1] - one[:, 1, None]
+    ex, ey, fx, fy = edges[:, :1], edges[:, 1:], facing[:, 0], facing[:, 1]
+    is_apart = (ex * y < ey * x).all(1).any() or (fx * y > fy * x).all(0).any()
+    if not is_apart:
         return 0.0, one[0], np.zeros(2)
-    gap, at, to = min(
-        (_nearest(one, other), _reversed(_nearest(other, one))), key=lambda found: found[0]
-    )
+    share = _clipped((x * fx + y * fy) / -(fx * fx + fy * fy))
+    i, j, near = _least(x + share * fx, y + share * fy)
+    back = _clipped((x * ex + y * ey) / (ex * ex + ey * ey))
+    k, m, far = _least(x - back * ex, y - back * ey)
+    if near <= far:
+        gap, at, to = near, one[i], other[j] + share[i, j] * facing[j]
+    else:
+        gap, at, to = far, one[k] + back[k, m] * edges[k], other[m]
     return gap, at, (to - at) / max(gap, 1e-12)
 
 
@@ -421,31 +432,29 @@ def outline_point(corners: Array, point: Array) -> tuple[float, Array, Array]:
 
     0 for points inside, with a place and way that mean nothing.
     """
-    edge = np.roll(corners, -1, axis=0) - corners
-    off = point - corners
-    if (edge[:, 0] * off[:, 1] - edge[:, 1] * off[:, 0] >= 0.0).all():
+    edge = _edges(corners)
+    x, y = (point - corners).T
+    if (edge[:, 0] * y - edge[:, 1] * x >= 0.0).all():
         return 0.0, point, np.zeros(2)
-    gap, to, at = _nearest(point[None], corners)
-    return gap, at, (to - at) / gap
+    share = _clipped((x * edge[:, 0] + y * edge[:, 1]) / (edge * edge).sum(1))
+    _, i, gap = _least((x - share * edge[:, 0])[None], (y - share * edge[:, 1])[None])
+    at = corners[i] + share[i] * edge[i]
+    return gap, at, (point - at) / gap
 
 
-def _is_apart(one: Array, other: Array) -> bool:
-    """Whether an edge of `one` has all of `other` on its outer side."""
-    edge = np.roll(one, -1, axis=0) - one
-    off = other[None] - one[:, None]
-    return bool((edge[:, None, 0] * off[..., 1] < edge[:, None, 1] * off[..., 0]).all(1).any())
+def _edges(corners: Array) -> Array:
+    """(k, 2) from each corner to the next; `numpy.roll` takes twice as long as all of this."""
+    edges = np.empty_like(corners)
+    np.subtract(corners[1:], corners[:-1], out=edges[:-1])
+    np.subtract(corners[0], corners[-1], out=edges[-1])
+    return edges
 
 
-def _nearest(corners: Array, outline: Array) -> tuple[float, Array, Array]:
-    """The corner nearest to an outline: distance, the corner, and the place on the outline."""
-    edge = np.roll(outline, -1, axis=0) - outline
-    off = corners[:, None] - outline[None]
-    share = np.clip((off * edge).sum(-1) / (edge * edge).sum(-1), 0.0, 1.0)
-    places = outline + share[..., None] * edge
-    distances = np.hypot(*np.moveaxis(corners[:, None] - places, -1, 0))
-    i, j = np.unravel_index(int(distances.argmin()), distances.shape)
-    return float(distances[i, j]), corners[i], places[i, j]
+def _clipped(share: Array) -> Array:
+    return np.minimum(np.maximum(share, 0.0), 1.0)
 
 
-def _reversed(found: tuple[float, Array, Array]) -> tuple[float, Array, Array]:
-    return found[0], found[2], found[1]
+def _least(x: Array, y: Array) -> tuple[int, int, float]:
+    """Row, column and length in m of the shortest vector of components `x` and `y` (k, j)."""
+    row, column = divmod(int((x * x + y * y).argmin()), x.shape[1])
+    return row, column, math.hypot(x[row, column], y[row, column])

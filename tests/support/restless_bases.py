@@ -145,9 +145,9 @@ class RestlessBases:
         self._until[due] = now + waits[due]
         commands = np.zeros((count, 3))
         commands[:, : len(self._top)] = self._wanted
-        for row, monitor in enumerate(self.monitors):
-            commands[row] *= monitor.speed_share
-            self._note(row, now, monitor.on_command(Twist(*commands[row].tolist())))
+        commands *= np.array([monitor.speed_share for monitor in self.monitors])[:, None]
+        for row, (monitor, twist) in enumerate(zip(self.monitors, commands.tolist(), strict=True)):
+            self._note(row, now, monitor.on_command(Twist(*twist)))
         self._bases.put(commands)
 
 

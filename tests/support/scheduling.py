@@ -17,6 +17,14 @@ _WAITING = {
     *("pattern_host", "view"),
 }
 """Folders whose tests wait for sockets, threads or processes, also without the mark."""
+_COMPUTING = (
+    *("cli/test_plugin", "sim/cli/test_classroom", "sim/cli/test_exp", "sim/cli/test_exp_storage"),
+    *("sim/experiments/test_benchmark", "sim/experiments/test_cluster"),
+    *("sim/experiments/test_pool", "sim/experiments/test_simulate", "sim/film/test_film"),
+    *("sim/learning/test_vector", "sim/report/test_report", "sim/test_portable"),
+)
+"""Files marked `integration` whose processes compute, and have no deadline in real time: daemons of
+other files would wait for a processor beside them."""
 
 
 LONGEST = (
@@ -34,11 +42,16 @@ LONGEST = (
 _LONG_FOLDERS = {"protection", "sim", "studies"}
 
 
+def _is_in(path: Path, names: tuple[str, ...]) -> bool:
+    """Whether the path of a file of tests ends with one of `names`."""
+    return path.as_posix().endswith(tuple(f"tests/{name}.py" for name in names))
+
+
 def order(path: Path, is_integration: bool) -> int:
     """The place of a file among all: LONGEST, files that wait and long folders, the others."""
-    name = next((one for one in LONGEST if path.as_posix().endswith(f"tests/{one}.py")), None)
-    if name is not None:
-        return LONGEST.index(name)
+    for place, name in enumerate(LONGEST):
+        if _is_in(path, (name,)):
+            return place
     is_long = is_integration or not _LONG_FOLDERS.isdisjoint(path.parts)
     return len(LONGEST) + (0 if is_long else 1)
 
@@ -91,11 +104,15 @@ class MixedScheduling(LoadFileScheduling):  # type: ignore[misc]
         return not all(computes(one.gateway.id, self.numnodes) for one in others)
 
     def _waits(self, scope: str) -> bool:
-        """Whether a file has tests of the layer `integration`, or is in a folder of _WAITING."""
+        """Whether a file has tests of the layer `integration`, or is in a folder of _WAITING.
+
+        The files of _COMPUTING compute.
+        """
         if scope not in self._found:
             file: Path = self.config.rootpath / scope
             is_marked = file.is_file() and "pytest.mark.integration" in file.read_text()
-            self._found[scope] = is_marked or bool(_WAITING & {*Path(scope).parts})
+            waits = is_marked or bool(_WAITING & {*Path(scope).parts})
+            self._found[scope] = waits and not _is_in(file, _COMPUTING)
         return self._found[scope]
 
 
