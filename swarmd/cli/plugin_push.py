@@ -396,10 +396,15 @@ def _await_canary(
 ) -> str:
     """Wait until the canaries (the first robots with the new code) have tried the code in a run.
 
-    New code is provisional on a robot until it has run for a minute without a fault; then the robot
-    holds it. Returns the result in words: all canaries hold the code, no canary with provisional
-    code runs the pattern now (a push starts no run), or `limit` s are over. Failure if a canary
-    does not answer, or has returned to another version; the robots of `rest` then keep their code.
+    New code is provisional on a robot until the code has run for a minute without a fault; then the
+    robot holds the code. The wait ends, and its result is returned in words,
+
+    - once all canaries hold the code,
+    - if no canary with provisional code runs the pattern now (a push starts no run),
+    - after `limit` s.
+
+    Failure if a canary does not answer, or has returned to another version: the robots of `rest`
+    then keep their code.
     """
     options, operator = asked.options, asked.operator
     digest = hashlib.sha256(source.code).hexdigest()[:DIGEST_LENGTH]

@@ -26,12 +26,12 @@ from swarmd.core.errors import ConfigError, NetworkError
 def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
-    The configuration is JSON, a subset of the JSON5 that Zenoh reads. Its session is a peer that
-    finds the robots by scouting (multicast queries), also robots that start later. With --dial, or
-    where robots answer no scouts, the peer dials the robots that are known now: robots of a secured
-    swarm answer scouts in profile dev, and with `discoverable: true`. In profile routed the session
-    is a client of the routers. In a secured swarm the configuration names the files of your
-    identity; it also has Zenoh's access rules for your name, except in profile routed.
+    The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a peer that
+    finds the robots by scouting (multicast queries), also robots that start later. Robots of a
+    secured swarm answer scouts only in profile dev, or with `discoverable: true`. Where robots
+    answer no scouts, and with --dial, the peer dials the robots that are known now. In profile
+    routed the session is a client of the routers. In a secured swarm the configuration names the
+    files of your identity, and has Zenoh's access rules for your name, except in profile routed.
     """
     from swarmd.network.carriers.session import foreign_options
 

@@ -122,9 +122,10 @@ async def _from_thread(
     """
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()
-    room = threading.Semaphore(MAX_WAITING)
+    room = threading.Semaphore(MAX_WAITING)  # the places in `items` that are free
 
     def work() -> None:
+        """On the thread: put each item into `items` once a place is free, until cancelled."""
         for item in make():
             while not room.acquire(timeout=0.2):
                 if cancelled.is_set():

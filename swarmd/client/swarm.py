@@ -40,9 +40,9 @@ class Swarm:
     name robots, `replies` has the code and text of each robot, `line` and `exit_code` are those of
     `swarmctl`. A robot that refuses or does not answer raises no error. If nothing was sent, a
     method raises RequestError (with the exit code of swarmctl) because no robot is targeted,
-    NetworkError because no daemon is reached, or ConfigError because a value is wrong. SwarmError,
-    the base of these errors, if the connection is closed or 8 requests are under way. Several
-    threads may use one object; a stop waits for no other method.
+    NetworkError because no daemon is reached, or ConfigError because a value is wrong. A method
+    raises SwarmError, the base of these errors, if the connection is closed or 8 requests are under
+    way. Several threads may use one object; a stop waits for no other method.
     """
 
     def __init__(

@@ -86,8 +86,8 @@ class Scan(Struct, frozen=True, eq=False):
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `newest_age` is the age of the mean ray, and each of the
-    `ages` is half of the duration of the scan: the most by which a ray can be older than this ray.
+    While the order of the rays is unknown, `newest_age` is the mean age of the rays, and each of
+    the `ages` is half of the duration of the scan: the most by which a ray is older than the mean.
     """
 
     seq: int

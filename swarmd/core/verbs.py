@@ -1,9 +1,9 @@
 """The verbs of the plane `control`: requests and questions of operators, with a row for each verb.
 
 The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether the
-robot compares its epoch (the count of its changes; it refuses a request with another epoch), and
-the line of the audit log. A new verb needs a struct and a row here, a method `on_<verb>` of its
-handler, a file of `cli/`, and a line in `VERBS` of `cli/swarmctl.py`.
+robot refuses a request that quotes another epoch (count of the robot's changes) than its present
+epoch, and the line of the audit log. A new verb needs a struct and a row here, a method `on_<verb>`
+of its handler, a file of `cli/`, and a line in `VERBS` of `cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """
@@ -180,9 +180,9 @@ class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
     """Take a signed roster, and the new certificate of the robot's name if there is one.
 
     `secret`: the swarm's secret of that generation; empty for a robot that the roster lacks.
-    `certificates`: by robot, in PEM, for the robot's present key. At most the request ends a run,
-    and never starts motion. So it also holds for a robot that has changed since the operator saw
-    it: the epoch is not compared.
+    `certificates`: by robot, in PEM, for the robot's present key. The request may end a run, and
+    never starts motion. So the epoch is not compared: a robot takes the request even if the robot
+    has changed since the operator saw its epoch.
     """
 
     roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]

@@ -212,8 +212,8 @@ class AuditLog:
         Also returns whether older entries match, and a fault of the disk (empty without a fault).
         `age_of` returns the age of an entry in s; None: unknown. With `query.since`, entries that
         are older or of unknown age are left out. Damaged lines are left out. Blocks until the
-        queued entries are written, at most READ_TIMEOUT: then the fault says that the newest
-        entries are missing.
+        queued entries are written. After READ_TIMEOUT the last entries are read without the queued
+        entries, and the fault says so.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()

@@ -322,11 +322,14 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     """The filter of system calls, in the classic BPF of seccomp(2).
 
     `architecture`: the AUDIT_ARCH of the processor. `column`: the index of this architecture in
-    each pair of system call numbers. An instruction is (code, jump if true, jump if false,
-    operand); a jump is the number of instructions to skip. `_if_called(n, block, verdict)` runs
-    `block` for the system call n, then ends with `verdict`. In a block `_argument(i)` loads
-    argument i of the call; `_allowed(x)` permits the call if the loaded value is x, `_refused(x)`
-    refuses it then, and `_required(x)` refuses it for any other value.
+    each pair of system call numbers.
+
+    - An instruction is (code, jump if true, jump if false, operand). A jump is the number of
+      instructions to skip.
+    - `_if_called(n, block, verdict)` runs `block` for the system call n, then ends with `verdict`.
+    - In a block `_argument(i)` loads argument i of the call.
+    - If the loaded value is x, `_allowed(x)` permits the call, and `_refused(x)` refuses the call.
+      `_required(x)` refuses the call if the loaded value is not x.
     """
     # 1. Another architecture (such as 32-bit calls) is refused. System calls that are newer than
     #    the tables do not exist for the process.

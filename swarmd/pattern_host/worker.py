@@ -1,10 +1,10 @@
 """The pattern host: the child process that loads plugin code and steps it.
 
-The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon. It
-has a lower priority (nice 10), and the out-of-memory killer chooses it first. Before the host loads
-plugin code it confines itself (`swarmd.pattern_host.sandbox`) and reports the denied accesses. The
-confined host cannot change its memory limit; the daemon can (`host_process`). The host imports
-neither Zenoh nor asyncio.
+The daemon starts the host with one end of a SOCK_SEQPACKET pair. The host ends with the daemon. The
+host has a lower priority (nice 10) than the daemon, and the out-of-memory killer chooses the host
+first. The host confines itself (`swarmd.pattern_host.sandbox`), reports the denied accesses, and
+only then loads plugin code. The confined host cannot change its memory limit; the daemon can
+(`host_process`). The host imports neither Zenoh nor asyncio.
 """
 
 from __future__ import annotations

@@ -145,20 +145,22 @@ class GoalHandler:
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        # 2. A run ends. A load ends, too, unless its goal is greater than `goal`.
+        # 2. End the run and the load. A load of a goal that is greater than `goal` continues.
         keeps_load = False
         if loading is not None and loading.goal is not None:
-            # `order`: the key by which goals compare. It does not depend on the age (None).
+            # `order`: the key by which goals compare, which does not depend on the age (None).
             order_of_load = HeldGoal.of(loading.goal, None).order
             keeps_load = order_of_load > HeldGoal.of(goal, None).order
-        is_active = lifecycle.is_running or (loading is not None and not keeps_load)
-        is_idle = lifecycle.state_machine.state is State.IDLE
+        ends_load = loading is not None and not keeps_load
+        ends_any = lifecycle.is_running or ends_load
+        was_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
-        if is_active:
+        if ends_any:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        can_join = (is_active or is_idle) and not keeps_load and not lifecycle.battery.is_low
+        # 3. Take `goal`. A robot that stood for another reason than being idle may not join.
+        can_join = (ends_any or was_idle) and not keeps_load and not lifecycle.battery.is_low
         goals.adopt(goal, age, now, may_join=may_join and can_join)
 
     def join_if_settled(self, effects: Effects) -> None:

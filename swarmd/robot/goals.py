@@ -72,6 +72,7 @@ class Goals:
     def __init__(
         self, robot: str, labels: tuple[str, ...], record: GoalRecord | None, now: float
     ) -> None:
+        """Take the goals from disk; the own goal is offered, or joined if the record permits it."""
         record = record or GoalRecord()
         self._robot = robot  # the name of this robot
         self._file_labels = labels
@@ -92,7 +93,7 @@ class Goals:
         self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
         # By id: stops that may be older than the held goal, as long as the goal's age is unknown.
         self._undecided: dict[str, _Undecided] = {}
-        self._held_since = now  # the held goal was set before this time
+        self._held_since = now  # the held goal came, or was read, at this time: it was set before
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal

@@ -42,7 +42,7 @@ class InputAges:
     - `_fence_due`: from this time on the pose for the fence is too old, which holds the robot.
     - `_hazards_until`: a hazard holds the robot until this time.
     - `_teller`: the `Peers` object, whose discs are obstacles; None while no place is known.
-    - `_ring`, `_fence`: the ring of range sensors, the `FencePose`; None without.
+    - `_ring`: the ring of range sensors, or None. `_fence`: the `FencePose`, or None.
     """
 
     odometry = cython.declare(object, visibility="public")

@@ -725,8 +725,7 @@ class Lifecycle:
             self.params_request = None
             text = "the pattern did not answer"
             self.fail(effects, pending.request, Refusal.PATTERN_FAILED, text)
-        # 3. The run: its longest time, its run lease (valid while the operator is heard), and holds
-        #    that last too long.
+        # 3. The run: its longest time, its lease (while the operator is heard), holds that last.
         running = run.running
         if not self.is_running or running is None:
             return None
@@ -736,8 +735,7 @@ class Lifecycle:
         lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
         if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
             text = f"{own_goal.goal.issuer} was not heard for {own_goal.goal.lease:g} s"
-            # Requests that were issued before this end become stale: their operators do not know
-            # of the end. (Its end by time is part of the request for a run.)
+            # Earlier requests become stale: their operators do not know of this end.
             self.raise_revision(f"the end of the run lease of {own_goal.goal.issuer}")
             self.stop(Reason.LEASE_ENDED, text, effects)
             return None

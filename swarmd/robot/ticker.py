@@ -71,7 +71,7 @@ class Ticker:
     1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
     2. Each event except a quiet tick sets `_quiet_until` to -inf: the next tick is not quiet.
     3. An event that may change the lifecycle also sets `_due_at` (see there) to -inf.
-    4. Exceptions: odometry, neighbours, readings and messages change no deadline, and set neither.
+    4. Exceptions: odometry, neighbours, readings and messages change no deadline: they set neither.
     """
 
     decision = cython.declare(object, visibility="public")

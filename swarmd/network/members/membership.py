@@ -149,9 +149,9 @@ class Membership:
     """The other robots of a swarm, as this robot or operator hears them.
 
     `own`: the name of this robot, which is never a member; empty for an operator. `lease`: s of
-    silence after which a member has failed. At most MAX_MEMBERS: a new robot replaces the robot
-    that is gone the longest. If no robot may be replaced, the new robot is ignored, and counted in
-    `ignored`.
+    silence after which a member has failed. At most MAX_MEMBERS robots are kept: then a new robot
+    replaces the robot that is gone the longest. If no robot may be replaced, the new robot is
+    ignored, and counted in `ignored`.
     """
 
     def __init__(self, own: str, lease: float) -> None:

@@ -108,8 +108,8 @@ class MemberReports:
         one list. Kept are the last whole list (all its parts have come) and what came after it.
         Without a whole list, the parts of the last MAX_PARTIAL_LISTS lists are kept.
         """
-        # 1. Keep the part, and drop the parts before the first part of the oldest list to keep.
-        # `parts` is in the order of arrival. A list is named by its echo.
+        # 1. Keep the part. `parts` is in the order of arrival; a list is named by its echo. Drop
+        # all parts that came before the first part of the oldest list to keep.
         parts = self._lists.setdefault(new_part.robot, {})
         parts[new_part.echo, new_part.part] = (new_part, now)
         whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]

@@ -43,12 +43,12 @@ class MemberSearch:
     ) -> MembersView:
         """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
-        Threads of the carrier and of Zenoh put the answers into `discovery`. Complete: all expected
-        robots have answered, and their answers agree or nothing new came for some time. An
-        incomplete look ends after `timeout` s. With `timeout` None it ends once a longer wait is of
-        no use (`discovery.is_over`), and after `cap` s at the latest.
-        `needs_status` False: a robot's datagram counts as its answer, so that statuses are asked
-        for only after STATUS_DELAY.
+        Threads of the carrier and of Zenoh put the answers into `discovery`. A look is complete
+        once all expected robots have answered, and their answers agree or nothing new came for some
+        time. An incomplete look ends after `timeout` s. With `timeout` None an incomplete look ends
+        once a longer wait is of no use (`discovery.is_over`), and after `cap` s at the latest.
+        `needs_status` False: a robot's datagram counts as its answer, and statuses are asked for
+        only after STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)

@@ -89,18 +89,19 @@ class RequestSender:
         missing = tuple(asked)
         repeat_at = now
         while missing and (time_left := started + timeout - now) > 0:
-            # 1. Send to all missing robots if a repeat is due, else only to newly linked robots.
-            newly_linked = self._sessions.linked(links, unlinked)
-            unlinked -= newly_linked
-            is_repeat_due = now >= repeat_at
-            receivers = set(missing) - unlinked if is_repeat_due else newly_linked
-            if is_repeat_due:
+            # 1. Send to robots that have just got a link. If a repeat is due, send to all missing
+            # robots with a link.
+            receivers = self._sessions.linked(links, unlinked)
+            unlinked -= receivers
+            if now >= repeat_at:
                 repeat_at = now + REPEAT_PERIOD
-            if is_repeat_due or newly_linked:
+                receivers = set(missing) - unlinked
+            if receivers:
                 # The age of the request at its arrival, so that a robot can refuse it as too old.
                 payload = encode(aged(request, now - started + view.round_trip))
-                # One query to all robots replaces many: a robot that it does not name ignores it.
-                for robot in (ANY,) if len(receivers) == len(asked) else sorted(receivers):
+                # One query to all robots replaces many: robots that are no targets ignore it.
+                is_for_all = len(receivers) == len(asked)
+                for robot in [ANY] if is_for_all else sorted(receivers):
                     self._sessions.get(
                         robot, CONTROL, request.verb, payload, time_left, _collect(acks)
                     )

@@ -22,8 +22,7 @@ END_PERIOD = 0.05  # s between two tests of the end
 class _Progress:
     """Reports to the user which robots have not stopped, whenever these change."""
 
-    def __init__(self, on_progress: Callable[[tuple[str, ...]], None], now: float) -> None:
-        self._on_progress = on_progress
+    def __init__(self, now: float) -> None:
         self._timer = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
         # By `_rest_time` each base rests, or its robot has reported that the base has not stopped.
         self._rest_time = now + STOP_WAIT
@@ -41,14 +40,14 @@ class _Progress:
         self._unstopped = lacking if now >= self._rest_time else pending.silent(now)
         self._is_any_moving = bool(lacking)
 
-    def report(self, now: float) -> None:
+    def report(self, on_progress: Callable[[tuple[str, ...]], None], now: float) -> None:
         """Call `on_progress` if the noted robots are new, at most once per PROGRESS_PERIOD."""
         # The user takes an empty list as the end of the stop: not while a base still moves.
         is_premature = not self._unstopped and self._is_any_moving
         is_new = self._unstopped != self._reported
         if is_new and not is_premature and self._timer.is_due(now):
             self._reported = self._unstopped
-            self._on_progress(self._unstopped)
+            on_progress(self._unstopped)
 
 
 class StopSender:
@@ -88,7 +87,7 @@ class StopSender:
             self._pending = pending
         now = boottime()
         solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
-        progress = _Progress(on_progress, now)
+        progress = _Progress(now)
         targets: frozenset[str] = frozenset()
         try:
             while True:
@@ -116,7 +115,7 @@ class StopSender:
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
                 if until_all:
-                    progress.report(now)
+                    progress.report(on_progress, now)
 
                 # 4. Wait for an ack, or until something is due.
                 pause = min(solicit_timer.pause(now), stop_timer.pause(now))

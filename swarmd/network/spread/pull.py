@@ -116,8 +116,8 @@ class Puller:
         No pull is begun while another pull is under way, or beyond PULL_RATE: try again later.
         `what`: the kind of blob, such as a table of patterns. `name`: of a blob of this kind.
         `limit`: the most bytes. `digest`: the SHA-256 that the blob must have; None: the digest
-        that the peer states. At the end the loop calls `on_done(blob, reason)`; `blob` is None if
-        the pull failed, for the reason `reason`.
+        that the peer states. At the end the loop calls `on_done(blob, reason)`. If the pull failed,
+        `blob` is None, and `reason` says why.
         """
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
