@@ -246,7 +246,7 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """After a stop of all robots: make a goal without a pattern, above the held goal.
+        """Make a goal without a pattern, greater than the held goal, after a stop of all robots.
 
         So no robot that joins later runs the held goal. All robots that hold the same goal make the
         same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False
