@@ -97,8 +97,9 @@ class Goals:
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
-        # Content of a held goal of the greatest generation, which a stop of all robots could not
-        # exceed by a goal of its own: its age is ignored, so that no robot joins it.
+        # The content of a held goal of the greatest possible generation. A stop of all robots could
+        # not make a greater goal; instead the age of the held goal is ignored, so that no robot
+        # joins this goal.
         self._stopped_content = b""
         self.is_changed = False  # since the record was last written to disk
         # The generation of the load that failed since the robot lacks the pattern. None: no such
