@@ -139,7 +139,7 @@ class Network:
         stop_counters: Path | None,
         hears_programs: bool = True,
     ) -> None:
-        """Nothing is opened until `join`.
+        """Prepare the network; nothing is opened until `join`.
 
         `robot`: name, instance and body of this robot. `hears_programs` False: messages of Zenoh
         programs (sessions that are no robots) are neither taken nor sent.

@@ -71,8 +71,7 @@ CACHE_TIME = 2.0  # s for which measured facts of the machine are reused
 class FieldTools:
     """Answers questions about the condition of a robot, its daemon and its network.
 
-    `instance`: marks this life of the daemon, in hex. `version`: of the package. `keys` returns a
-    summary of the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
+    `instance`: marks this life of the daemon, in hex. `version`: of the package. `audit`: the audit
     log. `storage_fault`: why a restart would lose latches, as in `Health`; empty without a fault.
     """
 

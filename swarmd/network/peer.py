@@ -383,7 +383,7 @@ class Peer:
         self._times.note_latches(digest_of(summary.latches), now)
         self._send_beacon_if_due(now, summary, actions)
         self._send_latches_if_due(now, summary, actions)
-        # Not a stop that a later run, goal or reset has overtaken (`_is_overtaken`).
+        # A stop is not sent if a later run, goal or reset has overtaken the stop.
         stops = self._relay.advance(now, partial(self._is_overtaken, summary))
         actions.sends.extend((stop, None) for stop in stops)
 

@@ -165,7 +165,8 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
 
     `source`: the file or package of the pattern. If the pattern cannot be loaded, the description
     has only `name`, `source` and `error`. `missing`: sensors that the platform lacks. `refused`:
-    why a robot would refuse the mission; empty if not, and for patterns that are no missions.
+    why a robot would refuse a mission; empty for a mission that is not refused, and for patterns
+    that are no missions.
     """
     try:
         pattern = loader(name)

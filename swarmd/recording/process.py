@@ -167,7 +167,7 @@ def _said(sender: str, channel: str, value: Value) -> dict[str, Value]:
 
 
 def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
-    """The loop of the recorder process: write what the daemon sends until it closes `link`.
+    """The loop of the recorder process: write what the daemon sends until the daemon closes `link`.
 
     `now`: the robot's clock in s. The daemon gets a report with the written bytes every
     REPORT_PERIOD. An OSError of the file, such as a full disk, is reported to the daemon, and

@@ -107,6 +107,7 @@ class Replay:
         *,
         recalls: bool = False,
     ) -> None:
+        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory."""
         self._head, self._about = head, about
         self._platform = platform or head.platform
         self._recalls = recalls

@@ -98,9 +98,9 @@ class FencePose:
         if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
             return
         odometry = _pose_at(self._readings, stamp)
-        # `_way` and `_turned` count until now, not until `at`. So the way since this pose will be
-        # too short by the motion during the delay of the pose, and the error of odometry, which is
-        # a share of that way, too small by the same share of that motion.
+        # `_way` and `_turned` count until now, not until `at`: the way since this pose lacks the
+        # motion during the delay of the pose. So the error of odometry, a share of the way, is too
+        # small by the same share of the lacking motion.
         fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
         if self._used is not None and at - self._used.at > FORGET_TIME:
             self._used = None

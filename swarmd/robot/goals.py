@@ -97,8 +97,9 @@ class Goals:
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
-        # Content of a held goal of the greatest generation, which a stop of all robots could not
-        # exceed by a goal of its own: its age is ignored, so that no robot joins it.
+        # The content of a held goal of the greatest possible generation. A stop of all robots could
+        # not make a greater goal; instead the age of the held goal is ignored, so that no robot
+        # joins this goal.
         self._stopped_content = b""
         self.is_changed = False  # since the record was last written to disk
         # The generation of the load that failed since the robot lacks the pattern. None: no such
@@ -246,7 +247,7 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """After a stop of all robots: make a goal without a pattern, above the held goal.
+        """Make a goal without a pattern, greater than the held goal, after a stop of all robots.
 
         So no robot that joins later runs the held goal. All robots that hold the same goal make the
         same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False

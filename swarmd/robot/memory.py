@@ -220,8 +220,8 @@ class _Writer:
         if isinstance(value, np.generic):
             parts = self._parts((value.dtype.str, value.tobytes()))
             return self._add(value, self._kind("scalar"), parts)
-        # 3. Classes of swarmd: `field_names` is None for a class of objects, whose empty node gets
-        #    its kind from `memory`, too.
+        # 3. Classes of swarmd. For a class of values `field_names` gives the parts. For a class of
+        #    objects `field_names` is None, and `memory` later fills the node with kind and parts.
         class_name, field_names = self._class_of(cls)
         if field_names is not None:
             parts = self._parts([getattr(value, name) for name in field_names])

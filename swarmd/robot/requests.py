@@ -123,10 +123,11 @@ class RequestHandler:
             issued_at = min(issued_at, self._executed[request.id])
 
         def is_older_than(wish: Wish) -> bool:
-            """True if the stop is older than `wish`; at equal times only if it is a later copy.
+            """True if the stop is older than `wish`.
 
-            At equal times the first copy stops the run: in doubt the robot stops. That copy ended
-            every run of that time, so the run that a later copy meets was requested after the stop.
+            At equal times: False for the first copy of the stop, since in doubt the robot stops;
+            True for a later copy. The first copy ended every run that was requested at that time,
+            so that a later copy meets a run that was requested after the stop.
             """
             return issued_at < wish.at or (is_copy and issued_at == wish.at)
 

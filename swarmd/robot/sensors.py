@@ -87,6 +87,7 @@ class Sensors(InputAges):
         tells_pose: bool = False,
         fence: FenceSettings | None = None,
     ) -> None:
+        """Begin without any input; the parts follow from the sensors of `platform`."""
         super().__init__()
         # The lidar: validity of a scan, its delay, and its correction by the motion of the base.
         self._stale_after = platform.scan.stale_after

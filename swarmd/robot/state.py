@@ -423,7 +423,7 @@ class Lifecycle:
     # Failures of a pattern
 
     def fault(self, text: str, effects: Effects) -> None:
-        """After a failure of the running pattern: restart it in a fresh host, or quarantine it.
+        """Restart the running pattern in a fresh host after its failure, or quarantine the pattern.
 
         A pattern of provisional (just pushed) code is never restarted: its first failure
         quarantines it, and the daemon returns to the version before.
@@ -631,7 +631,7 @@ class Lifecycle:
         self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
-        """After a wheel drop or a lift (a person holds the robot): end the run or the load.
+        """End the run or the load after a wheel drop or a lift (a person holds the robot).
 
         Requests that quote an earlier epoch are refused from now on, and the robot joins no goal
         that was set before.
@@ -644,7 +644,7 @@ class Lifecycle:
         self.goals.bar(effects.now)
 
     def on_battery(self, settings: LowBatterySettings, effects: Effects) -> None:
-        """After the battery has become low or is no longer low. A charged battery starts nothing.
+        """Act on a battery that has become low, or note that it is no longer low.
 
         A low battery ends the run or the load, and the robot joins no goal that was set before. A
         robot that ran then runs the pattern of `on_low_battery`, unless its run had a lease: the

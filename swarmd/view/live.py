@@ -60,6 +60,7 @@ class LiveSource:
     def __init__(
         self, operator: Operator, patterns: Sequence[str], describe: Describe | None = None
     ) -> None:
+        """Prepare the source, without robots so far."""
         self.swarm = operator.settings.swarm
         self._operator = operator
         # Patterns that may be run, with their descriptions; a thread calls `describe`.

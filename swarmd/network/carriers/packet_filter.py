@@ -59,9 +59,8 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     the family of the socket; rules on sources of the other family are left out. Returns an array of
     struct sock_filter as bytes.
 
-    The program is a sequence of blocks, each a verdict with tests. A test compares a loaded value
-    with an operand. The first block whose tests all hold decides. The first stage (`heads`) tests
-    the head of the datagram. The blocks of the second stage (`limits`) stand in this order:
+    A block is a verdict with tests; a test compares a loaded value with an operand. The first stage
+    (`heads`) tests the head of the datagram. The blocks of the second stage (`limits`) are:
 
     1. Drop at random a part of the urgent datagrams (kinds in `URGENT`) of each source in
        `rules.thinned`, which gives the share to keep.

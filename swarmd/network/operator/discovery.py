@@ -78,12 +78,7 @@ class Discovery:
         is_secured: bool = False,
         needs_status: bool = True,
     ) -> None:
-        """Begin a look (a query of all members) at `now` in s.
-
-        `roster`: robots that are expected in any case. `first_robot_timeout`: s to wait for a first
-        robot. `earlier`: the result of an earlier look. `is_local`: all robots are on this machine.
-        `is_secured`: links take longer to open. `needs_status`: only a status counts as an answer.
-        """
+        """Begin a look (a query of all members) at `now` in s; the class explains the arguments."""
         self.started = now
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status

@@ -248,7 +248,8 @@ class StopRelay:
             # still moves after a new stop.
             if now >= relayed.interval_ends:
                 doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
-                # Later an ack "moving" does not count: a forged ack would keep the interval short.
+                # After TRUSTLESS_TIME an ack "moving" does not count: a forged ack would keep the
+                # intervals short.
                 is_new = now - relayed.heard < TRUSTLESS_TIME
                 is_moving = is_new and any(ack.is_moving for ack in relayed.acks.values())
                 relayed.interval = FIRST_INTERVAL if is_moving else doubled
