@@ -549,15 +549,25 @@ async def test_a_table_with_false_signatures_costs_one_check(
     assert rig.state.table == ()
 
 
-async def test_a_fault_of_the_store_is_a_failure_and_no_refusal_of_the_code(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("where", ["files of the store", "second check of the manifest"])
+async def test_a_fault_in_the_check_of_a_push_is_a_failure_and_the_next_push_is_taken(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
-    def prune(kept: object) -> None:
-        raise ZeroDivisionError
+    checks: list[Any] = []
 
-    monkeypatch.setattr(rig.files, "prune", prune)
-    reply = await rig.push()
+    def fails(*entries: Any) -> None:
+        checks.extend(entries)
+        if where == "files of the store" or len(checks) == 2:
+            raise ZeroDivisionError
+
+    with monkeypatch.context() as patches:
+        if where == "files of the store":
+            patches.setattr(rig.files, "prune", fails)
+        else:  # the first check is that of the request, the second that of the queued entry
+            patches.setattr(rig.store, "_refusal_of", fails)
+        reply = await rig.push()
     assert (reply.code, reply.refusal) == (Code.FAILED, None)
+    assert (await rig.push()).code is Code.APPLIED
 
 
 @pytest.mark.parametrize("replaces", [False, True])
