@@ -124,14 +124,14 @@ class Caster:
     def __init__(self, spec, rays, walls, poles, edges, polygon_owners, discs, disc_owners):
         """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
 
-        `spec`: the sensor. `rays`: its rays in order of bearing, repeated (`lidar.SortedRays`).
-        `walls` (w, 5): start, vector to the end, and -`range_max` times the length. (For a wall in
-        reach, the cross product `side` of `_meet_surface` is not below the last number.) `poles`
-        (p, 3): x, y, radius. `edges` (b, k, 4) of polygons: start, and vector to the end. `discs`
-        (d, 3): x, y, radius. Owners: rows of the robots or boxes that have the polygons and discs.
+        `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
+        (w, 5): start, vector to the end, and -`range_max` times the length: the least `side` of a
+        wall in reach (`_meet_surface`). `poles` (p, 3): x, y, radius. `edges` (b, k, 4) of
+        polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
+        robots or boxes that have the polygons and discs.
         """
         n = len(spec.bearings)
-        # 1. The rays and the sensor. Only `_bearings` needs the repeated rays (`_ray_index`).
+        # 1. The rays and the sensor.
         self._rays = n
         self._number = memoryview(np.array(rays.number[:n], np.intp))
         self._cos, self._sin = (
