@@ -565,29 +565,32 @@ class StandingWalls:
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
         now: cython.double = motion.measured_at
-        has_stood: cython.bint = self.has_standing
+        has_stood: cython.bint = self.has_standing  # another wall stands in this scan
         for i in range(self._wall_count):
             at: cython.Py_ssize_t = _W_FIELDS * i
-            moves: cython.double = walls[at + _W_MOVES]
+            # 1. In how many scans in a row the wall was seen elsewhere. Skips a wall that is at its
+            # place, or whose motion was reported.
+            shown: cython.double = walls[at + _W_MOVES]
             walls[at + _W_MOVES] = 0.0
-            if walls[at + _W_SEEN] > 0.0 or moves >= _SHOWN_TWICE:
+            if walls[at + _W_SEEN] > 0.0 or shown >= _SHOWN_TWICE:
                 continue
+            # 2. Skips a wall that had not stood long enough; all walls if odometry may be wrong.
             stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
             way: cython.double = self._way - walls[at + _W_WAY]
             turn: cython.double = self._turn - walls[at + _W_TURN]
             is_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
             if not (stood >= self._seconds and (has_stood or is_at_rest)):
                 continue
-            # The run that the wall may be now: the nearest one beside at least half of `length`,
-            # by the end that has moved farther since the wall was confirmed.
+            # 3. The run that the wall may be now: the nearest run beside at least half of `length`.
+            # `least`: m by which the end of this run that has moved farther is off the wall.
             seconds: cython.double = now - walls[at + _W_CONFIRMED]
             if not seconds > 0.0:
                 continue
-            nearest: cython.double = _still + _FASTEST_WALL * seconds
-            least: cython.double = nearest
+            most: cython.double = _still + _FASTEST_WALL * seconds  # m that a wall can have moved
+            least: cython.double = most
             for j in range(self._runs.count):
                 run: cython.Py_ssize_t = RUN_FIELDS * j
-                if moves == 0.0 and runs[run + RUN_TAKEN] > 0.0:
+                if shown == 0.0 and runs[run + RUN_TAKEN] > 0.0:
                     continue
                 if not self._overlap(i, run) or self._is_still(i, run):
                     continue
@@ -597,9 +600,10 @@ class StandingWalls:
                 beside: cython.double = self._ends[1] - self._ends[0]
                 if beside >= 0.5 * self._length and off < least:
                     least = off
-            if not least < nearest:
+            if not least < most:
                 continue
-            walls[at + _W_MOVES] = moves + 1.0
-            if moves + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
+            # 4. The wall is elsewhere in this scan; it has moved if it was so in the scan before.
+            walls[at + _W_MOVES] = shown + 1.0
+            if shown + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
                 self.moved = MovedWall(stood, least, least / seconds)
         return 0
