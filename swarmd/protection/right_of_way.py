@@ -122,15 +122,11 @@ _PAST_POSTS = 0.05  # m beyond an opening at which its posts are not measured
 class _Rule(Enum):
     """The rules of the state machine; at each step the first rule whose condition is true holds.
 
-    The rules do not read the state of the step before (`WayState`). What they remember is in these
-    attributes of `RightOfWay` (the rules are numbered below):
-
-    - rules 1 and 2: `_is_backing`
-    - rules 3 and 4: `_busy_at`, `_keep_clear_for`
-    - rule 5: `_is_lined_up`
-    - rules 3, 4 and 6: `_held_since`, `_held_at_s`
-
-    A robot that begins to give way counts as not lined up and not held.
+    The step does not depend on the state before (`WayState`), but on these attributes of
+    `RightOfWay` (the rules are numbered below): `_is_backing` (rules 1 and 2), `_busy_at` and
+    `_keep_clear_for` (rules 3 and 4), `_is_lined_up` (rule 5), `_held_since` and `_held_at_s`
+    (rules 3, 4 and 6). When the robot begins to give way, the robot counts as not lined up and not
+    held.
     """
 
     # 1. A robot in an opening that meets a robot coming towards it backs out until it has left the
