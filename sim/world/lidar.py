@@ -22,7 +22,7 @@ Visibility = Literal["body", "real"]
 
 @dataclass(frozen=True, slots=True)
 class LidarModel:
-    """What the lidars of a world detect of robots, and into how many sectors they divide a turn.
+    """What the lidars of a world detect of robots, and the number of sectors of a revolution.
 
     Visibility `body` (lidars see whole footprints) is the default because the published behaviours
     need it: with true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2
@@ -108,7 +108,7 @@ def _padded(polygons: Sequence[Array]) -> Array:
 
 
 class SortedRays:
-    """The rays of a scan in order of bearing, repeated over four turns.
+    """The rays of a scan in order of bearing, repeated over four revolutions.
 
     So the rays of any interval of bearings have consecutive indices. Each array has an element for
     each index: `number` of the ray in the scan, `bearings` in rad, and their `cos` and `sin`.

@@ -125,7 +125,7 @@ class Caster:
         """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
 
         `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
-        (w, 5): start, vector to the end, and -`range_max` times the length, the least `side` of a
+        (w, 5): start, vector to the end, and -`range_max` times the length: the least `side` of a
         wall in reach (`_meet_surface`). `poles` (p, 3): x, y, radius. `edges` (b, k, 4) of
         polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
         robots or boxes that have the polygons and discs.
@@ -155,7 +155,7 @@ class Caster:
         disc_reach = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
         reaches = np.concatenate((polygon_reach, disc_reach)) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)
-        # At least 0.1 m, since the size of the grid's cells divides.
+        # At least 0.1 m: the grid's cells are at least this wide, and their width is a divisor.
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
         # 4. Buffers for the bodies in the world frame, the grid and a scan.
         self._placed_edges = memoryview(np.empty(edges.shape))
@@ -492,17 +492,17 @@ class Caster:
         x * along_y - y * along_x in m2. The caller has checked that `side` is negative: the sensor
         is in front of the surface, -`side` / length from its line.
         """
-        # The surface covers the bearings from `high - turn` to `high` (rad).
+        # The surface covers the bearings from `high - width` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
-        turn: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
+        width: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
         # With cross products 1 / distance = (ray x surface) / (start x surface), and `side` is the
         # latter: a sum of the ray's cosine and sine, weighted by `by_cos` and `by_sin`.
         by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
         inverse: cython.double
-        first: cython.Py_ssize_t = self._ray_index((high - turn) - _BEARING_MARGIN)
-        # `begin` and `end` count from the sector's first ray, around the whole turn. The rays of
-        # the surface may pass the end of the turn: the second pass of the loop takes the rest.
+        first: cython.Py_ssize_t = self._ray_index((high - width) - _BEARING_MARGIN)
+        # `begin` and `end` count from the sector's first ray, around the full circle. The rays of
+        # the surface may pass the end of the circle: the second pass of the loop takes the rest.
         begin: cython.Py_ssize_t = (first - self._first) % self._rays
         end: cython.Py_ssize_t = begin + self._ray_index(high + _BEARING_MARGIN) - first
         i: cython.Py_ssize_t
@@ -545,8 +545,8 @@ class Caster:
         if self._is_outside(x, y, radius):
             return 0
         # 1. The circle covers the bearings `middle` +- `half` (rad). `begin` and `end` count from
-        # the sector's first ray, around the whole turn. The rays of the circle may pass the end of
-        # the turn: the second pass of the loop takes the rest.
+        # the sector's first ray, around the sensor. The rays that hit may pass the end of the
+        # revolution: the second pass of the loop takes the rest.
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
         first = self._ray_index((middle - half) - _BEARING_MARGIN)
         begin = (first - self._first) % self._rays
@@ -573,7 +573,7 @@ class Caster:
     @cython.cfunc
     @cython.exceptval(-1)
     def _ray_index(self, bearing: cython.double) -> cython.Py_ssize_t:
-        """The index of the first ray at `bearing` rad or beyond, over the four turns."""
+        """The index of the first ray at `bearing` rad or beyond, over the four revolutions."""
         low: cython.Py_ssize_t = 0
         high: cython.Py_ssize_t = self._bearings.shape[0]
         middle: cython.Py_ssize_t

@@ -130,9 +130,9 @@ class Avoidance:
             self._update_held_up(now, 1.0)  # all of the request is permitted
             return requested
 
-        # 4. Else the nearest permitted velocity. The request is first turned to the right: if a
-        # track forbids it, by _RIGHT_RAD and what a robot that is held up adds; before walls alone,
-        # only by what such a robot adds.
+        # 4. Else the permitted velocity nearest to the request, which is first turned to the right:
+        # by `_right_rad`, that is _RIGHT_RAD and more for a robot that has been held up for long.
+        # If walls alone forbid the request, _RIGHT_RAD does not count.
         worst_line = most_violated(lines, wall_count, x, y)
         self.avoiding = surroundings.tracks[worst_line - wall_count] if worst_line >= 0 else None
         right_rad = self._right_rad

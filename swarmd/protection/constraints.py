@@ -185,9 +185,10 @@ class PlacedPoints:
         """Copy the points of a chunk to the arrays here, from index `first` on.
 
         `contact` of a point is the gap within which the obstacle may touch the robot: the free
-        distance, and the part of the gap that the blind zone hides. Links each point to its first
-        constraint and back: row `rows.count` and the rows after it, which the caller has filled but
-        not counted yet.
+        distance, and the part of the gap that the blind zone hides. The caller has filled one row
+        for each point, from row `rows.count` on, but has not counted these rows yet. This row
+        becomes the `first_row` of its point (a point may get further rows later), and the point
+        becomes the `source` of the row. Always returns 0, so that an error can be signalled by -1.
         """
         j: cython.Py_ssize_t
         count: cython.Py_ssize_t = chunk.count

@@ -633,8 +633,8 @@ def gap_middle(
         points: (n, 2) returns in m in the base frame.
         place: of the robot in the frame of the axis: m along it, m to its left, rad.
         span: m along the axis between which returns count, both excluded.
-        width: m of the gap, and the m below which its error must lie.
-        middle: m, the expected middle, and the m below which its distance from the axis must lie.
+        width: (the wanted width of the gap, the bound of the error of the width), m.
+        middle: (the expected middle, the bound of the middle's distance from the axis), m.
     """
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t

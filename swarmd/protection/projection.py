@@ -71,9 +71,10 @@ class Projection:
         row_cap: cython.p_double = checked(rows.cap, row_count)
         excess: cython.p_double = self._excess
         self._find_nearest(x, y)
+        # A row by which the polygon was clipped is not violated again, so these rounds suffice.
         for _ in range(row_count):
-            # 1. Finds the most violated row, in chunks so that the compiler vectorises. A NaN
-            # counts as the worst violation, and ends the search: only the origin is left then.
+            # 1. Finds the most violated row, in chunks so that the compiler vectorises. A row with
+            # an excess of NaN counts as the most violated: the clip by it leaves only the origin.
             worst_row = 0
             worst_excess: cython.double = -INFINITY
             px: cython.double = self.x

@@ -166,8 +166,8 @@ class Recovery:
         # The request before avoidance: avoidance may slow a request so much that it seems idle.
         now, pattern_request = context.now, others.wanted or requested
 
-        # 1. Ends a recovery if nothing is requested, if right of way settles the command
-        # (`is_settled`), or if the recovery takes too long.
+        # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
+        # or takes too long.
         is_idle = not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
         duration = now - self._began_at
         if (

@@ -1,8 +1,8 @@
-"""Walls that stand: the surfaces that mode `barrier` charges no speed of others.
+"""Walls that stand: the surfaces of which mode `barrier` assumes that they do not move.
 
 An operator may declare that long, straight surfaces which have stood still do not begin to move
 (`walls_stand`). This file decides with each scan which returns are on such a surface. All other
-returns are charged `others_speed`, as without the declaration.
+returns are assumed to approach at `others_speed`, as without the declaration.
 
 1. straight_runs.py makes the straight runs of the returns near the lidar.
 2. A run of at least `length` m is compared with the walls of the scan before. A wall is a line in
@@ -15,8 +15,8 @@ returns are charged `others_speed`, as without the declaration.
    elsewhere: while a robot turns fast, or sees a wall at a grazing angle, single scans split the
    run. No return of the wall stands in such a scan.
 
-So a surface that is new, hidden, shorter than `length`, curved, nearer or farther than expected, or
-seen through wrong odometry has lost the status in that very scan.
+So a surface does not stand in a scan in which it is new, hidden, shorter than `length`, curved,
+nearer or farther than expected, or misplaced by wrong odometry.
 
 Part of the library of barrier.py. Units: m, s, rad, in the base frame at the time of the newest
 ray, except for walls, which are in the odometry frame.
@@ -58,7 +58,8 @@ else:
 _odometry_share = cython.declare(cython.double, ODOMETRY_SHARE)
 _still = cython.declare(cython.double, STILL)
 _NEAR = cython.declare(cython.double, 0.5)  # m from the lidar, within which `ripe_at` counts
-_LATE_TURN = cython.declare(cython.double, 1.6)  # periods between two scans: more is a lost turn
+# Periods between two scans: after more, a revolution of the lidar was lost.
+_LATE_TURN = cython.declare(cython.double, 1.6)
 _MISSED = cython.declare(cython.double, 1.0)  # scans in a row that need not show a wall
 _BIN = cython.declare(cython.double, 0.04)  # m along a wall
 _BINS = cython.declare(cython.Py_ssize_t, 128)  # of a wall
@@ -112,7 +113,7 @@ class StandingWalls:
     moved: object  # MovedWall: what the last scan showed; None without a wall that moved
     _length: cython.double
     _seconds: cython.double
-    _period: cython.double  # s of a turn of the lidar
+    _period: cython.double  # s of a revolution of the lidar
     _runs: StraightRuns  # of the last scan
     _walls: cython.double[::1]
     _wall_count: cython.Py_ssize_t
@@ -120,7 +121,7 @@ class StandingWalls:
     _since: cython.double[::1]
     _next_since: cython.double[::1]
     _ends: cython.double[::1]  # of `_overlap`
-    # By odometry in all: m and rad.
+    # The sum of all motion by odometry since the start: m driven, rad turned.
     _way: cython.double
     _turn: cython.double
     _resets: cython.Py_ssize_t
@@ -154,7 +155,7 @@ class StandingWalls:
 
         Args:
             ranges: (n,) m. -inf: a return too close to measure, inf: no return.
-            directions: (2n,) x and y of each ray, known for each range up to REACH.
+            directions: (2n,) the unit vector (x, y) along each ray; set for rays up to REACH.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             motion: when and where the scan was taken.
         """
@@ -167,7 +168,8 @@ class StandingWalls:
         self.has_standing = False
         self._way += hypot(motion.moved.x, motion.moved.y)
         self._turn += fabs(motion.moved.yaw)
-        # A lost turn, or odometry without a common frame: no wall was confirmed.
+        # No wall can be compared after a lost revolution of the lidar, or after a reset of
+        # odometry, whose new frame has no relation to the frame of the walls: forgets all walls.
         if self._resets != motion.resets or not motion.seconds <= _LATE_TURN * self._period:
             self.forget()
         self._resets = motion.resets
@@ -187,7 +189,8 @@ class StandingWalls:
         part: cython.Py_ssize_t
         known: cython.Py_ssize_t = self._wall_count
         self._place_walls(motion)
-        # 1. Runs that continue a wall: long ones, then the faces at their ends.
+        # 1. Runs that continue a wall. Part 0: the long runs. Part 1: the short runs that meet a
+        # long run at a corner, such as the posts of a door.
         for part in range(2):
             for j in range(self._runs.count):
                 run = RUN_FIELDS * j
@@ -223,7 +226,8 @@ class StandingWalls:
     def _place_walls(self, motion: ScanMotion) -> cython.int:
         """Place the walls in the base frame of the scan; none of their bins is covered yet.
 
-        The bins of a wall are moved along the wall, so that the covered ones are in the middle.
+        If the covered bins of a wall are more than an eighth of all bins off the middle, the bins
+        are moved along the wall, so that the covered bins are in the middle.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -261,8 +265,8 @@ class StandingWalls:
     def _overlap(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
         """Set in `_ends` the part of a run along which a wall was covered; 0 without such a part.
 
-        (4,): the ends of the part along the run in m, and how far the run is from the line of the
-        wall at each end in m.
+        `_ends` (4,): m along the run of the begin and the end of the part, then m from the run to
+        the line of the wall at the begin and at the end.
         """
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
@@ -384,7 +388,7 @@ class StandingWalls:
         end: cython.double,
         now: cython.double,
     ) -> cython.int:
-        """Cover the bins between two places of a run; those that were covered keep their time.
+        """Cover the bins between two places of a run; bins that were covered keep their time.
 
         Args:
             first: the index of the first bin of the wall.
@@ -435,10 +439,10 @@ class StandingWalls:
     def _has_stood(
         self, first: cython.Py_ssize_t, bin_of_wall: cython.Py_ssize_t, now: cython.double
     ) -> cython.int:
-        """1 if a bin, or one beside it, has been covered for `_seconds`, this scan included.
+        """1 if a bin, or a bin beside it, has been covered for `_seconds`, this scan included.
 
-        The end of a wall is where a ray happens to meet it last: so one bin more belongs to it.
-        `first`: the index of the first bin of the wall.
+        The bins beside count, since the visible end of a wall changes from scan to scan with the
+        last ray that meets the wall. `first`: the index of the first bin of the wall.
         """
         k: cython.Py_ssize_t
         for k in range(bin_of_wall - 1, bin_of_wall + 2):
@@ -480,9 +484,12 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _drop_walls(self) -> cython.int:
-        """Keep the walls that this scan shows, there or elsewhere, with the bins that it covers.
+        """Keep the walls that this scan shows, at their place or elsewhere; drop other walls.
 
-        A wall that this scan does not show keeps all its bins, up to _MISSED scans in a row.
+        A wall at its place keeps the bins that this scan covers. A wall elsewhere keeps all its
+        bins, and is dropped in the next scan unless that scan shows the wall again. A wall that
+        this scan does not show keeps all its bins; the wall is dropped after more than _MISSED such
+        scans in a row.
         """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
@@ -550,37 +557,40 @@ class StandingWalls:
     def _find_moved(self, motion: ScanMotion) -> cython.int:
         """Set `moved` if a wall that had stood is elsewhere, in this scan and in the scan before.
 
-        Odometry that is wrong shows all walls elsewhere. So another wall must have stood
-        meanwhile, or the robot must have stood by odometry.
+        Wrong odometry shows all walls elsewhere. So a wall counts as moved only if another wall
+        stands in this scan, or if the robot has stood by odometry since the wall was measured.
         """
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
         now: cython.double = motion.measured_at
-        has_stood: cython.bint = self.has_standing
+        has_stood: cython.bint = self.has_standing  # another wall stands in this scan
         for i in range(self._wall_count):
             at: cython.Py_ssize_t = _W_FIELDS * i
-            moves: cython.double = walls[at + _W_MOVES]
+            # 1. In how many scans in a row the wall was seen elsewhere. Skips a wall that is at its
+            # place, or whose motion was reported.
+            shown: cython.double = walls[at + _W_MOVES]
             walls[at + _W_MOVES] = 0.0
-            if walls[at + _W_SEEN] > 0.0 or moves >= _SHOWN_TWICE:
+            if walls[at + _W_SEEN] > 0.0 or shown >= _SHOWN_TWICE:
                 continue
+            # 2. Skips a wall that had not stood long enough; all walls if odometry may be wrong.
             stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
             way: cython.double = self._way - walls[at + _W_WAY]
             turn: cython.double = self._turn - walls[at + _W_TURN]
             is_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
             if not (stood >= self._seconds and (has_stood or is_at_rest)):
                 continue
-            # The run that the wall may be now: the nearest one beside at least half of `length`,
-            # by the end that has moved farther since the wall was confirmed.
+            # 3. The run that the wall may be now: the nearest run beside at least half of `length`.
+            # `least`: m by which the end of this run that has moved farther is off the wall.
             seconds: cython.double = now - walls[at + _W_CONFIRMED]
             if not seconds > 0.0:
                 continue
-            nearest: cython.double = _still + _FASTEST_WALL * seconds
-            least: cython.double = nearest
+            most: cython.double = _still + _FASTEST_WALL * seconds  # m that a wall can have moved
+            least: cython.double = most
             for j in range(self._runs.count):
                 run: cython.Py_ssize_t = RUN_FIELDS * j
-                if moves == 0.0 and runs[run + RUN_TAKEN] > 0.0:
+                if shown == 0.0 and runs[run + RUN_TAKEN] > 0.0:
                     continue
                 if not self._overlap(i, run) or self._is_still(i, run):
                     continue
@@ -590,9 +600,10 @@ class StandingWalls:
                 beside: cython.double = self._ends[1] - self._ends[0]
                 if beside >= 0.5 * self._length and off < least:
                     least = off
-            if not least < nearest:
+            if not least < most:
                 continue
-            walls[at + _W_MOVES] = moves + 1.0
-            if moves + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
+            # 4. The wall is elsewhere in this scan; it has moved if it was so in the scan before.
+            walls[at + _W_MOVES] = shown + 1.0
+            if shown + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
                 self.moved = MovedWall(stood, least, least / seconds)
         return 0

@@ -1,7 +1,7 @@
 """The straight runs of a scan: what standing_walls.py compares with the walls of the scan before.
 
-1. Returns of this turn within REACH m of the lidar form chains. A chain ends where neighbouring
-   returns lie farther apart than SPACING, or where a ray passes through.
+1. Returns of this revolution of the lidar within REACH m form chains. A chain ends where
+   neighbouring returns lie farther apart than SPACING, or where a ray passes through.
 2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
    line by total least squares. Parts on one line are joined again over returns that are off the
    line, unless a ray passes through between the parts. The result is a run.
@@ -42,8 +42,8 @@ _THROUGH = cython.declare(cython.double, 0.05)  # m behind the line: the ray pas
 # tank of 1 m radius in 97 of 100.
 _LEAST_RADIUS = cython.declare(cython.double, 1.5)
 _FEWEST = cython.declare(cython.Py_ssize_t, 5)  # returns of a run
-# Periods: an older ray is of an earlier turn. If the robot turns against the lidar, the newest ray
-# of some directions is older than a period.
+# Periods: an older ray is of an earlier revolution. If the robot turns against the lidar, the
+# newest ray of some directions is older than a period.
 _LATE_RAY = cython.declare(cython.double, 1.5)
 _RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
 _STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
@@ -170,7 +170,7 @@ class StraightRuns:
         directions: cython.double[::1],
         ages: cython.const[cython.double][::1],
     ) -> cython.int:
-        """Place the returns of this turn within reach, with running sums of their coordinates."""
+        """Place the returns of this revolution within reach, with running sums of coordinates."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
         has_ages: cython.bint = len(ages) > 0
@@ -286,10 +286,10 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-1)
     def _fit(self, run: cython.Py_ssize_t) -> cython.int:
-        """Set the line of the run at index `run` of `fields` by its sums; 0 if it is rough.
+        """Set the line of the run at index `run` of `fields` by its sums; 0 for a rough run.
 
-        The line is that of total least squares. Its direction is that from the first return to
-        the last one.
+        The line is fitted by total least squares, and leads from the first return to the last. A
+        run is rough if its returns are too far off this line.
         """
         runs: cython.double[::1] = self.fields
         n: cython.double = runs[run + RUN_SUMS]
@@ -397,10 +397,10 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-2)
     def corner_of(self, number: cython.Py_ssize_t) -> cython.Py_ssize_t:
-        """The return of a long run that meets run `number` at a corner; -1 without one.
+        """The return of a long run that meets run `number` at a corner; -1 without such a return.
 
-        The run leads away behind the line of the long run, as the post of a door does. A run that
-        stands out before the line may be a body that stands at a wall.
+        Run `number` must lead away behind the line of the long run, as the post of a door does. A
+        run that stands out before the line may be a body that stands at a wall.
         """
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields

@@ -232,16 +232,15 @@ class BlindSectors:
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
-        A static object is the same object in _STREAK comparisons in a row. If a sector of the
-        sensor missed the object before, then this proves that the sector missed a static object,
-        which counts against the sector. The object is seen only if all rays in the direction
-        return. `x`, `y` in m is the place of the robot. `_pending` by direction and sector: the
-        sector has missed the object of the direction. `_missed` by sector and direction: it was
-        static.
+        An object is seen if all rays in the direction have a return. An object is static if
+        _STREAK comparisons in a row see the same object. A sector of the sensor that has missed an
+        object waits (`_pending`, by direction and sector) until the object proves to be static;
+        the miss then counts against the sector (`_missed`, by sector and direction). `x`, `y`: m,
+        the place of the robot.
         """
         k: cython.Py_ssize_t
 
-        # 1. Is an object seen there, and is it the object of before?
+        # 1. Is an object seen in the direction, and is it the object that was seen last?
         distance: cython.double = self._sums[d] / max(self._hits[d], 1)
         is_seen: cython.bint = 0 < self._rays[d] == self._hits[d]  # has rays, and all return
         is_same: cython.bint = is_seen and (
@@ -251,9 +250,9 @@ class BlindSectors:
         # Comparisons in a row that saw this object: 1 for a new object, 0 without an object.
         self._streak[d] = self._streak[d] + 1 if is_same else is_seen
 
-        # 2. Sectors that wait for a decision: a static object confirms that they missed it. A
-        # sector with returns is not blind: its misses are forgotten. A new object, or one that is
-        # no longer known, ends the wait without a miss.
+        # 2. The sectors that have missed the object, and wait. A sector that has returns now is not
+        # blind: its misses are forgotten. A static object ends the wait with a miss. A new object,
+        # or an object that is no longer known, ends the wait without a miss.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
         is_decided: cython.bint = is_static or not self._is_known[d] or is_new
         for k in range(_SECTORS):

@@ -1,7 +1,8 @@
 """Conditioning: gives the scans of every driver one meaning, or rejects them.
 
 A conditioned range is a distance within [range_min, range_max], +inf (no return) or -inf (too close
-to measure). No ray is unknown.
+to measure). A conditioned scan has no unknown ray (NaN): an unknown ray is filled from memory, or
+the scan is rejected.
 """
 
 from __future__ import annotations
@@ -86,10 +87,10 @@ class ScanConditioner:
 
     @property
     def known_at(self) -> float:
-        """The time in s at which the last returned scan was last known as a whole.
+        """The time in s of the data in the last returned scan.
 
-        Usually the arrival of the scan. Earlier if a sector wider than `max_gap` comes from the
-        memory, or if the scan repeats an earlier scan.
+        Usually the arrival of the scan. Earlier if the scan has a sector wider than `max_gap` from
+        the memory of the rays, or if the scan repeats an earlier scan.
         """
         return self._rays.known_at
 
@@ -145,9 +146,9 @@ class ScanConditioner:
     def _takes_bearings(self, bearings) -> cython.bint:
         """Store the bearings as `_bearings`.
 
-        False, and nothing is stored, if a bearing is not finite, or a sector has no ray.
-        Later stages tell equal bearings by the same object. So `_bearings` stays the same object
-        while bearings are equal, and is a copy if the driver may write to the given array.
+        False, and nothing is stored, if a bearing is not finite, or a sector has no ray. Later
+        stages compare bearings by identity. So `_bearings` stays the same object while bearings
+        have equal values, and is a copy if the driver may write to the given array.
         """
         if not np.array_equal(bearings, self._bearings):
             if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:

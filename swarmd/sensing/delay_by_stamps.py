@@ -2,8 +2,8 @@
 
 The least difference of arrival and stamp of odometry in the last second gives the offset between
 that clock and the robot's clock. The stamp of a scan is the time of its oldest ray, as in ROS. Two
-delays cannot be seen: that of odometry itself, and one by which scan and odometry have both been
-late for more than that second.
+delays cannot be measured: the delay of odometry itself, and a common delay of scan and odometry
+that has lasted for more than that second.
 """
 
 from __future__ import annotations
@@ -153,14 +153,14 @@ class DelayByStamps:
             self._period_count += 1
         self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
 
-        # 2. The lowest lag of the last two periods. The ages of scans were computed with the lowest
-        # lag at the end of the period before. If that lag rises suddenly, the ages are invalid.
-        # (inf: no period has had a reading so far.)
-        lowest_at_last_end: cython.double = self._lowest_before
+        # 2. The lowest lag of the last two periods (inf: no period has had a reading so far). The
+        # ages of scans in the period that ends now were computed with `previous_lowest`. If the new
+        # lowest lag is suddenly higher, these ages are invalid.
+        previous_lowest: cython.double = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):
             self._lowest_before = min(self._lowest_before, self._minima[k])
-        if lowest_at_last_end + _CLOCK_JUMP < self._lowest_before < INFINITY:
+        if previous_lowest + _CLOCK_JUMP < self._lowest_before < INFINITY:
             self._age_count = 0  # scan and odometry were late together, or their clock was set back
 
         # 3. A clock that does not run at real time, such as the clock of a slow simulator.

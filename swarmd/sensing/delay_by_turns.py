@@ -223,7 +223,7 @@ class DelayByTurns:
         odometry. `now`: s on the robot's clock.
         """
         had_last: cython.bint = self._has_last
-        self._has_last = False  # only two scans in a row are a pair: a scan skipped in 1, 2 ends it
+        self._has_last = False  # two scans in a row are a pair: a return in 1 or 2 breaks the row
 
         # 1. Without a changing rate of turn, or without even rays, no delay can be measured.
         if arrival - self._changed_at > _CHANGE_LASTS:
@@ -234,8 +234,8 @@ class DelayByTurns:
         if self._ray_step == 0.0:
             return
 
-        # 2. With enough pairs, of four scans only two are used, as a pair: the first has the count
-        # 0, the second the count 1 modulo 4.
+        # 2. With enough pairs, only two of four scans are used, to save time: a scan whose count
+        # modulo 4 is 0 is the first of a pair, a scan with 1 is the second.
         self._scan_count += 1
         if self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 > 1:
             return
@@ -428,7 +428,7 @@ class DelayByTurns:
         """Set delay and spread by a parabola through the errors around the best candidate.
 
         `best` is the index of the candidate delay with the least squared error. Nothing is set if
-        candidates far from each other fit nearly as well, or if the longest candidate does.
+        candidates far from each other, or the longest candidate, fit nearly as well as the best.
         """
         # 1. The candidates, from `lowest` to `highest`, that fit nearly as well as the best.
         # `_weight` is the number of pairs, of which two are spent on fitting scale and delay.

@@ -464,9 +464,10 @@ def _layout_of(scan: Scan) -> _Layout:
 def _displacements(earlier: Array, later: Array) -> Array:
     """The displacement (18,) in rad of each sector from one scan to a later scan.
 
-    `earlier` and `later`: (360,) ranges in m by heading in degrees (`_ScanAtPose.cells`), of which
-    a sector has 20. The displacement is that with the least mean squared difference of ranges,
-    refined by a parabola. Counter-clockwise is positive. NaN: the minimum is not clear.
+    `earlier` and `later`: (360,) ranges in m, one for each degree of heading (`_ScanAtPose.cells`);
+    a sector has 20 of these. The displacement of a sector is the shift at which the ranges of both
+    scans differ least (mean squared difference), refined by a parabola. Counter-clockwise is
+    positive. NaN: the minimum is not clear.
     """
     wrapped = np.concatenate((earlier[-_SHIFTS:], earlier, earlier[:_SHIFTS]))
     differences = np.lib.stride_tricks.sliding_window_view(wrapped, _CELLS) - later

@@ -70,11 +70,12 @@ class OdometryHistory:
         self.path, self.motion = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
-        """Take in a reading that arrived at `now`; True if its stamp is new, None if it is invalid.
+        """Store a reading that arrived at `now`; True for a new stamp, None for an invalid reading.
 
-        False for a repeated stamp. A reading that equals the newest reading is not stored. Another
-        reading drops all earlier readings if its stamp does not rise, or if its pose jumps: by more
-        than MAX_STEP, plus MAX_SPEED times the seconds in between.
+        False for a repeated stamp. A reading that equals the newest stored reading in all values is
+        not stored again. Before any different reading is stored, all earlier readings are dropped
+        if its stamp is not above the newest stamp, or if its pose jumps: by more than MAX_STEP plus
+        MAX_SPEED times the seconds since the newest stamp.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp

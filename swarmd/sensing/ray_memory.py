@@ -399,9 +399,16 @@ class RayMemory:
     ) -> cython.double:
         """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost.
 
-        If zeros are not guessed to be near, `BlindZoneMemory` (protection/blind_zone.py) finds
-        obstacles by rays without a return. So a long run has no return, although the last scan had
-        far returns there: filled from the memory, it would show an empty blind zone.
+        The first rule that applies (rule 1 only if zeros may be guessed to be near, rule 2 only if
+        not):
+
+        1. -inf: a ray close by has had a near return lately. Not for a short run of zeros after a
+           recent return of this ray, which is a lost packet.
+        2. +inf: a long run after far returns. If the memory filled such rays, the blind zone would
+           look empty, and `BlindZoneMemory` (protection/blind_zone.py), which finds obstacles by
+           rays without a return, would find none.
+        3. NaN, so that the memory fills the ray: the ray has had a return lately.
+        4. +inf: otherwise.
         """
         at: cython.Py_ssize_t = self._index(ray)
         had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
