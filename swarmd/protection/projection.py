@@ -75,7 +75,7 @@ class Projection:
             # 1. Finds the most violated row, in chunks so that the compiler vectorises. A NaN
             # counts as the worst violation, and ends the search: only the origin is left then.
             worst_row = 0
-            worst_excess: cython.double = -INFINITY
+            worst_excess: cython.double = TOLERANCE
             px: cython.double = self.x
             py: cython.double = self.y
             first = 0
