@@ -15,6 +15,7 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
@@ -275,7 +276,7 @@ class Protection:
             if self._has_walls:  # recovery waits longer while near walls are about to have stood
                 patience = self._arbiter.wall_patience(context.now)
                 if patience > 0.0:
-                    others = others._replace(patience=patience)
+                    others = replace(others, patience=patience)
             candidate = recovery.replacement(
                 passing_request, self._mode_command, context, self._points, others, safe_for
             )

@@ -169,10 +169,11 @@ class FeasibleSet:
             along_x, along_y: unit vector of the linear speed of the request.
             limit: m/s, the limit of the linear speed in this direction.
         """
+        scan_age, odometry_age = context.scan_age, context.odometry_age
         is_known: cython.bint = self.situation.keep(
             context.now,
-            NAN if context.scan_age is None else context.scan_age,
-            NAN if context.odometry_age is None else context.odometry_age,
+            NAN if scan_age is None else scan_age,
+            NAN if odometry_age is None else odometry_age,
             _NO_ODOMETRY if context.odometry is None else self.reckoning.version,
             along_x,
             along_y,

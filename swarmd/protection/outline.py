@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.values import Platform
-from swarmd.protection.buffers import maximum, view
+from swarmd.protection.buffers import checked, maximum, view
 from swarmd.protection.footprint import Footprint
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
@@ -60,6 +60,7 @@ class Chunk:
     # uses these arrays again for side constraints.
     nearest_square: cython.double[64]
     greatest_height: cython.double[64]
+    edge_number: cython.double[64]
     along_edge: cython.double[64]
     above_edge: cython.double[64]
     edge_x: cython.double[64]
@@ -247,30 +248,31 @@ class Outline:
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = chunk.count
+        edges: cython.Py_ssize_t = self.edges
         x: cython.p_double = chunk.x
         y: cython.p_double = chunk.y
         nearest: cython.p_double = chunk.nearest_square
         greatest_height: cython.p_double = chunk.greatest_height
-        along_edge: cython.p_double = chunk.along_edge
-        above_edge: cython.p_double = chunk.above_edge
-        edge_x: cython.p_double = chunk.edge_x
-        edge_y: cython.p_double = chunk.edge_y
-        foot_x: cython.p_double = chunk.foot_x
-        foot_y: cython.p_double = chunk.foot_y
+        edge_number: cython.p_double = chunk.edge_number
+        axis_x: cython.p_double = checked(self.axis_x, 2 * edges)
+        axis_y: cython.p_double = checked(self.axis_y, 2 * edges)
+        origin: cython.p_double = checked(self.origin, 2 * edges)
+        lengths: cython.p_double = checked(self.length, edges)
+        corner_x: cython.p_double = checked(self.corner_x, edges)
+        corner_y: cython.p_double = checked(self.corner_y, edges)
         for j in range(count):
-            nearest[j], greatest_height[j] = INFINITY, -INFINITY
-            along_edge[j] = above_edge[j] = edge_x[j] = edge_y[j] = foot_x[j] = foot_y[j] = 0.0
-        # For each edge: replaces the results of the points that are nearer to this edge.
-        for k in range(self.edges):
-            direction_x: cython.double = self.axis_x[k]
-            direction_y: cython.double = self.axis_y[k]
-            normal_x: cython.double = self.axis_x[self.edges + k]
-            normal_y: cython.double = self.axis_y[self.edges + k]
-            direction_origin: cython.double = self.origin[k]
-            normal_origin: cython.double = self.origin[self.edges + k]
-            length: cython.double = self.length[k]
-            corner_x: cython.double = self.corner_x[k]
-            corner_y: cython.double = self.corner_y[k]
+            nearest[j], greatest_height[j], edge_number[j] = INFINITY, -INFINITY, -1.0
+
+        # 1. For each edge: takes the points that are nearer to this edge than to those before.
+        for k in range(edges):
+            direction_x: cython.double = axis_x[k]
+            direction_y: cython.double = axis_y[k]
+            normal_x: cython.double = axis_x[edges + k]
+            normal_y: cython.double = axis_y[edges + k]
+            direction_origin: cython.double = origin[k]
+            normal_origin: cython.double = origin[edges + k]
+            length: cython.double = lengths[k]
+            number: cython.double = k  # a double, as the squares: the compiler vectorises the loop
             for j in range(count):
                 along: cython.double = direction_x * x[j] + direction_y * y[j] - direction_origin
                 above: cython.double = normal_x * x[j] + normal_y * y[j] - normal_origin
@@ -280,22 +282,28 @@ class Outline:
                 edge_square: cython.double = beyond * beyond + above * above
                 is_nearer: cython.bint = (edge_square < nearest[j]) | (edge_square != edge_square)
                 # Plain choices between two known values: the compiler vectorises such a loop.
-                previous_along: cython.double = along_edge[j]
-                previous_above: cython.double = above_edge[j]
-                previous_edge_x: cython.double = edge_x[j]
-                previous_edge_y: cython.double = edge_y[j]
-                previous_foot_x: cython.double = foot_x[j]
-                previous_foot_y: cython.double = foot_y[j]
+                previous_number: cython.double = edge_number[j]
                 previous_square: cython.double = nearest[j]
                 previous_height: cython.double = greatest_height[j]
-                along_edge[j] = beyond if is_nearer else previous_along
-                above_edge[j] = above if is_nearer else previous_above
-                edge_x[j] = direction_x if is_nearer else previous_edge_x
-                edge_y[j] = direction_y if is_nearer else previous_edge_y
-                foot_x[j] = corner_x + along_clamped * direction_x if is_nearer else previous_foot_x
-                foot_y[j] = corner_y + along_clamped * direction_y if is_nearer else previous_foot_y
+                edge_number[j] = number if is_nearer else previous_number
                 nearest[j] = edge_square if is_nearer else previous_square
                 greatest_height[j] = above if above > previous_height else previous_height
+
+        # 2. The place on the nearest edge; zeros for a point that is nearest to no edge (infinite).
+        for j in range(count):
+            if edge_number[j] < 0.0:
+                chunk.along_edge[j] = chunk.above_edge[j] = chunk.edge_x[j] = chunk.edge_y[j] = 0.0
+                chunk.foot_x[j] = chunk.foot_y[j] = 0.0
+                continue
+            k = cython.cast(cython.Py_ssize_t, edge_number[j])
+            along = axis_x[k] * x[j] + axis_y[k] * y[j] - origin[k]
+            above = axis_x[edges + k] * x[j] + axis_y[edges + k] * y[j] - origin[edges + k]
+            along_clamped = along if along > 0.0 else 0.0
+            along_clamped = lengths[k] if along_clamped > lengths[k] else along_clamped
+            chunk.along_edge[j], chunk.above_edge[j] = along - along_clamped, above
+            chunk.edge_x[j], chunk.edge_y[j] = axis_x[k], axis_y[k]
+            chunk.foot_x[j] = corner_x[k] + along_clamped * axis_x[k]
+            chunk.foot_y[j] = corner_y[k] + along_clamped * axis_y[k]
         return 0
 
     @cython.cfunc

@@ -76,7 +76,7 @@ class Projection:
             # 1. Finds the most violated row, in chunks so that the compiler vectorises. A row with
             # an excess of NaN counts as the most violated: the clip by it leaves only the origin.
             worst_row = 0
-            worst_excess: cython.double = -INFINITY
+            worst_excess: cython.double = TOLERANCE
             px: cython.double = self.x
             py: cython.double = self.y
             first = 0

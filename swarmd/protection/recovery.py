@@ -24,6 +24,7 @@ from random import Random
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from msgspec import Struct
 
 from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
 from swarmd.protection.decision import DecisionContext
@@ -75,7 +76,7 @@ class Clearance(NamedTuple):
     body: float = 0.0  # the part of `beside` that the outline takes
 
 
-class Others(NamedTuple):
+class Others(Struct, frozen=True, gc=False):
     """What avoidance and right of way know about other moving objects."""
 
     wanted: Twist | None = None  # the request before avoidance; None: there was no avoidance
@@ -98,7 +99,10 @@ class Recovery:
         turn: the robot turns towards a free corridor.
         go: the robot drives along the corridor.
 
-    `lookahead` is the length in m from the axle up to which a corridor is checked.
+    Attributes:
+        lookahead: the length in m from the axle up to which a corridor is checked.
+        is_active: True while recovery replaces the requested command.
+        has_taken_over: True while the command does not depend on the requested one.
     """
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
@@ -113,6 +117,7 @@ class Recovery:
         self._least_linear = _MIN_SPEED_SHARE * limits.linear
         self._least_angular = _MIN_SPEED_SHARE * limits.angular
         self._turn_rate = min(limits.angular, 1.5)
+        self._turn_weight = (limits.linear / limits.angular) ** 2  # m2/s2 for each rad2/s2
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
         self._bearing = self._planned_at_yaw = self._speed = 0.0
@@ -125,20 +130,11 @@ class Recovery:
 
     def reset(self) -> None:
         """Become inactive: the requested command passes."""
-        self._state, self._request = "follow", ZERO
+        self._request = ZERO
         self._last_motion: tuple[float, Pose] | None = None
-        self._state_since = self._began_at = -math.inf
+        self._began_at = -math.inf
         self._blocked_since: float | None = None
-
-    @property
-    def is_active(self) -> bool:
-        """True while recovery replaces the requested command."""
-        return self._state != "follow"
-
-    @property
-    def has_taken_over(self) -> bool:
-        """True while the command does not depend on the requested one."""
-        return self._state not in {"follow", "pass"}
+        self._enter("follow", -math.inf)
 
     def replacement(
         self,
@@ -168,12 +164,11 @@ class Recovery:
 
         # 1. Ends a recovery that is not needed any more (right of way decides, too: `is_settled`),
         # or takes too long.
-        is_idle = not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
-        duration = now - self._began_at
+        has_taken_over, duration = self.has_taken_over, now - self._began_at
         if (
-            is_idle
-            or others.is_settled
-            or (self.has_taken_over and duration > _MAX_RECOVERY_TIME + self._back_time)
+            others.is_settled
+            or not (self._is_moving(pattern_request) or self._is_turning(pattern_request))
+            or (has_taken_over and duration > _MAX_RECOVERY_TIME + self._back_time)
         ):
             self.reset()
             return requested
@@ -183,7 +178,7 @@ class Recovery:
         # `patience`: s of blocked motion before a recovery begins.
         patience = _CROWD_PATIENCE if others.are_near else self._patience
         is_blocked = self._is_blocked(safe, now, max(patience, others.patience))
-        if not self.has_taken_over:
+        if not has_taken_over:
             if not is_blocked and not self._is_stalled(context, points):
                 if others.are_avoided:
                     self._leave_passage()
@@ -237,9 +232,11 @@ class Recovery:
 
     def _creeps(self, safe: Twist) -> bool:
         """True if protection lets a robot that backs off only creep, as in contact."""
+        if self._state != "back":
+            return False
         asked = self._request.linear
         allowed = safe.linear if asked > 0.0 else -safe.linear
-        return self._state == "back" and 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
+        return 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
         """True if the robot makes no progress near obstacles, although it may move.
@@ -266,8 +263,8 @@ class Recovery:
         A turn at its limit weighs as much as motion at its limit. So a robot that may make the turn
         of its request does not count as blocked, even if it may hardly move.
         """
-        scale = (self._limits.linear / self._limits.angular) ** 2
-        return a.linear * b.linear + a.lateral * b.lateral + scale * a.angular * b.angular
+        weight = self._turn_weight
+        return a.linear * b.linear + a.lateral * b.lateral + weight * a.angular * b.angular
 
     def _should_wait(self, context: DecisionContext, points: Array) -> bool:
         """True if a robot that has just been blocked should wait for another robot to back off.
@@ -479,4 +476,6 @@ class Recovery:
 
     def _enter(self, state: str, now: float) -> None:
         self._state, self._state_since = state, now
+        self.is_active = state != "follow"
+        self.has_taken_over = state not in {"follow", "pass"}
         self._blocked_since = None

@@ -440,14 +440,18 @@ class StopCheck:
         edges: cython.Py_ssize_t = outline.edges
         linear: cython.double = self._stop_linear[pose]
         angular: cython.double = self._stop_angular[pose]
+        axis_x: cython.p_double = checked(outline.axis_x, 2 * edges)
+        axis_y: cython.p_double = checked(outline.axis_y, 2 * edges)
+        origin: cython.p_double = checked(outline.origin, 2 * edges)
+        lengths: cython.p_double = checked(outline.length, edges)
         for k in range(edges):
-            nx: cython.double = outline.axis_x[edges + k]
-            ny: cython.double = outline.axis_y[edges + k]
-            above: cython.double = nx * x + ny * y - outline.origin[edges + k]
+            nx: cython.double = axis_x[edges + k]
+            ny: cython.double = axis_y[edges + k]
+            above: cython.double = nx * x + ny * y - origin[edges + k]
             if not above < reach:  # the whole edge is out of reach
                 continue
-            length: cython.double = outline.length[k]
-            along: cython.double = outline.axis_x[k] * x + outline.axis_y[k] * y - outline.origin[k]
+            length: cython.double = lengths[k]
+            along: cython.double = axis_x[k] * x + axis_y[k] * y - origin[k]
 
             # 1. The part of the edge within reach, from `first` to `last` in m along the edge.
             first: cython.double

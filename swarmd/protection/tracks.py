@@ -118,14 +118,18 @@ class Track(Struct, frozen=True, array_like=True, gc=False):
 def pose_after(odometry, seconds: cython.double):
     """The pose some time after a reading, at its twist."""
     twist, pose = odometry.twist, odometry.pose
-    yaw: cython.double = pose.yaw + 0.5 * seconds * twist.angular
-    c: cython.double = cos(yaw)
-    s: cython.double = sin(yaw)
-    return Pose(
-        pose.x + seconds * (c * twist.linear - s * twist.lateral),
-        pose.y + seconds * (s * twist.linear + c * twist.lateral),
-        pose.yaw + seconds * twist.angular,
-    )
+    x: cython.double = pose.x
+    y: cython.double = pose.y
+    yaw: cython.double = pose.yaw
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    middle_yaw: cython.double = yaw + 0.5 * seconds * angular
+    c: cython.double = cos(middle_yaw)
+    s: cython.double = sin(middle_yaw)
+    x += seconds * (c * linear - s * lateral)
+    y += seconds * (s * linear + c * lateral)
+    return Pose(x, y, yaw + seconds * angular)
 
 
 def _doubles(count):
@@ -138,9 +142,13 @@ def _places(count):
     return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 
 
-def _view(values):
+def _numbers(values):
     """`values` (n,) as the kernel reads them: in CPython as numbers of Python."""
+    values = np.ascontiguousarray(values, np.float64)
     return values if cython.compiled else values.tolist()
+
+
+_no_doubles = cython.declare(cython.double[::1], _doubles(0))
 
 
 @cython.final
@@ -285,7 +293,7 @@ class Surroundings:
     def __init__(self, tracks: tuple[Track, ...] | None, walls: Array | None) -> None:
         """None: computed later by what the tracker sets."""
         self._tracks, self._walls, self._filters = tracks, walls, []
-        self._wall_x = self._wall_y = _doubles(0)
+        self._wall_x = self._wall_y = _no_doubles
 
     @property
     def tracks(self) -> tuple[Track, ...]:
@@ -367,6 +375,7 @@ class Tracker:
     _bearings: cython.double[::1]
     _ages: cython.double[::1]
     _is_gap: cython.longlong[::1]
+    _order: cython.longlong[::1]  # the rays with a return
     # The runs of returns of one surface, in order: first and last return of each. The first run may
     # begin at a negative index, which counts from the end.
     _run_first: cython.longlong[::1]
@@ -384,11 +393,7 @@ class Tracker:
         self._history = deque(maxlen=HISTORY)
         self._filters = []
         self._next_id = 1
-        self._is_gap, self._run_first, self._run_last = _places(0), _places(0), _places(0)
-        self._wall_x, self._wall_y = _doubles(0), _doubles(0)
-        # A view that is not set ends the process when the memory of a robot is taken.
-        self._x, self._y, self._ranges = _doubles(0), _doubles(0), _doubles(0)
-        self._bearings, self._ages = _doubles(0), _doubles(0)
+        self._make_room(0)  # a view that is not set ends the process when memory is taken
 
     def reset(self) -> None:
         """Forget all objects."""
@@ -520,31 +525,65 @@ class Tracker:
         """Store the returns of a scan, sorted by bearing, with their places by odometry.
 
         `pose` is the pose of the base when the scan was measured. Sets the arrays of returns, and
-        makes the arrays of runs and walls long enough.
+        makes the arrays of returns, runs and walls long enough.
+
+        Conditioned bearings rise, except where those of a turning robot jump from half a turn to
+        minus half a turn. So most scans need no sorting: the returns from the jump on come first.
         """
-        ranges, bearings = scan.ranges, scan.bearings
-        rays = ((ranges > 0.0) & (ranges < np.inf)).nonzero()[0]
-        bearings = bearings[rays]
-        order = bearings.argsort(kind="stable")
-        rays, bearings = rays[order], bearings[order].astype(np.float64, copy=False)
-        ranges = ranges[rays].astype(np.float64, copy=False)
-        angles = bearings + pose.yaw
+        ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
+        bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
+        has_ages: cython.bint = scan.ages is not None
+        ages: cython.const[cython.double][::1] = _numbers(scan.ages) if has_ages else ranges
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        count: cython.Py_ssize_t = 0
+        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
+        begin: cython.Py_ssize_t = 0  # the last of these returns
+
+        # 1. Rays with a return, and where their bearings fall.
+        if len(self._order) < len(ranges):
+            self._make_room(len(ranges))
+        order: cython.longlong[::1] = self._order
+        for i in range(len(ranges)):
+            if ranges[i] > 0.0 and ranges[i] < INFINITY:
+                if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
+                    falls, begin = falls + 1, count
+                order[count] = i
+                count += 1
+        if falls > 1 or (falls == 1 and not bearings[order[count - 1]] < bearings[order[0]]):
+            rays = np.array(order[:count])
+            rays = rays[scan.bearings[rays].argsort(kind="stable")]
+            order = rays if cython.compiled else rays.tolist()
+            begin = 0
+
+        # 2. The returns in the order of their bearings, and their places.
         yaw: cython.double = pose.yaw
         cos_yaw: cython.double = cos(yaw)
         sin_yaw: cython.double = sin(yaw)
         x: cython.double = pose.x + cos_yaw * self._offset_x - sin_yaw * self._offset_y
         y: cython.double = pose.y + sin_yaw * self._offset_x + cos_yaw * self._offset_y
-        self._return_count, self._lidar_x, self._lidar_y = len(rays), x, y
-        self._x, self._y = _view(x + ranges * np.cos(angles)), _view(y + ranges * np.sin(angles))
-        self._ranges, self._bearings = _view(ranges), _view(bearings)
-        ages = np.zeros(self._return_count) if scan.ages is None else scan.ages[rays]
-        self._ages = _view(ages)
-        if len(self._is_gap) < self._return_count:
-            self._is_gap, self._run_first = _places(self._return_count), _places(self._return_count)
-            self._run_last = _places(self._return_count)
-            # Each place of a wall is a return, or the mean of a run.
-            self._wall_x, self._wall_y = _doubles(self._return_count), _doubles(self._return_count)
+        self._return_count, self._lidar_x, self._lidar_y = count, x, y
+        to_x: cython.double[::1] = self._x
+        to_y: cython.double[::1] = self._y
+        to_ranges: cython.double[::1] = self._ranges
+        to_bearings: cython.double[::1] = self._bearings
+        to_ages: cython.double[::1] = self._ages
+        for k in range(count):
+            i = order[k + begin if k + begin < count else k + begin - count]
+            angle: cython.double = bearings[i] + yaw
+            to_x[k], to_y[k] = x + ranges[i] * cos(angle), y + ranges[i] * sin(angle)
+            to_ranges[k], to_bearings[k] = ranges[i], bearings[i]
+            to_ages[k] = ages[i] if has_ages else 0.0
         return 0
+
+    def _make_room(self, count):
+        """Make the arrays of returns, runs and walls for `count` rays."""
+        self._x, self._y, self._ranges = _doubles(count), _doubles(count), _doubles(count)
+        self._bearings, self._ages = _doubles(count), _doubles(count)
+        self._order, self._is_gap = _places(count), _places(count)
+        self._run_first, self._run_last = _places(count), _places(count)
+        # Each place of a wall is a return, or the mean of a run.
+        self._wall_x, self._wall_y = _doubles(count), _doubles(count)
 
     @cython.cfunc
     def _cut_into_runs(self) -> cython.Py_ssize_t:
