@@ -233,16 +233,10 @@ class Attraction(FieldPattern[AttractionParams]):
     def _robots(self, scan: Scan) -> tuple[list[tuple[float, float]], int]:
         """Range and bearing of each visible robot, and the number with those partly hidden."""
         params = self.params
-        objects = clusters(scan, within=params.range)
+        objects = clusters(scan, within=params.range).objects
         furthest = _MAX_RANGE_SHARE * params.range
         robots, seen = [], 0
-        for distance, bearing, width, is_free in zip(
-            objects.ranges.tolist(),
-            objects.bearings.tolist(),
-            objects.widths.tolist(),
-            objects.is_free.tolist(),
-            strict=True,
-        ):
+        for distance, bearing, width, _, is_free in objects:
             if width <= params.object_width and distance <= furthest:
                 seen += 1
                 if is_free:

@@ -283,18 +283,12 @@ class Flocking(MovementPattern[FlockingParams]):
         the lidar's range do not count as robots, since the lidar sees only parts of them.
         """
         params = self.params
-        objects = clusters(scan, within=scan.range_max)
+        objects = clusters(scan, within=scan.range_max).objects
         max_distance = _MAX_RANGE_SHARE * scan.range_max
         # 1. Robots. A partly hidden robot (not `is_free`) is neither followed nor a wall.
         robots: list[Polar] = []
         narrow_objects: list[complex] = []
-        for distance, bearing, width, is_free in zip(
-            objects.ranges.tolist(),
-            objects.bearings.tolist(),
-            objects.widths.tolist(),
-            objects.is_free.tolist(),
-            strict=True,
-        ):
+        for distance, bearing, width, _, is_free in objects:
             if width <= params.object_width and distance <= max_distance:
                 narrow_objects.append(cmath.rect(distance, bearing))
                 if is_free:

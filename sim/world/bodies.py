@@ -33,6 +33,9 @@ _HEIGHT = 0.5
 _MANY = 1000  # robots
 _MEMORY = 200_000  # bytes for each robot
 _PAIR_MEMORY = 16  # bytes for each pair
+# With few fixed shapes MuJoCo tests each robot with all of them faster than with a tree of shapes.
+# A step of 30 robots takes 13 us, not 17, and 27 us both ways with 64 shapes. Contacts are equal.
+_FEW_SHAPES = 40
 _WALL = 0.1
 # Impedance of dry friction: with the default of 0.9 a pushed box at rest creeps by 1 mm/s.
 _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
@@ -55,6 +58,8 @@ def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoc
     if len(robots) > _MANY:
         spec.memory = _MEMORY * len(robots) + _PAIR_MEMORY * len(robots) ** 2
     _add_arena(spec, arena)
+    if len(arena.fixed) + len(arena.poles) < _FEW_SHAPES:
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_MIDPHASE
     for robot, platform in robots.items():
         body = _add_planar(spec, f"robot/{robot}", value(platform, "mass"), inertia(platform))
         _add_shapes(body, robot, platform)

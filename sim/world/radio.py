@@ -190,14 +190,18 @@ class Radio:
         for at, rank, hearers, row, name, value in flights:
             self._in_flight.put(at, (own(hearers), row, name, value), rank)
 
-    def arrived(self, now: float) -> list[Arrival]:
-        """Remove and return the messages that arrived by `now` s: (receiver, sender, name, value).
+    def due(self, now: float) -> list[tuple[list[int], int, str, Any]]:
+        """Remove and return the messages that arrived by `now` s: (receivers, sender, name, value).
 
-        Sorted by time of arrival, then by rank, then by order of sending, then by receiver.
+        Sorted by time of arrival, then by rank, then by order of sending.
         """
+        return self._in_flight.due(now)
+
+    def arrived(self, now: float) -> list[Arrival]:
+        """As `due`, but by receiver: (receiver, sender, name, value), in the order of receivers."""
         return [
             (hearer, sender, name, value)
-            for hearers, sender, name, value in self._in_flight.due(now)
+            for hearers, sender, name, value in self.due(now)
             for hearer in hearers
         ]
 

@@ -94,6 +94,7 @@ class Caster:
     _placed_edges: cython.double[:, :, ::1]  # in the world frame, as all that follow
     _disc_centers: cython.double[:, ::1]
     _body_places: cython.double[:, ::1]  # x, y of the owner; NaN: absent
+    _step: cython.Py_ssize_t  # at whose poses `Sweeps` placed the bodies; -1: at others
     # The grid: the bodies of cell c are _members[_cell_begin[c]] to _members[_cell_begin[c + 1]].
     _cell_begin: cython.Py_ssize_t[::1]
     _members: cython.Py_ssize_t[::1]
@@ -130,7 +131,7 @@ class Caster:
         polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
         robots or boxes that have the polygons and discs.
         """
-        n = len(spec.bearings)
+        n, self._step = len(spec.bearings), -1
         # 1. The rays and the sensor.
         self._rays = n
         self._number = memoryview(np.array(rays.number[:n], np.intp))
@@ -184,6 +185,7 @@ class Caster:
         if not self._rays or not observers.shape[0]:
             return
         self._set_bodies(poses)
+        self._step = -1
         for request in range(observers.shape[0]):
             self._cast_sector(poses, observers[request], 0, self._rays, ranges, request)
 
@@ -633,12 +635,12 @@ class Sweeps:
     ) -> list[tuple[int, int]]:
         """Cast the rays of `step`, and return robot and row of each scan that ends.
 
-        `poses` as in `Caster.cast`. `ends_only`: casts no rays of other scans.
+        `poses` as in `Caster.cast`, the same in all calls for a step. `ends_only`: casts no rays of
+        other scans.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         sector: cython.Py_ssize_t
-        has_set_bodies: cython.bint = False
         ended: list = []
         caster: Caster = self._caster
         if not cython.compiled:
@@ -650,9 +652,9 @@ class Sweeps:
             elif ends_only:
                 break  # the scans that began earlier come first
             if self._counts[sector]:
-                if not has_set_bodies:
+                if caster._step != step:
                     caster._set_bodies(poses)
-                    has_set_bodies = True
+                    caster._step = step
                 Caster._cast_sector(
                     caster,
                     poses,

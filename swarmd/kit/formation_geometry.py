@@ -90,10 +90,8 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
     the free objects, measured from its visible side. An object hidden on both sides is ignored: a
     wall behind two robots may look like such an object.
     """
-    seen = clusters(scan, within=reach)
-    lists = (seen.ranges, seen.bearings, seen.widths, seen.counts, seen.is_free)
-    most = _MAX_RANGE_SHARE * reach
-    centers = _kernel.robot_centers(*(column.tolist() for column in lists), most, width, offset)
+    objects = clusters(scan, within=reach).objects
+    centers = _kernel.robot_centers(objects, _MAX_RANGE_SHARE * reach, width, offset)
     return np.array(centers, dtype=np.float64).reshape(-1, 2)
 
 

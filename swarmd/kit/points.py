@@ -146,28 +146,21 @@ class NearPoints:
         return Twist(sign * speed_share * linear_max, turn)
 
 
-def robot_centers(
-    ranges: list,
-    bearings: list,
-    widths: list,
-    counts: list,
-    is_free: list,
-    reach: cython.double,
-    width: cython.double,
-    offset,
-):
+def robot_centers(objects: list, reach: cython.double, width: cython.double, offset):
     """The centers (x, y) of the objects of a scan that may be robots, in m in the base frame.
 
-    The lists describe the objects (clusters of rays) from the lidar at `offset` (m): range in m and
-    bearing in rad of the middle of the visible side, width in m, number of rays, and True if no
-    nearer object hides a part. An object may be a robot if it is at most `width` m wide and `reach`
-    m away. Skips an object that is hidden on both sides.
+    `objects` (clusters of rays) as in `RayClusters`, seen from the lidar at `offset` (m). An object
+    may be a robot if it is at most `width` m wide and `reach` m away. Skips an object that is
+    hidden on both sides.
     """
     i: cython.Py_ssize_t
     side: cython.int
     half: cython.double
     away: cython.double
     bearing: cython.double
+    if not objects:
+        return []
+    ranges, bearings, widths, counts, is_free = map(list, zip(*objects))  # noqa: B905
     candidates = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
     whole_halves = [0.5 * widths[i] for i in candidates if is_free[i]]
     usual_half: cython.double = median(whole_halves) if whole_halves else 0.0

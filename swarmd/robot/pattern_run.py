@@ -77,6 +77,7 @@ class Running:
         self.period, self.expiry = 1.0 / event.rate, max(timeouts.MIN_EXPIRY, 3.0 / event.rate)
         self.requested, self.requested_at, self.scan_seq = None, now, -1
 
+    @cython.ccall
     def channel(self, name: str) -> str | None:
         """The channel name in the pattern for `<pattern>/<channel>`; None if undeclared."""
         if name in self.channels:

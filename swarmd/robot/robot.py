@@ -274,15 +274,6 @@ class Robot(Ticker):
             self._events.advance(now)
         return self._settle(effects)
 
-    def _on_message(self, one: events.MessageInput, now: float) -> None:
-        """Take in a message; ignored on a channel that the running pattern does not declare."""
-        running = self._lifecycle.pattern_run.running
-        channel = None if running is None else running.channel(one.channel)
-        if channel is not None:
-            self._sensors.on_message(
-                one.sender, channel, one.value, now, is_program=one.is_program, size=one.size
-            )
-
     def _on_driver(self, one: events.DriverInput, now: float) -> Actions:
         effects, sensors = self._begin(now), self._sensors
         if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.driver_hold):

@@ -231,7 +231,6 @@ class Sensors(InputAges):
         channel: str,
         value: Value,
         now: float,
-        *,
         is_program: bool = False,
         size: int = 0,
     ) -> bool:

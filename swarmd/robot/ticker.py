@@ -17,12 +17,12 @@ from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
 from swarmd.robot.effects import Effects
 from swarmd.robot.input_ages import HAZARD, InputAges
-from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, later
+from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 
-    from swarmd.core.events import Input, ScanInput, TickInput
+    from swarmd.core.events import Input, MessageInput, ScanInput, TickInput
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
@@ -299,6 +299,14 @@ class Ticker:
                 self._log_following(text, now)
 
     @cython.ccall
+    def _on_message(self, one: MessageInput, now: cython.double):
+        """Take in a message; ignored on a channel that the running pattern does not declare."""
+        running = self._run.running
+        channel = None if running is None else Running.channel(running, one.channel)
+        if channel is not None:
+            self._sensors.on_message(one.sender, channel, one.value, now, one.is_program, one.size)
+
+    @cython.ccall
     def _decide(self, hold, now: cython.double):
         running = self._run.running
         context = InputAges.context(self._sensors, now)
@@ -367,3 +375,11 @@ def odometry_many(robots: list, readings: list, now: cython.double) -> None:
         robot = robots[i]
         if robot is not None:
             robot._take_odometry(readings[i], now)
+
+
+def message_many(robots: list, message: MessageInput, now: cython.double) -> None:
+    """Hand a message to each of its receivers; a robot of None is skipped."""
+    robot: Ticker
+    for robot in robots:
+        if robot is not None:
+            robot._on_message(message, now)

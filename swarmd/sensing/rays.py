@@ -8,7 +8,8 @@ be None, as before the first scan, and then has no returns. Returned bearings ar
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -38,20 +39,40 @@ class Gap(NamedTuple):
 class RayClusters(Struct, frozen=True, eq=False):
     """Objects in a scan, each a run of neighbouring rays; each array has an element per object."""
 
-    ranges: Array
-    """(k,) m, of the nearest ray"""
-    bearings: Array
-    """(k,) rad, of the middle"""
-    widths: Array
-    """(k,) m across the visible part"""
-    counts: NDArray[np.int64]
-    """(k,) number of rays"""
-    is_free: NDArray[np.bool_]
-    """(k,) True if no nearer object hides a side of the object"""
+    objects: Sequence[tuple[float, float, float, int, bool]]
+    """(k,) range, bearing, width, count and `is_free` of each object."""
+
+    @property
+    def ranges(self) -> Array:
+        """(k,) m, of the nearest ray"""
+        return self._column(0, np.float64)
+
+    @property
+    def bearings(self) -> Array:
+        """(k,) rad, of the middle"""
+        return self._column(1, np.float64)
+
+    @property
+    def widths(self) -> Array:
+        """(k,) m across the visible part"""
+        return self._column(2, np.float64)
+
+    @property
+    def counts(self) -> NDArray[np.int64]:
+        """(k,) number of rays"""
+        return self._column(3, np.int64)
+
+    @property
+    def is_free(self) -> NDArray[np.bool_]:
+        """(k,) True if no nearer object hides a side of the object"""
+        return self._column(4, np.bool_)
+
+    def _column(self, place: int, kind: Any) -> NDArray[Any]:
+        return np.array([values[place] for values in self.objects], dtype=kind)
 
     def __len__(self) -> int:
         """The number of objects."""
-        return len(self.ranges)
+        return len(self.objects)
 
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
@@ -126,11 +147,7 @@ def clusters(
     which grows with the range (Borges and Aldon, "Line extraction in 2D range images for mobile
     robotics", 2004).
     """
-    arrays = None if scan is None else _kernel.clusters(scan, within, jump, grazing)
-    if arrays is None:
-        nothing = np.empty(0)
-        return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
-    return RayClusters(*arrays)
+    return RayClusters([] if scan is None else _kernel.clusters(scan, within, jump, grazing))
 
 
 def _wrap(bearings: Array) -> Array:

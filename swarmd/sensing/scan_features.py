@@ -146,7 +146,7 @@ def _store_point(
 
 @cython.boundscheck(False)
 def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
-    """The objects in a scan as the arrays of `rays.RayClusters`; None without a return.
+    """The objects in a scan, as `rays.RayClusters` lists them.
 
     An object is a run of neighbouring rays with returns of a single surface. Two neighbouring
     ranges belong to an object if they differ by at most `jump`, plus the change along a surface at
@@ -156,7 +156,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     """
     layout: ScanLayout = layout_of(scan)
     if layout is None:
-        return None
+        return []
     known_ranges: cython.const[cython.double][::1] = layout.known
     ray_count: cython.Py_ssize_t = layout.n
     layout.set_grazing(grazing)
@@ -181,7 +181,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
             is_seen = True
         ranges[i] = distance
     if not is_seen:
-        return None
+        return []
 
     # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle (`is_apart`) or
     # in range. `start` is the ray behind the first break.
@@ -200,7 +200,7 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         start = 1
 
     # 3. Measures each run between two breaks.
-    objects: cython.Py_ssize_t = 0
+    objects: list = []
     first: cython.Py_ssize_t = start
     lowest: cython.double = INFINITY
     for i in range(start, start + ray_count):
@@ -209,23 +209,19 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
             lowest = ranges[k]
         if is_last[k] or (is_whole and i == start + ray_count - 1):
             if lowest < _UNSEEN:
-                _measure(layout, objects, first, i, lowest)  # stores the object at index `objects`
-                objects += 1
+                objects.append(_object(layout, first, i, lowest))
             first, lowest = i + 1, INFINITY
-    distances, middles, widths = layout.sizes[:, :objects].copy()
-    counts, is_free = layout.object_counts[:objects].copy(), layout.object_is_free[:objects].copy()
-    return distances, middles, widths, counts, is_free
+    return objects
 
 
 @cython.cfunc
-def _measure(
+def _object(
     layout: ScanLayout,
-    place: cython.Py_ssize_t,
     first: cython.Py_ssize_t,
     last: cython.Py_ssize_t,
     lowest: cython.double,
-) -> cython.int:
-    """Store the object of the rays `first` to `last` at `place`; indices beyond n wrap around."""
+):
+    """The object of the rays `first` to `last`; indices beyond n wrap around."""
     n: cython.Py_ssize_t = layout.n
     begin: cython.Py_ssize_t = first % n
     end: cython.Py_ssize_t = last % n
@@ -235,10 +231,10 @@ def _measure(
     far: cython.double = layout.work[end]
     spread: cython.double = stop - start
     chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
-    layout.ranges[place] = lowest
-    layout.bearings[place] = wrap(start + 0.5 * spread)
-    layout.widths[place] = max(chord, spread * lowest) + lowest * min(layout.spacing, PI)
-    layout.counts[place] = last - first + 1
-    layout.is_free[place] = (
-        layout.work[(begin + n - 1) % n] > near and layout.work[(end + 1) % n] > far
+    return (
+        lowest,
+        wrap(start + 0.5 * spread),
+        max(chord, spread * lowest) + lowest * min(layout.spacing, PI),
+        last - first + 1,
+        layout.work[(begin + n - 1) % n] > near and layout.work[(end + 1) % n] > far,
     )

@@ -59,14 +59,6 @@ class ScanLayout:
     # Of the objects in a scan.
     work: cython.double[::1]  # ranges by rising bearing
     is_last: cython.uchar[::1]  # rays at whose end an object ends
-    sizes: object  # (3, n): the arrays of ranges, bearings and widths
-    ranges: cython.double[::1]
-    bearings: cython.double[::1]
-    widths: cython.double[::1]
-    object_counts: object  # the array of `counts`
-    counts: cython.longlong[::1]
-    object_is_free: object  # the array of `is_free`
-    is_free: cython.uchar[::1]
 
     def __init__(self, n):
         """For up to n bearings."""
@@ -77,11 +69,6 @@ class ScanLayout:
         self.rising, self.slopes = new_doubles(n), new_doubles(n)
         self.order, self.sector = new_indices(n), new_indices(n)
         self.is_apart, self.is_last = new_flags(n), new_flags(n)
-        self.sizes, self.object_counts = np.empty((3, n)), np.empty(n, np.int64)
-        self.object_is_free = np.empty(n, np.bool_)
-        self.ranges, self.bearings, self.widths = map(memoryview, self.sizes)
-        self.counts = memoryview(self.object_counts)
-        self.is_free = memoryview(self.object_is_free.view(np.uint8))
 
     @cython.cfunc
     def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:

@@ -20,8 +20,7 @@ def test_features_are_as_recorded() -> None:
         assert_same([case["nearest"]], [np.array([one or (math.nan,) * 2 for one in found])])
         assert_same([case["closest"]], [KERNEL.closest_points(scan, within, int(count))])
         objects = KERNEL.clusters(scan, within, 0.06, math.radians(10.0))
-        objects = np.empty((5, 0)) if objects is None else objects
-        assert_same(case["clusters"], [np.asarray(values, np.float64) for values in objects])
+        assert_same(case["clusters"], np.array(objects, np.float64).reshape(-1, 5).T)
 
 
 def test_malformed_scan_or_count_is_refused_and_ends_no_process() -> None:

@@ -72,7 +72,7 @@ def test_any_scans_of_a_turning_robot_give_the_same_compiled_and_interpreted(
         assert near[0] == near[1]
         count = int(rng.integers(1, 100))
         assert_same(*([module.closest_points(scan, within, count)] for module in FORMS))
-        assert_same(*(module.clusters(scan, within, 0.06, 0.2) for module in FORMS))
+        assert_same(*([np.array(module.clusters(scan, within, 0.06, 0.2))] for module in FORMS))
         assert_same(*([module.unit_vectors(bearings)] for module in FORMS))
         rays = raw, bearings, rng.uniform(0.0, 0.3, len(raw))
         path = rng.normal(0.0, 0.1, (5, 4))

@@ -7,6 +7,7 @@ import signal
 import time
 from collections.abc import Callable
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -190,7 +191,7 @@ def test_parts_longer_than_a_round_arrive_whole() -> None:
         part = (process.index, bytes([process.index]) * (3_000_000 * process.index + 5))
         meanwhile: list[int] = []
         for turn in range(3):
-            found = process.exchange(part, lambda turn=turn: meanwhile.append(turn))
+            found = process.exchange(part, partial(meanwhile.append, turn))
         assert meanwhile == [0, 1, 2]
         found = process.collect(part)
         return [data == bytes([index]) * (3_000_000 * index + 5) for index, data in found]
