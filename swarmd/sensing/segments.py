@@ -129,9 +129,10 @@ class SegmentCheck:
         for kept_bearings, kept_given, kept_ages in self._checked:
             if kept_bearings is bearings and kept_given is given:
                 return kept_ages
-        # The comparisons are false for NaN.
+        if not np.isfinite(bearings).all():
+            return "a bearing is not finite"
         steps = self._steps(np.diff(bearings))
-        if not (steps.sum() <= _MAX_SWEEP and (steps > 0.0).all() and np.isfinite(bearings[0])):
+        if steps.sum() > _MAX_SWEEP or not (steps > 0.0).all():
             return "its bearings do not follow the sweep"
         if steps.max(initial=0.0) > self._max_step:
             return f"no ray for {math.degrees(steps.max()):.0f} degrees"
