@@ -11,12 +11,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan
+from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.sensing.segments import Segment
 from tests.support import turning_lidar
-from tests.support.barrier_parts import interpreted
+from tests.support.barrier_parts import KERNEL, interpreted
+from tests.support.filter_sim import under_barrier
+from tests.support.kernel_forms import both_forms, compares_forms
 from tests.support.turning_lidar import OTHERS_SPEED, TRANSPORT, TURN, TurningLidar, Watched
 
 SECONDS = 3.0
@@ -100,6 +102,23 @@ def test_without_segments_the_returns_of_a_turn_stay_until_the_next() -> None:
     """So the judge sees a difference."""
     with_segments, without = histories(4, 0.0), histories(4, 0.0, takes_segments=False)
     assert any(len(a) != len(b) for (_, a), (_, b) in zip(with_segments, without, strict=True))
+
+
+@compares_forms
+def test_decisions_after_segments_are_the_same_compiled_and_interpreted() -> None:
+    lidar = TurningLidar(5, 2.0)
+    settings = under_barrier(turning_lidar.PLATFORM, others_speed=OTHERS_SPEED)
+    forms = [Watched(kernel.Barrier(settings)) for kernel in both_forms(KERNEL)]
+    decided = 0
+    for arrival in lidar.arrivals(0.2):
+        for form in forms:
+            form.take(arrival)
+        if arrival.at > SETTLED:
+            for requested in (Twist(0.22), Twist(-0.22, 1.0), Twist(0.1, -2.0)):
+                one, other = (form.decide(requested, arrival.at + 0.01) for form in forms)
+                assert one == other
+                decided += one.is_active
+    assert decided
 
 
 FAR = 2.0  # m, the ranges of a segment after those of a ring at RING

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.protection.decision import ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.robot.sensors import Sensors
 from swarmd.settings.platforms import load_platform
@@ -201,6 +202,12 @@ class Watched:
             elif segment is not None:
                 self.taken += 1
                 self._barrier.observe_segment(segment, sensors.context(now))
+
+    def decide(self, requested: Twist, now: float) -> ModeDecision:
+        """The decision at `now` for a robot that stands."""
+        context = self._sensors.context(now)
+        decision: ModeDecision = self._barrier.decide(requested, context, ZERO, None)
+        return decision
 
     def returns(self, lidar: TurningLidar) -> Array:
         """(k, 3) x, y in m in the world, and the time in s, of the near returns."""
