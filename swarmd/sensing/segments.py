@@ -25,7 +25,7 @@ _KEPT_CHECKS = 16  # directions of segments
 _REMEMBERED_TURNS = 2  # turns whose segments are compared with a new one
 
 
-class Segment(Struct, frozen=True, eq=False):
+class ScanSegment(Struct, frozen=True, eq=False):
     """The rays of a segment in the order of their measurement.
 
     `ranges` (n,) in m as the driver gave them, `bearings` (n,) in rad in the base frame.
@@ -74,7 +74,7 @@ class SegmentCheck:
         """Ignore segments until the next whole turn."""
         self._whole = None
 
-    def take(self, scan: Scan, now: float, delay: float) -> Segment | str | None:
+    def take(self, scan: Scan, now: float, delay: float) -> ScanSegment | str | None:
         """The segment that arrived at `now`; else the reason to ignore the segment.
 
         None without a whole turn, which must date the segment first. `delay`: s that the newest
@@ -114,7 +114,7 @@ class SegmentCheck:
         gap = max(scan.stamp - self._newest_stamp, 0.0) if follows else math.inf
         self._seq, self._newest_stamp = scan.seq, newest_stamp
         self._newest_bearing = float(bearings[-1])
-        return Segment(ranges, bearings, ages, age, gap)
+        return ScanSegment(ranges, bearings, ages, age, gap)
 
     def _steps(self, differences: Array) -> Array:
         """(k,) the differences of bearings in the direction of the sweep, from -pi to pi."""

@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.sensing.segments import Segment
+from swarmd.sensing.segments import ScanSegment
 from tests.support import turning_lidar
 from tests.support.barrier_parts import KERNEL, interpreted
 from tests.support.filter_sim import under_barrier
@@ -169,7 +169,7 @@ class Ring:
         bearings = self._bearings(45 * number, 45 * (number + 1))
         odometry_age = max(now - self._odometry.stamp, 0.0)
         context = DecisionContext(now, now - STAMP, self._odometry, odometry_age)
-        self.barrier.observe_segment(Segment(ranges, bearings, ages, 0.0, gap), context)
+        self.barrier.observe_segment(ScanSegment(ranges, bearings, ages, 0.0, gap), context)
         return now
 
     def _bearings(self, first: int, end: int) -> Array:

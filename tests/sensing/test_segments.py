@@ -12,7 +12,7 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.values import Array, Scan, Sweep
-from swarmd.sensing.segments import Segment, SegmentCheck
+from swarmd.sensing.segments import ScanSegment, SegmentCheck
 from swarmd.settings.platforms import load_platform
 
 SPEC = replace(load_platform("burger").scan, segments=8)
@@ -23,7 +23,7 @@ RNG = np.random.default_rng(5)
 
 
 def segment(number: int, turn: int = 1, **changes: Any) -> Scan:
-    """Segment `number` of a turn that begins at the stamp `turn` * TURN; it turns clockwise."""
+    """Segment `number` of the turn that begins at the stamp `turn` * TURN, clockwise."""
     bearings = -np.radians(np.arange(RAYS) + 1.0 + RAYS * number)
     stamp = turn * TURN + number * TURN / 8
     ages = TURN / 360 * np.arange(RAYS - 1, -1, -1.0)
@@ -39,10 +39,10 @@ def after_turn(seq: int = 0, sweep: Sweep | None = SPEC.sweep) -> SegmentCheck:
     return check
 
 
-def taken(check: SegmentCheck, scan: Scan, late: float = 0.0) -> Segment:
+def taken(check: SegmentCheck, scan: Scan, late: float = 0.0) -> ScanSegment:
     """The segment that arrives DELAY + `late` s after its newest ray."""
     found = check.take(scan, arrival(scan) + late, DELAY)
-    assert isinstance(found, Segment), found
+    assert isinstance(found, ScanSegment), found
     return found
 
 

@@ -206,6 +206,8 @@ def test_segments_have_the_ranges_of_their_turn_before_it_is_whole(count: int) -
     assert len(scans) == 4
     assert len(segments) >= 4 * min(count - 1, 10)
     for arrival, segment in segments:
+        if segment.seq == len(scans):
+            continue  # of a turn that is not whole yet
         scan = scans[segment.seq]
         of = [int(np.flatnonzero(scan.bearings == bearing)[0]) for bearing in segment.bearings]
         np.testing.assert_array_equal(segment.ranges, scan.ranges[of])
