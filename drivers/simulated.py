@@ -35,7 +35,7 @@ SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
 _WATCH_PERIOD = 0.1
-_SCAN, _ODOMETRY = "scan", "odometry"
+_SCAN, _SEGMENT, _ODOMETRY = "scan", "segment", "odometry"
 _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
@@ -207,6 +207,8 @@ class SimulatedDriver:
                 is_expected = take_late is not None and name == _ODOMETRY
                 if name in newest and not is_expected:
                     sink.dropped(f"hw/{name}:overtaken")
+                if name == _SEGMENT:  # a segment after a whole turn belongs to the next turn
+                    newest.pop(name, None)
                 newest[name] = payload
         last_read, self._last_read = self._last_read, monotonic()
         waited: float | None = 0.0  # s for which the newest odometry has waited in the socket

@@ -79,7 +79,7 @@ class RollingScans:
         self.segments: list[MeasuredSegment] = []  # of the last `advance`
         measured = 0
         for number in range(1, spec.segments):
-            step = round(number * self._steps / spec.segments)
+            step = number * self._steps // spec.segments
             rays, first = order[measured : ends[step]], measured
             measured = int(ends[step])
             if len(rays):

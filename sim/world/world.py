@@ -325,12 +325,9 @@ class World:
         row = segment.row
         spec = self.platforms[row].scan
         ranges = self._noise.preview(row, segment.ranges)[segment.rays]
-        seq, stamp, limits = (
-            self._seq[row],
-            segment.oldest * self.dt,
-            (spec.range_min, spec.range_max),
-        )
-        return Scan(seq, stamp, ranges, segment.bearings, *limits, segment.ages)
+        stamp = segment.oldest * self.dt
+        limits = spec.range_min, spec.range_max
+        return Scan(self._seq[row], stamp, ranges, segment.bearings, *limits, segment.ages)
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""

@@ -35,7 +35,7 @@ from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
 from swarmd.protection.recovery import NO_OTHERS, Allows, Others, Recovery
 from swarmd.protection.right_of_way import RightOfWay
-from swarmd.sensing.segments import Segment
+from swarmd.sensing.segments import ScanSegment
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
@@ -169,7 +169,7 @@ class Protection:
             if text := self._monitor.on_scan(scan.stamp, self._min_gap, delay):
                 self.events.append(text)
 
-    def observe_segment(self, segment: Segment, context: DecisionContext) -> None:
+    def observe_segment(self, segment: ScanSegment, context: DecisionContext) -> None:
         """Take in a segment of a turn in mode `barrier`; all else uses whole turns."""
         if is_barrier(self._arbiter):
             self._arbiter.observe_segment(segment, context)

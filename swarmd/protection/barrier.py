@@ -60,7 +60,7 @@ from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.stopping import Speeds, StopCheck
 from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.segments import Segment
+from swarmd.sensing.segments import ScanSegment
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -217,7 +217,7 @@ class Barrier:
         self._fresh.forget()
         self._feasible.situation.is_known = False
 
-    def observe_segment(self, segment: Segment, context: DecisionContext) -> None:
+    def observe_segment(self, segment: ScanSegment, context: DecisionContext) -> None:
         """Take in a segment of the turn in progress, for the near returns (fresh_rays.py)."""
         if context.odometry is not None:
             self._feasible.reckoning.record(context.odometry)

@@ -96,7 +96,8 @@ class RayLine:
     @cython.exceptval(-1)
     def set(self, ray: RayLine) -> cython.int:
         """Take the values of another ray."""
-        self.x, self.y, self.angle = ray.x, ray.y, ray.angle
+        self.x, self.y = ray.x, ray.y
+        self.angle = ray.angle
         self.cos, self.sin = ray.cos, ray.sin
         return 0
 
@@ -179,11 +180,13 @@ class FreshRays:
         """Without a sweep of the platform all segments are ignored."""
         spec = platform.scan
         self._assumptions, self._outline = assumptions, outline
-        self._reckoning, self._motion, self._near = reckoning, motion, near
+        self._reckoning, self._motion = reckoning, motion
+        self._near = near
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._direction = 0.0 if spec.sweep is None else spec.sweep.direction
-        self._first, self._last, self._ray = RayLine(), RayLine(), RayLine()
-        self._pose, self._begin, self._end = PlanarPose(), PlanarPose(), PlanarPose()
+        self._first, self._last = RayLine(), RayLine()
+        self._ray, self._pose = RayLine(), PlanarPose()
+        self._begin, self._end = PlanarPose(), PlanarPose()
         self._blind, self._is_dropped = doubles(5), indices(1)
         self._returns = Points(1)
 
@@ -209,11 +212,11 @@ class FreshRays:
         Ignored without a scan before, and after a reset of odometry since that scan.
 
         Args:
-            ranges: (n,) m, of the driver; all but a range that the lidar measures is unknown.
+            ranges: (n,) m, of the driver. A ray whose range the lidar cannot measure is unknown.
             bearings: (n,) rad, in the order of the sweep.
-            ages: (n,) s against the newest ray; they fall to 0.
+            ages: (n,) s against the newest ray, falling to 0.
             newest_at: s, the time of the newest ray.
-            gap: s from the ray before to the first ray; inf if rays are missing there.
+            gap: s from the ray before to the first ray, inf if rays are missing there.
             age: s of the newest ray, now.
             odometry_age: s of the newest odometry, now.
         """
@@ -242,7 +245,8 @@ class FreshRays:
             self._has_seam = not is_continued
             self._is_swept, self._angle = True, 0.0
             self._begun_at = newest_at - span
-            self._blind_count, self._run, self._has_return = 0, 0, False
+            self._blind_count = self._run = 0
+            self._has_return = False
             self._first.set(self._ray)
             self._last.set(self._ray)
         self._place(bearings[count - 1], 1.0)

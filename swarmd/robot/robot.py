@@ -217,9 +217,9 @@ class Robot(Ticker):
         self._sensors.on_ranges(one.scan, now)
         return self._settle(effects)
 
-    def _on_segment(self, one: events.SegmentInput, now: float) -> None:
+    def _on_segment(self, input: events.SegmentInput, now: float) -> None:
         """Take in a segment of a turn; the next decision uses its rays."""
-        segment = self._sensors.on_segment(one.scan, now)
+        segment = self._sensors.on_segment(input.scan, now)
         if isinstance(segment, str):
             self._events.log("segments", f"segment of a scan ignored: {segment}", now)
             self._events.advance(now)

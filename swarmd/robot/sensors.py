@@ -44,7 +44,7 @@ from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
-from swarmd.sensing.segments import Segment, SegmentCheck
+from swarmd.sensing.segments import ScanSegment, SegmentCheck
 
 if TYPE_CHECKING:
     from swarmd.robot.input_ages import InputAges
@@ -151,7 +151,7 @@ class Sensors(InputAges):
                 self._segments.forget()
         return True
 
-    def on_segment(self, scan: Scan, now: float) -> Segment | str | None:
+    def on_segment(self, scan: Scan, now: float) -> ScanSegment | str | None:
         """Take in a segment of a turn: the segment, or the reason to ignore it.
 
         None without `scan.segments` of the platform, and before the first whole turn.

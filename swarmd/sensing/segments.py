@@ -25,7 +25,7 @@ _KEPT_CHECKS = 16  # directions of segments
 _REMEMBERED_TURNS = 2  # turns whose segments are compared with a new one
 
 
-class Segment(Struct, frozen=True, eq=False):
+class ScanSegment(Struct, frozen=True, eq=False):
     """The rays of a segment in the order of their measurement.
 
     `ranges` (n,) in m as the driver gave them, `bearings` (n,) in rad in the base frame.
@@ -74,7 +74,7 @@ class SegmentCheck:
         """Ignore segments until the next whole turn."""
         self._whole = None
 
-    def take(self, scan: Scan, now: float, delay: float) -> Segment | str | None:
+    def take(self, scan: Scan, now: float, delay: float) -> ScanSegment | str | None:
         """The segment that arrived at `now`; else the reason to ignore the segment.
 
         None without a whole turn, which must date the segment first. `delay`: s that the newest
@@ -114,7 +114,7 @@ class SegmentCheck:
         gap = max(scan.stamp - self._newest_stamp, 0.0) if follows else math.inf
         self._seq, self._newest_stamp = scan.seq, newest_stamp
         self._newest_bearing = float(bearings[-1])
-        return Segment(ranges, bearings, ages, age, gap)
+        return ScanSegment(ranges, bearings, ages, age, gap)
 
     def _steps(self, differences: Array) -> Array:
         """(k,) the differences of bearings in the direction of the sweep, from -pi to pi."""
@@ -129,9 +129,10 @@ class SegmentCheck:
         for kept_bearings, kept_given, kept_ages in self._checked:
             if kept_bearings is bearings and kept_given is given:
                 return kept_ages
-        # The comparisons are false for NaN.
+        if not np.isfinite(bearings).all():
+            return "a bearing is not finite"
         steps = self._steps(np.diff(bearings))
-        if not (steps.sum() <= _MAX_SWEEP and (steps > 0.0).all() and np.isfinite(bearings[0])):
+        if steps.sum() > _MAX_SWEEP or not (steps > 0.0).all():
             return "its bearings do not follow the sweep"
         if steps.max(initial=0.0) > self._max_step:
             return f"no ray for {math.degrees(steps.max()):.0f} degrees"

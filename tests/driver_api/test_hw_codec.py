@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import get_args
 
+import numpy as np
 import pytest
 
 from swarmd.core import events
@@ -12,7 +13,7 @@ from swarmd.core.codec import MAX_CONTROL
 from swarmd.core.errors import CodecError
 from swarmd.core.events import DetectionsInput, HazardsInput, NeighborsInput, PoseInput
 from swarmd.core.hazard import Hazard, HazardKind
-from swarmd.core.values import MAX_TOLD_DISTANCE, Detection, Neighbor, Pose, SharedPose
+from swarmd.core.values import MAX_TOLD_DISTANCE, Detection, Neighbor, Pose, Scan, SharedPose
 from swarmd.driver_api.hw_codec import KINDS, decode_input, encode_input
 from swarmd.settings.platforms import load_platform
 
@@ -33,6 +34,18 @@ BOX = Detection("box", 0.0)
 )
 def test_what_a_sensor_measures_is_taken(input: events.SensorInput) -> None:
     assert decode_input(events.tag_of(input), encode_input(input), PLATFORM) == input
+
+
+@pytest.mark.parametrize("kind", [events.ScanInput, events.SegmentInput])
+def test_rays_are_taken_as_they_are(
+    kind: type[events.ScanInput | events.SegmentInput],
+) -> None:
+    scan = Scan(7, 1.5, np.array([0.5, math.inf]), np.array([0.25, 0.5]), 0.12, 3.5)
+    taken = decode_input(events.tag_of(kind(scan)), encode_input(kind(scan)), PLATFORM)
+    assert isinstance(taken, kind)
+    assert (taken.scan.seq, taken.scan.stamp, taken.scan.ages) == (7, 1.5, None)
+    for name in ("ranges", "bearings"):
+        assert getattr(taken.scan, name).tolist() == getattr(scan, name).tolist()
 
 
 @pytest.mark.parametrize("far", [-0.1, 1.001 * MAX_TOLD_DISTANCE, 1e9, math.inf, math.nan])

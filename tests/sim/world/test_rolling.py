@@ -187,3 +187,47 @@ def test_a_platform_without_a_sweep_measures_all_rays_at_once() -> None:
     assert platform.scan.sweep is None
     scans, _ = after(world_of(platform))
     assert scans[0].ages is None
+
+
+@pytest.mark.parametrize("count", [2, 4, 8, 64])
+def test_segments_have_the_ranges_of_their_turn_before_it_is_whole(count: int) -> None:
+    whole = turning(SWEEPS[1])
+    parts = replace(whole, scan=replace(whole.scan, segments=count))
+    with_segments, without = (world_of(platform, REALISTIC) for platform in (parts, whole))
+    scans, segments = list[Scan](), list[tuple[float, Scan]]()
+    for step in range(81):
+        for world in (with_segments, without):
+            if step % 20 == 0:
+                world.begin_scans(np.array([0]))
+        ((_, expected),) = without.arrived_scans() or [(0, None)]
+        ((_, scan),) = with_segments.arrived_scans() or [(0, None)]
+        segments += [(with_segments.time, one) for _, one in with_segments.arrived_segments()]
+        if scan is not None and expected is not None:
+            np.testing.assert_array_equal(scan.ranges, expected.ranges)
+            scans.append(scan)
+        with_segments.step()
+        without.step()
+    assert len(scans) == 4
+    assert len(segments) >= 4 * min(count - 1, 10)
+    for arrival, segment in segments:
+        if segment.seq == len(scans):
+            continue  # of a turn that is not whole yet
+        scan = scans[segment.seq]
+        of = [int(np.flatnonzero(scan.bearings == bearing)[0]) for bearing in segment.bearings]
+        np.testing.assert_array_equal(segment.ranges, scan.ranges[of])
+        assert scan.ages is not None
+        assert segment.ages is not None
+        times = scan.stamp + scan.ages.max() - scan.ages[of]
+        np.testing.assert_allclose(segment.stamp + segment.ages[0] - segment.ages, times, atol=1e-9)
+        assert arrival - 0.03 <= times.max() <= arrival + 1e-9
+
+
+def test_without_segments_and_without_rolling_scans_none_arrive() -> None:
+    parts = replace(BURGER, scan=replace(BURGER.scan, segments=8))
+    for platform, realism in ((BURGER, ROLLING), (parts, IDEAL)):
+        world = world_of(platform, realism)
+        world.begin_scans(np.array([0]))
+        for _ in range(30):
+            world.arrived_scans()
+            assert not world.arrived_segments()
+            world.step()
