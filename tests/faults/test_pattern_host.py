@@ -19,7 +19,7 @@ from swarmd.core.verbs import LogBatch, LogsQuery
 from swarmd.robot.timeouts import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT
-from tests.support.forked import EXECUTED_HOSTS
+from tests.support.forked_fleet_daemon import EXECUTED_HOSTS
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:

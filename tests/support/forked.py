@@ -7,8 +7,6 @@ import faulthandler
 import os
 import sys
 
-EXECUTED_HOSTS = "SWARMD_TEST_EXECUTED_HOSTS"
-"""In the environment of a daemon: its pattern hosts start from nothing, as those of users."""
 CLONE_NEWNS, CLONE_NEWNET = 0x20000, 0x40000000
 _MS_RDONLY, _MS_REC, _MS_SLAVE, _MNT_DETACH = 1, 0x4000, 0x80000, 2
 
@@ -43,13 +41,10 @@ def main() -> None:
         enter(namespace)
     sys.path[:0] = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
     if program == "daemon":
-        from swarmd.sim.live import forked_daemon
-        from tests.support.forked_python import fork_hosts
+        from tests.support import forked_fleet_daemon
 
-        if EXECUTED_HOSTS not in os.environ:
-            fork_hosts()
         sys.argv[1:] = words
-        forked_daemon.main()
+        forked_fleet_daemon.main()
     from swarmd.cli import daemon, swarmctl
     from swarmd.core.processes import die_with_parent
 

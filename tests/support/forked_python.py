@@ -27,13 +27,16 @@ from typing import Any, ClassVar
 
 MODULES = (
     *("swarmd.pattern_host.plugin_inspector", "swarmd.sim.experiments.pool"),
-    "swarmd.sim.live.server",
+    *("swarmd.sim.live.server", "swarmd.pattern_host"),
 )
-HOSTS = ("swarmd.pattern_host",)
+HOSTS = MODULES[-1:]
 """The module of pattern hosts, which a daemon starts after its first host."""
 COMM = "test-forks"
 """The name of a server that is a child of a daemon, in /proc/PID/comm."""
-_LAZY_IMPORTS = ("scipy.sparse.csgraph", "scipy.spatial", "swarmd.testing.pattern_contract")
+_LAZY_IMPORTS = (
+    *("scipy.sparse.csgraph", "scipy.spatial", "swarmd.pattern_host.worker"),
+    "swarmd.testing.pattern_contract",
+)
 _READ_AT_START = ("SWARMD_COMPILED", "PYTHONPATH", "PYTHONHASHSEED", "LD_PRELOAD")
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER: orphans of descendants become children of this process
 _MAX_REQUEST = 1 << 18  # bytes, of an environment
