@@ -130,7 +130,7 @@ class PointSwarm:
         self._has_bearings = any(need in _PROVIDES for need in loader(pattern).needs)
         self._linked: dict[int, list[int]] = {}  # linked rows by row, if they do not change
         limits = platform.limits
-        self._limits = np.array([limits.linear, limits.angular])
+        self._limits = limits.linear, limits.angular
         self._base, self._since = np.array(poses, float), np.zeros(count)
         self._twist = np.zeros((count, 2))
         self._sent = self._scans = 0
@@ -164,6 +164,8 @@ class PointSwarm:
 
     def _poses(self, now: float) -> Array:
         """The poses (n, 3) at `now` s: each robot follows an arc since its last command."""
+        if not self._twist.any():
+            return self._base + 0.0  # as the sum below: no -0.0
         linear, angular = self._twist.T
         dt = now - self._since
         half = 0.5 * angular * dt
@@ -196,7 +198,8 @@ class PointSwarm:
         twist = stepped.outputs.twist
         self._base[row], self._since[row] = poses[row], now
         asked = (0.0, 0.0) if twist is None else (twist.linear, twist.angular)
-        self._twist[row] = np.clip(asked, -self._limits, self._limits)
+        for axis, (speed, limit) in enumerate(zip(asked, self._limits, strict=True)):
+            self._twist[row, axis] = max(-limit, min(speed, limit))
         for channel, value in stepped.outputs.messages.items():
             self._sent += 1
             self._send(Message(point.name, channel, value, 0.0), near, now)

@@ -20,6 +20,7 @@ from hypothesis import Phase, settings
 from xdist.workermanage import WorkerController
 
 from swarmd.core.kernels import describe_kernels
+from swarmd.sim.live import fleet
 from swarmd.testing.pattern_contract import PatternContract
 from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
@@ -200,6 +201,14 @@ def forked_popen() -> Iterator[type[ForkedPython]]:
     """The class that forks the modules of `tests/support/forked_python.py`."""
     with forked_python() as made:
         yield made
+
+
+@pytest.fixture(autouse=True, scope="session")
+def forked_hosts() -> Iterator[None]:
+    """Daemons of a fleet have pattern hosts that are forks, as `DaemonProcess` has."""
+    with pytest.MonkeyPatch.context() as here:
+        here.setattr(fleet, "FORKED_DAEMON", "tests.support.forked_fleet_daemon")
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
-pytestmark = pytest.mark.integration
+pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
 
 
 ESTOP = Stop(id="e1", verb="estop", operator="alice")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import TYPE_CHECKING, Literal
@@ -18,12 +19,21 @@ from swarmd.core.verbs import LogBatch, LogsQuery
 from swarmd.robot.timeouts import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT
+from tests.support.forked_fleet_daemon import EXECUTED_HOSTS
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
 
 pytestmark = pytest.mark.integration
+
+
+@pytest.fixture(autouse=True, scope="module")
+def executed_hosts() -> Iterator[None]:
+    """Hosts start from nothing, as those of users."""
+    with pytest.MonkeyPatch.context() as here:
+        here.setenv(EXECUTED_HOSTS, "1")
+        yield
 
 
 def test_a_killed_host_stops_the_robot_and_its_pattern_restarts(robot: Bench) -> None:

@@ -165,7 +165,7 @@ def inner_start(made: FenceSettings, platform: Platform, rng: np.random.Generato
     return None
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     convex=st.booleans(),
@@ -186,7 +186,7 @@ def test_a_robot_that_starts_inside_stays_inside(
         assert max(outside) <= BOUND
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(seed=st.integers(0, 10_000), convex=st.booleans())
 def test_a_robot_that_starts_outside_only_comes_nearer(seed: int, convex: bool) -> None:
     rng = np.random.default_rng(seed)
@@ -220,7 +220,7 @@ def context_at(x: float, y: float, yaw: float, twist: Twist = Twist()) -> Decisi
     return DecisionContext(now, 0.0, odometry, 0.0, anchor=known.anchor(now))
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     linear=st.floats(-0.22, 0.22),
     angular=st.floats(-2.0, 2.0),

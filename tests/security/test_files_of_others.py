@@ -46,6 +46,8 @@ from tests.support.processes import has_landlock
 from tests.support.recorded_stories import Story
 from tests.support.swarmctl import Finished, swarmctl
 
+pytestmark = pytest.mark.usefixtures("forked_starts")
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -366,6 +368,7 @@ def test_a_notebook_is_opened_by_no_verb(scene: Scene) -> None:
 
 
 @pytest.mark.integration
+@pytest.mark.usefixtures("real_starts")
 def test_modules_and_settings_in_the_working_folder_are_not_read(scene: Scene) -> None:
     for name in ("msgspec", "numpy", "json", "sitecustomize", "usercustomize", "swarmd"):
         scene.write(f"{name}.py", scene.code)

@@ -41,10 +41,10 @@ def main() -> None:
         enter(namespace)
     sys.path[:0] = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
     if program == "daemon":
-        from swarmd.sim.live import forked_daemon
+        from tests.support import forked_fleet_daemon
 
         sys.argv[1:] = words
-        forked_daemon.main()
+        forked_fleet_daemon.main()
     from swarmd.cli import daemon, swarmctl
     from swarmd.core.processes import die_with_parent
 

@@ -6,6 +6,7 @@ and 2 s takes 0.07 s. The fork is a child of the test's process, as a started pr
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import fcntl
 import gc
@@ -18,15 +19,24 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+import traceback
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, ClassVar
 
 MODULES = (
     *("swarmd.pattern_host.plugin_inspector", "swarmd.sim.experiments.pool"),
-    "swarmd.sim.live.server",
+    *("swarmd.sim.live.server", "swarmd.pattern_host"),
 )
-_LAZY_IMPORTS = ("scipy.sparse.csgraph", "scipy.spatial", "swarmd.testing.pattern_contract")
+HOSTS = MODULES[-1:]
+"""The module of pattern hosts, which a daemon starts after its first host."""
+COMM = "test-forks"
+"""The name of a server that is a child of a daemon, in /proc/PID/comm."""
+_LAZY_IMPORTS = (
+    *("scipy.sparse.csgraph", "scipy.spatial", "swarmd.pattern_host.worker"),
+    "swarmd.testing.pattern_contract",
+)
 _READ_AT_START = ("SWARMD_COMPILED", "PYTHONPATH", "PYTHONHASHSEED", "LD_PRELOAD")
 _SUBREAPER = 36  # PR_SET_CHILD_SUBREAPER: orphans of descendants become children of this process
 _MAX_REQUEST = 1 << 18  # bytes, of an environment
@@ -66,26 +76,18 @@ class ForkedPython(subprocess.Popen[Any]):
 
 
 class Server:
-    """The process from which commands are forked."""
+    """The other end of a process from which commands that run one of `modules` are forked."""
 
-    def __init__(self) -> None:
+    def __init__(self, connection: socket.socket, modules: Sequence[str]) -> None:
         self._environ = {name: os.environ.get(name) for name in _READ_AT_START}
         self._lock = threading.Lock()
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", __file__, str(theirs.fileno())],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-                process_group=0,
-            )
+        self._socket, self._modules = connection, modules
 
     def has_imports_of(self, command: Any, environ: dict[str, str]) -> bool:
-        """Whether the command runs one of MODULES, with what Python reads at its start."""
+        """Whether the command runs one of the modules, with what Python reads at its start."""
         return (
             list(command[:3]) == [sys.executable, "-P", "-m"]
-            and command[3] in MODULES
+            and command[3] in self._modules
             and all(environ.get(name) == value for name, value in self._environ.items())
         )
 
@@ -99,32 +101,79 @@ class Server:
             finally:
                 _become_subreaper(False)
 
-    def end(self) -> None:
-        """End the server."""
-        self._socket.close()
-        self._process.wait()
+
+def _connection() -> tuple[socket.socket, socket.socket]:
+    return socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
 
 
 @contextmanager
 def forked_python() -> Iterator[type[ForkedPython]]:
     """The class that takes the place of `subprocess.Popen`, with a server until the end."""
-    server = Server()
+    ours, theirs = _connection()
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-P", __file__, str(theirs.fileno())],
+            pass_fds=(theirs.fileno(),),
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            process_group=0,
+        )
     try:
-        yield type("ForkedPython", (ForkedPython,), {"server": server})
+        yield type("ForkedPython", (ForkedPython,), {"server": Server(ours, MODULES)})
     finally:
-        server.end()
+        ours.close()
+        process.wait()
+
+
+def fork_hosts() -> None:
+    """Let all pattern hosts of this process be forks of a fork that has their imports.
+
+    Called before this process, which becomes a daemon, starts a thread. A host that starts from
+    nothing takes 0.15 s of CPU, and most tests of daemons end a run, after which another begins.
+    """
+    from swarmd.core.processes import die_with_parent
+    from swarmd.pattern_host import worker  # noqa: F401  # what a host imports
+
+    ours, theirs = _connection()
+    daemon = os.getpid()
+    if os.fork() == 0:
+        code = 1
+        try:
+            ours.close()
+            die_with_parent(daemon)
+            Path("/proc/self/comm").write_text(COMM)
+            _serve_and_run(theirs, HOSTS)
+            code = 0
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            with contextlib.suppress(OSError):
+                sys.stdout.flush()
+            os._exit(code)
+    theirs.close()
+    server = Server(ours, HOSTS)
+    subprocess.Popen = type("ForkedPython", (ForkedPython,), {"server": server})  # type: ignore[misc]
 
 
 def _become_subreaper(value: bool) -> None:
     assert ctypes.CDLL(None).prctl(_SUBREAPER, int(value), 0, 0, 0) == 0
 
 
-def _serve(connection: socket.socket) -> str | None:
+def _serve_and_run(connection: socket.socket, modules: Sequence[str]) -> None:
+    """Fork for each request until the other side ends; a fork runs its module."""
+    with connection:
+        module = _serve(connection, modules)
+    if module is not None:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+
+
+def _serve(connection: socket.socket, modules: Sequence[str]) -> str | None:
     """Fork for each request until the other side ends; in a fork, the name of its module."""
-    for name in (*MODULES, *_LAZY_IMPORTS):
+    for name in modules:
         __import__(name)
-    for name in MODULES:
-        del sys.modules[name]  # each fork runs its own, as a started process does
+    for name in modules:
+        if not hasattr(sys.modules[name], "__path__"):  # each fork runs its own, as a process does
+            del sys.modules[name]
     gc.freeze()  # a collection of garbage would write to the pages that all forks share
     while True:
         text, descriptors, _, _ = socket.recv_fds(connection, _MAX_REQUEST, _MAX_DESCRIPTORS)
@@ -153,6 +202,7 @@ def _enter(request: dict[str, Any], descriptors: list[int]) -> None:
     """Give this fork what a started process has."""
     import numpy as np
 
+    Path("/proc/self/comm").write_text("python")
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environ"])
@@ -169,7 +219,6 @@ def _enter(request: dict[str, Any], descriptors: list[int]) -> None:
 
 
 if __name__ == "__main__":
-    with socket.socket(fileno=int(sys.argv[1])) as ours:
-        module = _serve(ours)
-    if module is not None:
-        runpy.run_module(module, run_name="__main__", alter_sys=True)
+    for lazy in _LAZY_IMPORTS:
+        __import__(lazy)
+    _serve_and_run(socket.socket(fileno=int(sys.argv[1])), MODULES)

@@ -25,6 +25,7 @@ from swarmd.driver_api.watchdog import watchdog_name
 from swarmd.pattern_host.worker import NICE
 from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
+from tests.support.forked_python import COMM
 
 CAP = 60.0
 DAEMON = ("swarmd.cli.daemon",)
@@ -211,12 +212,19 @@ class DaemonProcess:
 
 
 def children(pid: int) -> list[int]:
-    """The process ids of a process's living children, oldest first."""
+    """The process ids of a process's living children, oldest first, without a server of forks."""
     found: list[int] = []
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         with contextlib.suppress(OSError):  # this thread has ended meanwhile
             found += [int(child) for child in task.read_text().split()]
-    return sorted(found)
+    return sorted(child for child in found if not _is_server(child))
+
+
+def _is_server(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/comm").read_text() == f"{COMM}\n"
+    except OSError:  # it has ended meanwhile
+        return False
 
 
 def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:

@@ -12,8 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
-from mcp import Client, StdioServerParameters
-from mcp.client.stdio import stdio_client
 
 import swarmd
 from swarmd.core.errors import SwarmError
@@ -28,6 +26,8 @@ from tests.support.secured_swarm import SecuredSwarm
 from tests.support.swarmctl import SWARMCTL, await_applied, swarmctl
 
 if TYPE_CHECKING:
+    from mcp import Client
+
     from tests.swarm.conftest import Swarm
 
 BOTH = ("r1", "r2")
@@ -42,11 +42,23 @@ async def called(client: Client, name: str, **arguments: Any) -> tuple[bool, Any
     return bool(result.is_error), text if result.is_error else result.structured_content
 
 
-def served(swarm: Swarm, *options: str) -> StdioServerParameters:
-    """How an agent's program starts `swarmctl mcp`."""
+def client_of(server: Any) -> Client:
+    """A client of a server. Imported here: 0.5 s of CPU, which each worker would spend."""
+    from mcp import Client
+
+    return Client(server)
+
+
+def served(swarm: Swarm, *options: str) -> Any:
+    """The server that an agent's program starts by `swarmctl mcp`."""
+    from mcp import StdioServerParameters
+    from mcp.client.stdio import stdio_client
+
     command, *words = SWARMCTL
     environ = {**os.environ, **swarm.environ()}
-    return StdioServerParameters(command=command, args=[*words, "mcp", *options], env=environ)
+    return stdio_client(
+        StdioServerParameters(command=command, args=[*words, "mcp", *options], env=environ)
+    )
 
 
 @pytest.fixture
@@ -62,7 +74,7 @@ def two(swarm: Swarm) -> Swarm:
 @pytest.mark.integration
 def test_an_agent_may_look_and_only_a_person_allows_commands(swarm: Swarm) -> None:
     async def agent() -> None:
-        async with Client(stdio_client(served(swarm))) as client:
+        async with client_of(served(swarm)) as client:
             assert {tool.name for tool in (await client.list_tools()).tools} == LOOKS
             assert await called(client, "run", pattern="drive", seconds=1.0) == (
                 True,
@@ -71,7 +83,7 @@ def test_an_agent_may_look_and_only_a_person_allows_commands(swarm: Swarm) -> No
             failed, text = await called(client, "describe", robot="r9")
             assert failed
             assert "no daemon" in text or "no robot" in text
-        async with Client(stdio_client(served(swarm, "--allow", "stop"))) as client:
+        async with client_of(served(swarm, "--allow", "stop")) as client:
             assert {tool.name for tool in (await client.list_tools()).tools} == LOOKS | {"stop"}
 
     asyncio.run(asyncio.wait_for(agent(), CAP))
@@ -81,7 +93,7 @@ def test_an_agent_may_look_and_only_a_person_allows_commands(swarm: Swarm) -> No
 def test_answers_are_counted_audited_and_a_run_ends_with_its_server(two: Swarm) -> None:
     async def agent() -> None:
         allowed = [word for name in COMMANDS for word in ("--allow", name)]
-        async with Client(stdio_client(served(two, *allowed))) as client:
+        async with client_of(served(two, *allowed)) as client:
             for arguments in (
                 {"pattern": "drive"},
                 {"pattern": "drive", "seconds": -1.0},
@@ -138,7 +150,7 @@ def test_a_stop_during_the_rehearsal_ends_the_run(two: Swarm, stopped_by: str) -
         async with swarmd.connect(two.name) as first, swarmd.connect(two.name) as second:
             server = make_server(SwarmTools(first, rehearse), COMMANDS)
             other = make_server(SwarmTools(second), COMMANDS)
-            async with Client(server) as client, Client(other) as colleague:
+            async with client_of(server) as client, client_of(other) as colleague:
                 call = called(client, "run", pattern="drive", seconds=60.0)
                 running = asyncio.create_task(call)
                 assert await asyncio.to_thread(has_begun.wait, CAP)
@@ -218,7 +230,7 @@ def test_events_name_robots_that_did_not_answer(swarm: Swarm) -> None:
         swarm.status(robot)
 
     async def agent() -> None:
-        async with Client(stdio_client(served(swarm))) as client:
+        async with client_of(served(swarm)) as client:
             failed, answer = await called(client, "events")
             assert (failed, answer["did_not_answer"]) == (False, []), answer
             silent.freeze()
@@ -266,7 +278,7 @@ def test_an_agent_names_no_files_and_simulates_one_scenario_at_a_time() -> None:
                 return {}
 
         server = make_server(SwarmTools(cast("Any", Nobody()), rehearse), COMMANDS)
-        async with Client(server) as client:
+        async with client_of(server) as client:
             for name, arguments in (
                 ("pattern", {"name": "drive", "platform": "../own.yaml"}),
                 ("pattern", {"name": "nothing"}),
