@@ -64,6 +64,9 @@ _DEEP = 0.2  # m: a deeper opening is a corridor
 _PERSISTS = 1.0  # s after which a track is no part of a wall
 _BEFORE, _AFTER = 0.9, 0.5  # m before and beyond an opening within which tracks count
 _NARROWER, _WIDER = 0.06, 0.2  # m by which a track in and before an opening may be off its axis
+# m before an opening from which a track beside it is a part of the wall: the end of a wall that is
+# seen along its face is a track that stands. A robot waited 140 s for such a track.
+_IN_WALL = 0.05
 _THRESHOLD = 0.3  # m around an opening: a track there keeps the side from which it came
 # m along the axis: a new track before this place comes from the robot's side.
 _FIRST_SEEN_IN = -0.1
@@ -72,12 +75,15 @@ _MEETING = 0.8  # m, in addition to the depth, within which a track that comes i
 _EQUALLY_DEEP = 0.15  # m within which two robots count as equally deep
 # m to another robot that goes in, and m beyond the opening, within which the robot waits behind it.
 _FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2
+# m around the begin of an opening within which another robot on the same side waits for its turn.
+_QUEUE_NEAR, _QUEUE_FAR = 0.1, 1.6
 
 # How long the robot waits.
 _CLEAR_TIMES = (0.5, 1.5)  # s for which nothing has come out before a robot enters
 _HIDDEN = 6.0  # s for which a robot that was last seen in an opening may still be there
 # s for which a robot gives way again, if it has passed an opening within the last _RECENTLY s.
 _PASSED_TIMES, _RECENTLY = (6.0, 10.0), 120.0
+_LETS_PASS = 90.0  # s after a passage in which the robot lets robots pass that wait on its side
 _PRIORITY_TIMES = (3.0, 6.0)  # s for which the drawn priority holds
 _NO_PROGRESS = 2.0  # s without progress after which the robot draws its priority
 _MINE_SHARE = 0.5  # the chance to draw priority
@@ -102,6 +108,10 @@ _ABEAM, _ABEAM_WIDTH = 1.0, 0.6  # rad: the bearing of the walls beside, and how
 _BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
 _FARTHER_BESIDE = 0.15  # m beside that, to which the robot drives
 _ASIDE_FAR, _ASIDE_STEP = 0.4, 0.1  # m before an opening at least, and m back
+# m to another robot below which a place to wait is taken; m back to the next place, and how many.
+_TAKEN, _NEXT_PLACE, _PLACES = 0.4, 0.4, 4
+_FACES = 0.2  # rad within which a waiting robot faces the place where it will line up
+_FACING = 0.5  # rad/s, of its turn to that place: below _TURNING
 _KEEPS_SIDE, _HAS_SIDE = 0.15, 0.05  # m beside the axis: keeps, and chooses, the side to wait on
 _BACK_AIM = 0.4  # m behind the robot: the place on the axis to which a robot backs out
 _BACK_TURN, _BACK_SHARE = 0.3, 0.5  # rad/s at most, and share of the speed, while backing out
@@ -123,10 +133,10 @@ class _Rule(Enum):
     """The rules of the state machine; at each step the first rule whose condition is true holds.
 
     The step does not depend on the state before (`WayState`), but on these attributes of
-    `RightOfWay` (the rules are numbered below): `_is_backing` (rules 1 and 2), `_busy_at` and
-    `_keep_clear_for` (rules 3 and 4), `_is_lined_up` (rule 5), `_held_since` and `_held_at_s`
-    (rules 3, 4 and 6). When the robot begins to give way, the robot counts as not lined up and not
-    held.
+    `RightOfWay` (the rules are numbered below): `_is_backing` (rules 1 and 2), `_busy_at`,
+    `_keep_clear_for`, `_within_at`, `_came_out` and `_passed_at` (rules 3 and 4), `_is_lined_up`
+    (rule 5), `_held_since` and `_held_at_s` (rules 3, 4 and 6). When the robot begins to give way,
+    the robot counts as not lined up and not held.
     """
 
     # 1. A robot in an opening that meets a robot coming towards it backs out until it has left the
@@ -139,7 +149,10 @@ class _Rule(Enum):
     # 3. The robot must give way, and stands where other robots can pass. The robot must give way
     #    a) while a robot comes out, and for a random time after that;
     #    b) while another robot that wants to pass is nearer to the opening;
-    #    c) for a time after it stood for _HELD_TIME s behind a robot that does not go on.
+    #    c) for a time after it stood for _HELD_TIME s behind a robot that does not go on;
+    #    d) while a robot that was last seen in the opening may still be there;
+    #    e) for _LETS_PASS s after a passage, while a robot that has not come out of the opening
+    #       waits on its side.
     MUST_GIVE_WAY_ASIDE = 3
 
     # 4. The robot must give way, and stands where other robots want to pass.
@@ -215,10 +228,10 @@ class _Traffic(NamedTuple):
     """What the other robots before and in an opening do."""
 
     is_busy: bool = False  # a robot comes out
-    is_within: bool = False  # a robot that comes out is still in the opening
     is_behind: bool = False  # another robot that wants to pass is nearer: this robot is behind
     is_met: bool = False  # this robot is in the opening; a robot comes towards it from deeper in
     is_close: bool = False  # another robot that goes in is close ahead
+    is_queued: bool = False  # a robot that has not come out waits on the side of this robot
 
 
 def _by_odometry(tracks: Sequence[Track], pose: Pose) -> list[tuple[Track, float, float]]:
@@ -277,6 +290,10 @@ class RightOfWay:
         self._sides: dict[int, float] = {}
         self._farthest: dict[int, float] = {}
         self._seen_since: dict[int, float] = {}
+        # By the id of a track that came out: s, when the robot last saw the track in the opening.
+        # Dropped when the robot sees the track elsewhere.
+        self._within_at: dict[int, float] = {}
+        self._came_out: set[int] = set()  # ids of the tracks that have come out to this side
         self._progress_s = -math.inf  # m along the axis: where the robot last made progress
         self._progress_at = -math.inf  # s, when this was
         self._is_backing = False
@@ -392,6 +409,7 @@ class RightOfWay:
         for by_track in (self._sides, self._farthest):
             for id in by_track.keys() - self._seen_since.keys():
                 del by_track[id]
+        self._came_out &= self._seen_since.keys()
         others = []
         for track, x, y in _by_odometry(surroundings.tracks, pose):
             track_along, track_aside = opening.to_local(x, y, self._sign)
@@ -460,29 +478,36 @@ class RightOfWay:
         if now - self._passed_at < _RECENTLY:
             self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_PASSED_TIMES)
 
-    def _judge_traffic(self, place: _Place, others: list[_PlacedTrack]) -> _Traffic:
+    def _judge_traffic(self, place: _Place, others: list[_PlacedTrack], now: float) -> _Traffic:
         """What the other robots before and in the opening do.
 
-        Stores in `_sides` from which side each track came, and in `_farthest` how far each track
-        came.
+        Stores in `_sides` from which side each track came, in `_farthest` how far each track came,
+        in `_within_at` which tracks are in the opening, and in `_came_out` which have left it.
 
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
-        moving objects) in the same frame.
+        moving objects) in the same frame. `now`: s.
         """
         # In an opening, a robot with priority backs out only for a robot clearly deeper in; before
         # an opening, it lets a robot go first that is up to `slack` farther away.
         slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
-        is_busy = is_behind = is_met = is_within = is_close = False
+        is_busy = is_behind = is_met = is_close = is_queued = False
         for id, along, aside in others:
             # 1. The side from which the track came: -1 the side of this robot, 1 the other side.
             # The side stays while the track is near the opening.
             came_from = self._sides.get(id)
-            if came_from is None or along < -_THRESHOLD or along > place.depth + _THRESHOLD:
+            is_within = -_THRESHOLD < along < place.depth + _THRESHOLD
+            if not is_within:
+                self._within_at.pop(id, None)
+                if came_from == 1.0 and along < 0.0:
+                    self._came_out.add(id)
+            is_near = abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
+            is_queued |= is_near and id not in self._came_out
+            if came_from is None or not is_within:
                 border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
                 came_from = self._sides[id] = -1.0 if along < border else 1.0
 
             # 2. Skips a track that is neither before nor in the opening.
-            max_aside = place.half - _NARROWER if along > 0.0 else place.half + _WIDER
+            max_aside = place.half + (-_NARROWER if along > -_IN_WALL else _WIDER)
             if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
             # How far it came; forgotten once it is back more than _LINE_UP before the opening.
@@ -497,16 +522,17 @@ class RightOfWay:
                 own_m, other_m = place.s + _IN, place.depth + _IN - along
                 is_in_or_through = along < place.depth + _IN
                 if place.is_in and is_ahead:
-                    is_near = along - place.s < _MEETING + place.depth
-                    is_met |= is_near and other_m > max(own_m + slack, 0.0)
+                    meets = along - place.s < _MEETING + place.depth
+                    is_met |= meets and other_m > max(own_m + slack, 0.0)
                 elif is_in_or_through or along - place.depth < -place.s + slack:
                     is_busy = True  # the track is in or through the opening, or nearer to it
-                    is_within |= -_THRESHOLD < along < place.depth + _THRESHOLD
+                    if is_within:
+                        self._within_at[id] = now
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
                 is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif math.hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
                 is_behind = True  # the track is nearer to the place to line up
-        return _Traffic(is_busy, is_within, is_behind, is_met, is_close)
+        return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
 
     def _decide_state(
         self,
@@ -543,7 +569,7 @@ class RightOfWay:
 
         # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
         # and is random, so that two robots do not enter together. Then the state.
-        traffic = self._judge_traffic(place, others)
+        traffic = self._judge_traffic(place, others, now)
         self._update_progress(place, traffic, now)
         if traffic.is_met or traffic.is_busy or self._is_backing:
             has_passed = now - self._passed_at < _RECENTLY
@@ -551,9 +577,8 @@ class RightOfWay:
             self._keep_clear_for = self._rng.uniform(
                 *(_PASSED_TIMES if has_passed else _CLEAR_TIMES)
             )
-            self._keep_clear_for += _HIDDEN if traffic.is_within else 0.0
         self.state = _TRANSITIONS[self._rule(place, traffic, now)]
-        return self._request(place, safe_for)
+        return self._request(place, others, safe_for)
 
     def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
@@ -575,7 +600,11 @@ class RightOfWay:
             return _Rule.BACKS
         if place.is_in:
             return _Rule.IS_IN
-        if now - self._busy_at < self._keep_clear_for or traffic.is_behind:
+        hidden_for = _HIDDEN + self._keep_clear_for
+        self._within_at = {id: at for id, at in self._within_at.items() if now - at < hidden_for}
+        lets_pass = traffic.is_queued and now - self._passed_at < _LETS_PASS
+        keeps_clear = now - self._busy_at < self._keep_clear_for
+        if keeps_clear or traffic.is_behind or self._within_at or lets_pass:
             return self._giving_way(place)
 
         # Rule 5: lined up at the place before the opening, or on the axis; until far off the axis.
@@ -604,10 +633,11 @@ class RightOfWay:
         self._held_since = self._held_at_s = -math.inf
         return _Rule.MUST_GIVE_WAY_ASIDE if place.leaves_free else _Rule.MUST_GIVE_WAY
 
-    def _request(self, place: _Place, safe_for: Allows) -> Twist:
+    def _request(self, place: _Place, others: list[_PlacedTrack], safe_for: Allows) -> Twist:
         """The command of the present state at a place in the frame of the opening.
 
-        `safe_for` gives the command that protection would make of any command.
+        `others`: the tracks (other moving objects) in the same frame. `safe_for` gives the command
+        that protection would make of any command.
         """
         match self.state:
             case WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
@@ -625,16 +655,34 @@ class RightOfWay:
                     self._waiting_side = math.copysign(1.0, place.side)
                 elif not self._waiting_side:
                     self._waiting_side = -1.0
-                aside = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
-                return self._drive(min(place.s, -_ASIDE_FAR) - _ASIDE_STEP, aside, place)
+                return self._drive(*self._waiting_place(place, others), place)
             case WayState.GO:
                 return self._drive(-_LINE_UP, 0.0, place)
             case WayState.LINE:
                 return self._fastest(self._drive(place.s + _PURSUIT, 0.0, place), safe_for)
             case WayState.APPROACH:
                 return self._drive(place.s + _PURSUIT, 0.0, place)
+            case WayState.WAIT if place.leaves_free:  # faces the place where it will line up
+                bearing = math.atan2(-place.side, -_LINE_UP - place.s) - place.heading
+                error = math.remainder(bearing, 2.0 * math.pi)
+                if abs(error) < _FACES:
+                    return ZERO
+                return Twist(0.0, min(max(_GAIN * error, -_FACING), _FACING))
             case _:
                 return ZERO
+
+    def _waiting_place(self, place: _Place, others: list[_PlacedTrack]) -> tuple[float, float]:
+        """The place to wait on the chosen side: m along the axis, and m to its left.
+
+        The first of _PLACES places that no other robot takes, from the opening back; else the last.
+        """
+        aside = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
+        along = min(place.s, -_ASIDE_FAR) - _ASIDE_STEP
+        for _ in range(_PLACES - 1):
+            if all(math.hypot(o.s - along, o.side - aside) > _TAKEN for o in others):
+                break
+            along -= _NEXT_PLACE
+        return along, aside
 
     def _find_middle(self, place: _Place, points: Points) -> None:
         """Measure `_middle_offset`, the m to the left of the axis at which the middle is.

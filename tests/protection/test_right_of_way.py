@@ -107,7 +107,9 @@ def test_a_robot_goes_aside_and_waits_while_another_comes_out() -> None:
     ride.at(near(-1.0))
     ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
     assert ride.state() is WayState.ASIDE
-    assert ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9)) is ZERO
+    asked = ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9))
+    assert (asked.linear, asked.angular < 0.0) == (0.0, True)  # turns to where it will line up
+    assert ride.at(Pose(-1.0, 0.9, -1.0), track(1, 1.2, 0.5)) is ZERO
     passed = ride.way.passed(ride.context)
     assert passed is not None
     assert passed.text == "gives way at an opening, 1.3 m"
@@ -139,6 +141,57 @@ def test_a_robot_follows_another_that_goes_in_at_a_distance() -> None:
     ride.at(near(-0.5), track(1, 0.0), seconds=2.0)
     assert ride.at(near(-0.3), track(1, 0.2), seconds=1.0) is ZERO
     assert ride.at(near(-0.3), track(1, 0.35), seconds=1.0).linear > 0.0
+
+
+def test_the_end_of_a_wall_that_counts_as_a_track_is_no_traffic() -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.at(near(-1.0), track(1, 0.97, 0.33), seconds=4.0)
+    assert ride.state() is WayState.APPROACH
+
+
+@pytest.mark.parametrize(
+    ("seen", "state"), [((), WayState.WAIT), ((track(1, 0.4, -2.0),), WayState.GO)]
+)
+def test_a_robot_enters_sooner_if_it_sees_that_the_last_robot_has_come_out(
+    seen: tuple[Track, ...], state: WayState
+) -> None:
+    ride = Ride()
+    ride.at(near(-1.0))
+    ride.at(near(-1.0), track(1, 1.0), seconds=2.0)
+    ride.at(near(-1.0, 0.9), track(1, 1.0, -0.9))
+    ride.at(near(-1.0, 0.9), *seen, seconds=4.0)
+    assert ride.state() is state
+
+
+@pytest.mark.parametrize(("comes_out", "state"), [(False, WayState.WAIT), (True, WayState.GO)])
+def test_a_robot_that_has_passed_lets_those_pass_that_wait_on_its_side(
+    comes_out: bool, state: WayState
+) -> None:
+    ride, place = Ride(), near(-1.0, 0.9)
+    ride.at(near(-1.0))
+    ride.way._passed_at = ride.now
+    if comes_out:
+        ride.at(place, track(1, 1.0, -0.9), seconds=2.0)
+    waiting = track(1, 0.3, -1.8)
+    ride.at(place, waiting, seconds=30.0)
+    assert ride.state() is state
+    ride.at(place, waiting, seconds=65.0)
+    assert ride.state() is WayState.GO
+
+
+def test_a_robot_waits_where_no_other_robot_waits() -> None:
+    ride = Ride()
+    turned, turns = Pose(-0.5, -0.2, -2.1), Twist(0.0, 2.84)
+    for pose in (near(-0.5), Pose(-0.5, -0.2, -1.0)):
+        ride.at(pose, requested=turns if pose.yaw else AHEAD)
+    comes_out, waits = track(1, -0.43, 0.33), track(2, 0.59, 0.23)  # the second in the first place
+    asked = [
+        ride.at(turned, comes_out, *waiting, seconds=2.0, requested=turns)
+        for waiting in ((), (waits,))
+    ]
+    assert ride.state() is WayState.ASIDE
+    assert asked[0].angular > 0.0 > asked[1].angular
 
 
 def test_a_robot_clears_the_way_of_another_that_does_not_go_on() -> None:
