@@ -195,8 +195,8 @@ def topic_detections(
 ) -> tuple[TopicDetections]:
     """The reader of the entry `name` of option `detections`, as a tuple of one.
 
-    An entry of option `readings` may have several readers, so all options return tuples. `full`
-    returns the full name of a topic. `types`: the known message types. ConfigError names the key
+    A tuple, as an entry of option `readings` may have several readers. `full(topic)` returns the
+    full name of a topic. `types`: the known message types. ConfigError names the key
     that is wrong.
     """
     option = f"detections.{name}"

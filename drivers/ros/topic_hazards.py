@@ -122,7 +122,8 @@ def topic_hazard(
 ) -> tuple[TopicHazard]:
     """The reader of the entry `name` of option `hazards`, as a tuple of one.
 
-    See `topic_detections` for the tuple and the arguments. ConfigError names the key that is wrong.
+    A tuple, as an entry of option `readings` may have several readers. `full(topic)` returns the
+    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
     """
     option, key = f"hazards.{name}", ""  # `key`: the key that is read now, begins an error's text
     try:

@@ -238,9 +238,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
 
         `member`: the robot's own membership: hops to the nest, id of the member before it (towards
         the nest), and whether the chain leads to the goal. To leave, the robot sets `_membership`
-        to None and drives home. A robot leaves if the member before it is lost, or if another
-        member has its place. The tail of a chain that does not lead to the goal leaves at the rate
-        `leave`.
+        to None and drives home. A robot leaves if the member before it is lost, or if a member with
+        a lower rank has its place. The tail of a chain that does not lead to the goal leaves at the
+        rate `leave`.
         """
         params = self.params
         robot = self.context.robot
@@ -270,17 +270,18 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         # with this member.
         if leads:
             return ZERO
-        x, y = self._beyond(member.before)
-        if math.hypot(x, y) <= _SLACK * params.distance:
-            x = y = 0.0
-        if hops == 1:
+        place_x, place_y = self._place_after(member.before)  # m, this robot's own place
+        is_at_place = math.hypot(place_x, place_y) <= _SLACK * params.distance
+        # x, y: the velocity in m/s. `drive_along` drives at 1 m/s for each m to the place.
+        x, y = (0.0, 0.0) if is_at_place else (place_x, place_y)
+        if hops == 1:  # `sweep` is in rad/s
             x, y = x + params.sweep * before_place[1], y - params.sweep * before_place[0]
         if not (x or y):
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn)
 
-    def _beyond(self, name: str) -> Vector:
-        """The place where the chain continues: `distance` m from the member `name`, away from home.
+    def _place_after(self, name: str) -> Vector:
+        """The next place of the chain: `distance` m from the member `name`, away from the nest.
 
         The place is in m in the base frame, on the far side of `name` as seen from the member
         before `name` (towards the nest). If that member is not sensed: on the far side of `name` as
@@ -334,7 +335,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
                 error * y / range_m - sign * x / range_m,
             )
         elif is_at_end:
-            x, y = self._beyond(self._waypoint)  # the next place of the chain
+            x, y = self._place_after(self._waypoint)  # the next place of the chain
         else:  # to the right of the chain, to pass robots that come back
             lane = _LANE * params.distance / range_m
             x, y = x + lane * y, y - lane * x

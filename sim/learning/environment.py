@@ -144,9 +144,9 @@ class _Episode:
 class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # it has no types
     """An environment as PettingZoo's ParallelEnv; `env` makes one.
 
-    An agent is a robot of the learners while the robot has a daemon. An agent appears when its
-    robot joins, is terminated when its robot leaves or is killed, and is truncated at the end of
-    the scenario. A robot that is stopped or held stays an agent, whose actions have no effect.
+    An agent is a robot that learns, while the robot is present in the swarm. An agent appears when
+    its robot joins, is terminated when its robot leaves or is killed, and is truncated at the end
+    of the scenario. A robot that is stopped or held stays an agent, whose actions have no effect.
     `infos` have three keys for each agent. `state` is the state of the robot, such as `running`, or
     `absent`. `limited` is true if protection changed the request. `contacts` is the number of
     contacts that began in this step.

@@ -21,7 +21,8 @@ from swarmd.sim.world.arena import Arena, Box, Item
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Geom groups: collision shapes; visible bodies and lidar housings at true height; the arena."""
 SOLID_BIT, GHOST_BIT = 1, 2
-"""Bits of collision types: ghosts collide with geoms that have GHOST_BIT, solid bodies with all."""
+"""Bits of collision types: solid robots collide with solid robots and the arena, ghosts with the
+arena alone."""
 ARENA_TYPE = SOLID_BIT | GHOST_BIT
 """The type of walls and boxes, which collide with all bodies."""
 

@@ -91,7 +91,7 @@ class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
     """Run the robot's own goal, which is offered or whose run has ended.
 
     `digest`: of the goal that the operator saw, in hex; the robot refuses if its own goal has
-    another digest. Empty: any goal. `age`: as in RunRequest.
+    another digest. Empty: any goal. `age`: s since the operator issued the request, an upper bound.
     """
 
     digest: Word = ""
@@ -101,7 +101,7 @@ class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
 class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
     """Set a goal without a run; a robot offers the goal, or stands if the goal has no pattern.
 
-    `age`: as in RunRequest.
+    `age`: s since the operator issued the request, an upper bound.
     """
 
     goal: Goal
@@ -136,10 +136,11 @@ class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
 
 
 class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
-    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
+    """Replace a pattern's code; a present run of the pattern ends, unless a flag is set.
 
-    `keeps_running`: a robot that runs the pattern continues with the old code until its next run.
-    `age`: as in RunRequest.
+    `is_rerun`: the run ends, and a new run with the new code follows. `keeps_running`, which only a
+    push without `is_rerun` sets: the run continues with the old code. `age`: s since the operator
+    issued the request, an upper bound.
     """
 
     pattern: Name
@@ -151,9 +152,10 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     """A piece of a pushed pattern; after the last piece the robot tries and adopts the pattern.
 
-    `content` and `signature`: of the manifest (`core/pattern_manifest.py`). `offset`: of the piece
-    `data` in bytes. `is_rerun`: as in `ReloadRequest`; without a rerun nothing moves or stops, so
-    that the robot does not compare its epoch. `age`: as in RunRequest.
+    `content`, `signature`: the manifest (`core/pattern_manifest.py`) and its signature. `offset`:
+    bytes of the pattern before the piece `data`. `is_rerun`: a run of the pattern ends, and a new
+    run with the new code follows. Without `is_rerun` nothing moves or stops, so the robot does not
+    compare its epoch. `age`: s since the operator issued the request, an upper bound.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]

@@ -177,9 +177,12 @@ class PatternIntake:
     ) -> None:
         """Check, write and try one pushed pattern, or carry out a removal. Reply to the push.
 
+        The reply follows at once after a refusal, a removal, and for code that the robot has and
+        need not run again. Otherwise a trial of the code begins, and replies at its end.
+
         `entry`: the signed manifest. `code`: its bytes, unused if the robot has the code already.
-        `source`: where the code came from, in words. `request`: the push that the reply answers,
-        None if the code was pulled from a peer.
+        `source`: where the code came from, in words. `request`: the push; None if the code was
+        pulled from a peer, for which no request waits, so that the reply is dropped.
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
@@ -201,14 +204,14 @@ class PatternIntake:
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
-                # No trial: a removal, and code that the robot has and need not run again.
+                # No trial.
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
                     reply = await self._adopt(id, entry)
             finally:
-                self._is_taking = False  # during the trial that may follow, `candidate` is set
+                self._is_taking = False  # `_try` sets `candidate`, so the intake stays busy
             if reply is not None:
                 self._state.control.reply(reply)
-            else:  # the trial replies at its end
+            else:
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 

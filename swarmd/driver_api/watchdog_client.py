@@ -36,8 +36,9 @@ _FEED_PERIOD = 0.04
 class WatchdogProcess:
     """Starts a watchdog process, feeds it, and detects its end.
 
-    `name`: of the robot, as in `watchdog_name`; None: unnamed. `tie`: a process whose end also ends
-    the watchdog. `requires_zero`: while True, the daemon's commands must be zero.
+    `name`: the robot's name of `watchdog_name` (watchdog.py), by which a new watchdog relieves an
+    earlier one; None: no relief. `tie`: the id of a process whose end also ends the watchdog.
+    The watchdog sets the attribute `requires_zero`: while True, the caller must command zero.
     """
 
     def __init__(self, spec: ZeroSenderSpec, *, name: str | None, tie: int | None = None) -> None:

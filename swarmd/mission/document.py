@@ -61,14 +61,17 @@ def read_document(path: Path) -> Document:
     expanded = _expanded(root_keys)  # with {part: NAME} in place of NAME alone
     root, root_faults = read(expanded, Element, check)
     root_faults += check_names(expanded, (), part_names)
+    # Each call appends to `faults`.
+    report = dict(valid_names("report", file.report, part_names, faults))
+    parameters = dict(valid_names("parameters", file.parameters, part_names, faults))
     document = Document(
         path=path,
         description=file.mission,
         parts={name: part for name, part in file.parts.items() if is_part_name(name)},
         names=part_names,
         maps=maps,
-        report=dict(valid_names("report", file.report, part_names, faults)),
-        parameters=dict(valid_names("parameters", file.parameters, part_names, faults)),
+        report=report,
+        parameters=parameters,
         recovery=file.recovery,
         root=None if root_faults else root,
         faults=faults + root_faults,

@@ -547,9 +547,10 @@ class Constraints:
         left the place that the scan showed: two robots may slide past the last seen place of each
         other until their corners meet. So the function limits two corners of the outline: the
         foremost corners in the two directions 60 degrees to either side of the direction to the
-        point. Under these limits, two such robots do not touch before both have a new scan.
-        CREEP_SPEED is always allowed, and moving away stays free. A wall that stands has no such
-        constraints. Points behind the last cap of 0 in the chunk are skipped.
+        point. Each of two such robots may use up half of their gap until its next scan, so they do
+        not touch before. `_add_side` adds the limits, with two exceptions: walls that stand, and
+        CREEP_SPEED, which is always allowed. The loops also run over points with other caps, up to
+        the last cap of 0 in the chunk: without branches they are vectorised.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t

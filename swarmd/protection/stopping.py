@@ -400,8 +400,9 @@ class StopCheck:
             if not is_free and not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s):
                 return 1
 
-            # 3. The turn must not move a place outwards within the reach of the obstacle, of which
-            # the margin, a reserve for noise, is no part.
+            # 3. The turn must not move a place outwards within the reach of the obstacle. The turn
+            # acts during the whole step, so the reach is that of the middle of the step, after
+            # j + 0.5 steps. The reach excludes the margin, which is a reserve for noise.
             if self._stop_turns[j]:
                 reach: cython.double = needed_gap - margin + others * (step_s * (j + 0.5))
                 if present_gap < reach and self._turns_outwards(j, x, y, reach):

@@ -1,9 +1,11 @@
 """Replays a recorded run: the same inputs at the same times, through the same `Robot`.
 
-The replayed robot gets the recorded events of the pattern host, and the replayed pattern gets the
-inputs of the replayed robot. So a difference in the pattern causes no difference in protection, and
-vice versa. The robot begins with its recorded memory. Without a memory, or with other settings, the
-replay begins with a new robot, and the recording must begin outside a run.
+The replayed robot gets the recorded sensor data, and the recorded commands of the pattern. So a
+difference of the replayed pattern causes no difference of protection. The replayed pattern gets its
+inputs from the replayed robot. These are sensor data, not commands of protection, so a difference
+of protection causes no difference of the pattern. The robot begins with its recorded memory.
+Without a memory, or with other settings, the replay begins with a new robot, and the recording must
+begin outside a run.
 """
 
 from __future__ import annotations

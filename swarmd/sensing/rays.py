@@ -104,8 +104,10 @@ def sectors(scan: Scan | None, count: int) -> Array:
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
     """The points where surfaces come closest: (k, 2) of range in m and bearing in rad.
 
-    The points are the local minima of the ranges up to `within` m, among `count` equal sectors. A
-    robot gives one point, and so does a straight wall (the foot of the perpendicular).
+    Each of `count` equal sectors has a range: of its nearest ray up to `within` m, else inf. The
+    nearest ray of a sector is a point if both neighbouring sectors have greater ranges. Without
+    such a sector, the nearest rays of the sectors with the least range are the points. A robot
+    gives one point, and so does a straight wall (the foot of the perpendicular).
     """
     if scan is None:
         return np.empty((0, 2))

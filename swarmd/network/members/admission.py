@@ -98,8 +98,9 @@ class Admission:
 
         A flaw is a wrong role, a false author, or a datagram that is no longer fresh (a replay). A
         member list comes back without the robots that the roster lacks. Every other datagram comes
-        back unchanged. `is_claiming`: this robot does not own its id yet. Beacons of other claimers
-        of this id then decide who wins, and must be fresh, too.
+        back unchanged. A robot that joins claims its id by beacons. These need not be fresh, except
+        while this robot itself claims the same id (`is_claiming`): then they decide which robot
+        gets the id.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE

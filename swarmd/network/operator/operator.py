@@ -99,10 +99,10 @@ class Operator:
     ) -> None:
         """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
 
-        `name`: of the operator in a swarm without keys; None: the name of this user. `roster`:
+        `name`: the operator's name in a swarm without keys; None: the name of this user. `roster`:
         robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
-        tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: of an
-        agent that chooses the requests, for the audit of the robots.
+        tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: the
+        name of a program that chooses the requests, such as an agent; the robots' audit shows it.
         """
         settings.check()
         self.settings = settings
@@ -121,6 +121,7 @@ class Operator:
         self._rosters = RosterFollower(self, is_on=takes_rosters)
         self._arrivals = Arrivals()
         self._sessions = OperatorSessions(settings, identity, self._arrivals)
+        # The tag in the head of each datagram, which datagrams of other swarms lack.
         tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self._datagrams = OperatorDatagrams(
             carrier or self._open_carrier(tag),
@@ -128,7 +129,7 @@ class Operator:
             settings.interface_name,
             self._arrivals,
             self._take,
-            # The keys, and the checks of robots' datagrams.
+            # Signs datagrams and checks the answers of robots; None in a swarm without keys.
             answers=None if identity is None else self._answers_for(identity),
         )
         self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)

@@ -84,7 +84,7 @@ def sign_goal(goal: Goal, identity: Identity) -> Goal:
 
 
 def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
-    """The members in `view` without goals that lack a valid signature of their issuer.
+    """`view` with None for each reported goal whose issuer's signature is false or missing.
 
     A robot reports its goals in its status: the goal that it holds, its own goal, and the goal
     before. A stolen robot may report false goals. An operator must not show such goals as goals of

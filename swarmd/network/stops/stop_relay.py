@@ -186,12 +186,15 @@ class StopRelay:
         names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
         each part has its own senders.
 
-        1. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
+        1. A part with MAX_ACKS kept acks hands on no further ack.
+        2. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
            handed on whenever it comes.
-        2. Such an ack by way of a third robot could travel in circles: each sender gets it once for
-           each origin of the stop. The operator repeats a refused stop with a new origin.
-        3. Each sender gets any other ack once. The last ack of each robot is kept to be sent again,
-           but an ack that the base moves does not replace an ack that the base rests.
+        3. A third robot may hand on such an ack, which could then travel in circles. Each sender
+           gets the ack once for each origin of the stop (bytes that mark the operator's
+           installation). The operator repeats a refused stop with a new origin.
+        4. Each sender gets each other ack once: once for each code of the ack, and for each of the
+           two states of the base, moving and at rest. The last ack of each robot is kept to be sent
+           again. "Moving" does not replace a kept "at rest".
         """
         if ack.robot == self._own:
             return []
@@ -199,10 +202,10 @@ class StopRelay:
         is_refusal = ack.refusal == REPLAYED
         sends: list[Send] = []
         for (stop_id, _, _), relayed in self._stops.items():
-            if stop_id != ack.id or len(relayed.acks) >= MAX_ACKS:
+            if stop_id != ack.id or len(relayed.acks) >= MAX_ACKS:  # rule 1
                 continue
             receivers = [address for address in relayed.sources if address != source]
-            if is_refusal and not ack.via:
+            if is_refusal and not ack.via:  # rule 2
                 sends += [(handed, address) for address in receivers]
                 continue
             if not is_refusal and (not ack.is_moving or ack.robot not in relayed.acks):
