@@ -613,12 +613,12 @@ class BlindZoneMemory:
     ) -> cython.int:
         """Add the near returns of the scan before that may have crossed the rim as candidates.
 
-        A return is a candidate if no return of this scan lies near its place any more, or if an
-        obstacle enters its sector. A width in m that goes out of view is added to `_vanished_m`,
+        An old return is a candidate if this scan has no return near that place, or if an obstacle
+        enters the empty sector there. Widths in m that went out of view are added to `_vanished_m`
         and taken off `_emerged_m`, since noise at the rim shows the same width out and in.
 
-        `is_entered`: an obstacle enters any sector across the rim. `cos_turn`, `sin_turn`: of the
-        turn of the base. The other arguments are those of `_find`.
+        `is_entered`: whether an obstacle enters any sector across the rim. `cos_turn`, `sin_turn`:
+        of the turn of the base. The other arguments are those of `_find`.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
@@ -781,13 +781,13 @@ class BlindZoneMemory:
 
         An obstacle with an age above 0 is doubtful. The first case that fits a sector counts:
 
-        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: a ray at which
-           nothing else hides becomes doubtful, at the distance of the corner (rule 2 of the file).
-        2. An obstacle is hidden in a sector that is not too wide: the obstacle fills the sector.
-           Its age becomes 0 where a robot has room; else at most that of a doubtful obstacle while
-           an obstacle crosses the rim; else the age grows by `seconds`.
+        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: ages become at
+           most _DOUBTFUL. Rays at which nothing else hides get the distance of the corner (rule 2
+           of the file).
+        2. An obstacle is hidden in a sector that is not too wide: it fills the sector. The age: 0
+           in a sector as wide as a robot; else at most _DOUBTFUL if an obstacle crosses the rim;
+           else the age grows by `seconds`.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
-        4. Else the rays stay as they are.
         """
         n: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
@@ -812,14 +812,14 @@ class BlindZoneMemory:
             elif youngest < INFINITY and width_rad <= _MAX_SECTOR:
                 if width_rad >= self._narrowest_sector:
                     youngest = 0.0
-                elif self._crossings[k]:
+                elif self._crossings[k] > 0:
                     youngest = min(youngest, _DOUBTFUL)
                 else:
                     youngest += seconds
                 for i in range(first, after_last):
                     self._age_by_ray[_wrapped(i, n)] = youngest
                     self._nearest_by_ray[_wrapped(i, n)] = nearest
-            elif not self._crossings[k]:
+            elif self._crossings[k] == 0:
                 for i in range(first, after_last):
                     if 0.0 < self._age_by_ray[_wrapped(i, n)] < INFINITY:
                         self._age_by_ray[_wrapped(i, n)] += seconds

@@ -498,26 +498,27 @@ class StandingWalls:
         kept: cython.Py_ssize_t = 0
         for i in range(self._wall_count):
             wall: cython.Py_ssize_t = _W_FIELDS * i
-            keeps_bins: cython.bint = walls[wall + _W_SEEN] == 0.0
-            if keeps_bins and walls[wall + _W_MOVES] == 0.0:
+            is_at_place: cython.bint = walls[wall + _W_SEEN] != 0.0
+            is_elsewhere: cython.bint = not is_at_place and walls[wall + _W_MOVES] != 0.0
+            if is_at_place:
+                walls[wall + _W_MISSED] = 0.0
+            elif is_elsewhere:  # a next scan that does not show the wall exceeds _MISSED
+                walls[wall + _W_MISSED] = _MISSED
+            else:
                 walls[wall + _W_MISSED] += 1.0
                 if walls[wall + _W_MISSED] > _MISSED:
                     continue
-            elif keeps_bins:  # seen elsewhere: the next scan confirms that, or the wall is dropped
-                walls[wall + _W_MISSED] = _MISSED
-            else:
-                walls[wall + _W_MISSED] = 0.0
             to: cython.Py_ssize_t = _W_FIELDS * kept
             for j in range(_W_FIELDS):
                 walls[to + j] = walls[wall + j]
-            if not keeps_bins:
+            if is_at_place:  # the loop below finds the lowest and the highest bin anew
                 walls[to + _W_LOW], walls[to + _W_HIGH] = _BINS, -1.0
             for k in range(_BINS):
                 since: cython.double = (
-                    self._since[_BINS * i + k] if keeps_bins else self._next_since[_BINS * i + k]
+                    self._next_since[_BINS * i + k] if is_at_place else self._since[_BINS * i + k]
                 )
                 self._since[_BINS * kept + k] = since
-                if since < INFINITY and not keeps_bins:
+                if since < INFINITY and is_at_place:
                     walls[to + _W_HIGH] = k
                     if walls[to + _W_LOW] == _BINS:
                         walls[to + _W_LOW] = k
