@@ -19,10 +19,12 @@ from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, TouchZone, Twi
 from swarmd.protection.decision import Decision, DecisionContext, ModeDecision, Permit, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.protection import Protection
+from swarmd.protection.recovery import Clearance
+from swarmd.protection.right_of_way import RightOfWay
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
-from tests.support.kernel_forms import both_forms, compares_forms
+from tests.support.kernel_forms import both_forms, compares_forms, interpreted
 from tests.support.platforms import with_mode
 
 WAFFLE, BURGER = load_platform("waffle_pi"), load_platform("burger")
@@ -204,6 +206,26 @@ def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.Monke
     assert decided(Twist(0.1), context, Reason.STALE_SCAN).safe == Twist()
     assert decided(Twist(0.1), context).safe == Twist(0.1)
     assert len(judged) == 5
+
+
+def test_right_of_way_gets_the_last_reading_before_avoidance_began_and_all_since() -> None:
+    """Else it would not see a jump of the pose between the two, which moves all openings."""
+    kernel = interpreted("swarmd.protection.arbiter", because="it replaces a private part")
+    readings: list[float] = []
+
+    class Way(RightOfWay):
+        def on_odometry(self, odometry: Odometry) -> None:
+            readings.append(odometry.stamp)
+
+    protection = kernel.Protection(with_mode(WAFFLE, "barrier"))
+    protection._right_of_way = Way(Clearance(1.0, 0.3), WAFFLE.limits, "")
+    permits = (False, False, True, True, False, False)  # avoidance
+    for stamp, avoids in enumerate(permits):
+        protection.on_odometry(Odometry(float(stamp), Pose(), ZERO))
+        context = DecisionContext(float(stamp), 0.0)
+        permit = Permit(may_recover=True, avoids=avoids)
+        protection.decide(ZERO, context, is_running=True, hold=None, permit=permit)
+    assert readings == [2.0, 3.0, 4.0, 5.0]
 
 
 @compares_forms

@@ -267,6 +267,27 @@ def test_reported_constraints_bind_and_have_a_return() -> None:
     assert [row.gap for row in reported] == pytest.approx([2.9, 0.9])
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_of_many_tight_constraints_those_of_the_lowest_caps_and_gaps_are_reported(
+    seed: int,
+) -> None:
+    rng, count = np.random.default_rng(seed), 12
+    barrier = Barrier(KINDS[0])
+    constraints = barrier._feasible.constraints
+    rows, placed = constraints.rows, constraints.placed
+    constraints.axes.limit = KINDS[0].limits.linear
+    placed.seen = rows.count = rows.all = count
+    rows.cap = rows.x = rng.choice([0.0, 0.1, 0.2], count).tolist()  # all are tight at (1, 0)
+    rows.y, rows.gap = [0.0] * count, rng.choice([0.1, 0.2, 0.3, math.inf], count).tolist()
+    rows.source = list(range(count))
+    placed.x, placed.y = [1.0 + i for i in range(count)], [0.0] * count
+    ranked = sorted((rows.cap[i], rows.gap[i], i) for i in range(count))
+    expected = [i for _, gap, i in ranked if gap < math.inf][:4]
+    front = KINDS[0].footprint[:, 0].max()
+    reported = barrier._limiting.report(1.0, 0.0)
+    assert [round(row.gap + front - 1.0) for row in reported] == expected
+
+
 def test_constraint_across_the_motion_brakes_by_its_lever_only() -> None:
     """The stop check hides a wrong brake from tests of decisions."""
     rows = (0.0, -0.1), (1.0, 0.0), (-0.6, 0.1), (0.0, 0.0)

@@ -64,6 +64,7 @@ class Watch:
         self.rate, self.noise, self.lost = rate, noise, lost
         self.rng = np.random.default_rng(1)
         self.now, self.scans, self.ticks, self.wall = 0.0, 0, 0, WALL
+        self.order = np.arange(len(BEARINGS))  # of the rays in a scan
         self.told: Way | None = None  # of a disc that others tell of
         self.told_rate = 10.0
 
@@ -103,7 +104,8 @@ class Watch:
         ranges = ranges_at(self.pose(), [(way(self.now), r) for way, r in self.discs], self.wall)
         ranges = ranges + self.noise * self.rng.standard_normal(len(ranges))
         ranges[self.rng.random(len(ranges)) < self.lost] = np.inf
-        scan = Scan(self.scans, self.now, ranges, BEARINGS, 0.12, 3.5, None, 0.0)
+        rays = self.order
+        scan = Scan(self.scans, self.now, ranges[rays], BEARINGS[rays], 0.12, 3.5, None, 0.0)
         self.tracker.observe(scan, self.context())
 
 
@@ -219,6 +221,24 @@ def test_an_object_that_is_told_no_longer_is_forgotten() -> None:
     assert len(watch.run(2.0).tracks) == 1
     watch.told = None
     assert watch.run(2.0).tracks == ()
+
+
+@pytest.mark.parametrize("order", ["rotated", "overlapping", "falling", "mixed"])
+def test_the_order_of_the_rays_changes_nothing(order: str) -> None:
+    rays = np.arange(len(BEARINGS))
+    half = len(rays) // 2
+    orders = {
+        "rotated": np.roll(rays, 100),
+        "overlapping": np.r_[rays[:half], rays[half::2], rays[half + 1 :: 2]],  # a single fall
+        "falling": rays[::-1],
+        "mixed": np.random.default_rng(2).permutation(rays),
+    }
+    sorted_rays, watch = Watch([(crossing, 0.1)]), Watch([(crossing, 0.1)])
+    watch.order = orders[order]
+    expected, seen = sorted_rays.run(2.0), watch.run(2.0)
+    assert seen.tracks == expected.tracks
+    assert seen.walls.tolist() == expected.walls.tolist()
+    assert len(seen.tracks) == 1
 
 
 @compares_forms
