@@ -35,7 +35,8 @@ SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
 _WATCH_PERIOD = 0.1
-_SCAN, _SEGMENT, _ODOMETRY = "scan", "segment", "odometry"
+_SCAN, _ODOMETRY = "scan", "odometry"
+_SEGMENT = "segment"
 _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 

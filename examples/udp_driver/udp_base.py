@@ -223,7 +223,7 @@ def segment_of(message: SegmentMessage, seq: int, spec: ScanSpec) -> Scan:
     """The rays of a segment; the platform's sweep gives their order and their ages."""
     direction = 1.0 if spec.sweep is None else spec.sweep.direction
     ranges = np.asarray(message.ranges, dtype=np.float64)
-    numbers = message.first % message.rays + direction * np.arange(len(ranges))
+    numbers = message.first % message.rays + direction * np.arange(len(ranges), dtype=np.float64)
     bearings = 2.0 * np.pi / message.rays * numbers + float(spec.bearings[0])
     return Scan(seq, message.stamp, ranges, bearings, spec.range_min, spec.range_max)
 

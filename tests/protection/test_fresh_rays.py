@@ -1,6 +1,6 @@
 """Fresh rays of mode `barrier`: what segments of a turn show, and what stays without them.
 
-The judge is tests/support/turning_lidar.py, where each ray has a time and each disc a place.
+The judge is tests/support/segment_history.py, where each ray has a time and each disc a place.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.sensing.segments import ScanSegment
-from tests.support import turning_lidar
+from tests.support import segment_history
 from tests.support.barrier_parts import KERNEL, interpreted
 from tests.support.filter_sim import under_barrier
 from tests.support.kernel_forms import both_forms, compares_forms
-from tests.support.turning_lidar import OTHERS_SPEED, TRANSPORT, TURN, TurningLidar, Watched
+from tests.support.segment_history import OTHERS_SPEED, TRANSPORT, TURN, SegmentHistory, Watched
 
 SECONDS = 3.0
 LOOKS = 0.02  # s between two looks
@@ -31,13 +31,13 @@ SEEN_WITHIN = 0.012  # m from a return in which the lidar measured the same plac
 
 
 def watched(*, takes_segments: bool = True) -> Watched:
-    barrier = interpreted(turning_lidar.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0)
+    barrier = interpreted(segment_history.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0)
     return Watched(barrier, takes_segments=takes_segments)
 
 
 def histories(seed: int, lost: float, *, takes_segments: bool = True) -> list[tuple[float, Array]]:
     """The time in s and the near returns (k, 3) at each look."""
-    lidar, barrier = TurningLidar(seed, SECONDS), watched(takes_segments=takes_segments)
+    lidar, barrier = SegmentHistory(seed, SECONDS), watched(takes_segments=takes_segments)
     looks, found = iter(np.arange(SETTLED, SECONDS - TURN, LOOKS)), []
     look = next(looks)
     for arrival in lidar.arrivals(lost):
@@ -52,7 +52,7 @@ def histories(seed: int, lost: float, *, takes_segments: bool = True) -> list[tu
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(3))
 def test_no_return_is_younger_than_a_measurement_of_its_place(seed: int, lost: float) -> None:
-    lidar, barrier = TurningLidar(seed, SECONDS), watched()
+    lidar, barrier = SegmentHistory(seed, SECONDS), watched()
     for arrival in lidar.arrivals(lost):
         barrier.take(arrival)
         if arrival.at < SETTLED:
@@ -69,7 +69,7 @@ def test_no_return_is_younger_than_a_measurement_of_its_place(seed: int, lost: f
 @pytest.mark.parametrize("lost", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(3))
 def test_each_disc_is_behind_a_return_or_as_near_as_its_age_allows(seed: int, lost: float) -> None:
-    lidar = TurningLidar(seed, SECONDS)
+    lidar = SegmentHistory(seed, SECONDS)
     for now, returns in histories(seed, lost):
         for place, radius in zip(lidar.discs(now), lidar.radii, strict=True):
             if np.hypot(*(place - lidar.lidar(now))) - radius < 0.8:
@@ -106,8 +106,8 @@ def test_without_segments_the_returns_of_a_turn_stay_until_the_next() -> None:
 
 @compares_forms
 def test_decisions_after_segments_are_the_same_compiled_and_interpreted() -> None:
-    lidar = TurningLidar(5, 2.0)
-    settings = under_barrier(turning_lidar.PLATFORM, others_speed=OTHERS_SPEED)
+    lidar = SegmentHistory(5, 2.0)
+    settings = under_barrier(segment_history.PLATFORM, others_speed=OTHERS_SPEED)
     forms = [Watched(kernel.Barrier(settings)) for kernel in both_forms(KERNEL)]
     decided = 0
     for arrival in lidar.arrivals(0.2):
@@ -133,9 +133,9 @@ class Ring:
     """
 
     def __init__(self) -> None:
-        self.spec = turning_lidar.PLATFORM.scan
+        self.spec = segment_history.PLATFORM.scan
         self.barrier = interpreted(
-            turning_lidar.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0
+            segment_history.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0
         )
         self._odometry = Odometry(STAMP, Pose(), ZERO)
 

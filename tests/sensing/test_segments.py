@@ -64,9 +64,9 @@ def test_segments_of_a_turn_follow_each_other() -> None:
 @pytest.mark.parametrize("has_ages", [True, False])
 def test_ages_are_those_of_the_driver_or_of_the_sweep(has_ages: bool) -> None:
     scan = segment(3)
-    ages = scan.ages
+    assert scan.ages is not None
     found = taken(after_turn(), scan if has_ages else structs.replace(scan, ages=None))
-    np.testing.assert_allclose(found.ages, ages, atol=1e-12)
+    np.testing.assert_allclose(found.ages, scan.ages, atol=1e-12)
 
 
 def test_a_ray_is_never_younger_than_its_latency_and_its_stamp_say() -> None:

@@ -1,228 +1,196 @@
-"""One robot whose lidar measures its rays one after the other, among discs that move; exact.
-
-The judge of segments (swarmd/protection/fresh_rays.py): all places and times are known. It shares
-no code with protection.
-"""
+"""A robot that turns on the spot in a room with a lidar whose rays are measured one by one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
-from swarmd.protection.decision import ModeDecision
-from swarmd.protection.footprint import ScanGeometry
-from swarmd.robot.sensors import Sensors
-from swarmd.settings.platforms import load_platform
+from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing.measured_sweep import Order
+from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanDelay
 
-TURN = 0.2  # s
-RAYS = 360
-SEGMENTS = 8
-OTHERS_SPEED = 0.30  # m/s
-TRANSPORT = 0.001  # s
-ROOM = 2.5  # m, radius of the room
-NEAREST = 0.24  # m from the axle that a disc keeps
-_STEP = 0.0025  # s
-_BURGER = load_platform("burger")
-PLATFORM: Platform = replace(
-    _BURGER,
-    scan=replace(
-        _BURGER.scan,
-        segments=SEGMENTS,
-        near="reported",
-        zero="no_return",
-        range_min=0.05,
-        is_noisy=False,
-    ),
-)
+STEP = 0.01  # s
+ODOMETRY_PERIOD = 0.05
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
-    """What arrives at `at` s: odometry, a segment or a whole turn."""
+@dataclass(frozen=True)
+class Lidar:
+    """`rays` of `rate` scans a second, measured in an order of the message.
 
-    at: float
-    kind: str
-    value: Any
+    `claim` in s: the duration that the driver tells, in rising order whatever is true; 0: nothing.
+    `delay`: s by which scans are later than the platform's latency, up to `jitter` more at random;
+    `scan_clock` s: of its stamps.
+    """
+
+    order: Order
+    rate: float = 5.0
+    rays: int = 360
+    claim: float = 0.0
+    step: float = 1.0
+    first: float = 0.0
+    noise: float = 0.01
+    dropouts: float = 0.0
+    delay: float = 0.0
+    jitter: float = 0.0
+    scan_clock: float = 0.0
+    odometry_scale: float = 1.0
+    are_wheels_in_the_air: bool = False
+
+    def spec(self, *, measures_sweep: bool = True) -> ScanSpec:
+        """Its platform, which does not tell the sweep."""
+        step = math.copysign(2.0 * math.pi / self.rays, self.step)
+        bearings: Array = self.first + step * np.arange(self.rays, dtype=np.float64)
+        bearings = (bearings + math.pi) % (2.0 * math.pi) - math.pi
+        bearings.flags.writeable = False
+        return ScanSpec(
+            bearings,
+            self.rate,
+            0.12,
+            8.0,
+            offset=(-0.04, 0.0),
+            latency=0.5 / self.rate,
+            measures_sweep=measures_sweep,
+        )
+
+
+class Room:
+    """A rectangle with posts that stand still and neighbours that walk around the robot."""
+
+    def __init__(self, rng: np.random.Generator, *, most_neighbors: int = 4) -> None:
+        width, depth = rng.uniform(1.5, 6.0, 2)
+        across, along = rng.uniform(0.2, 0.8, 2)
+        self._walls = -across * width, (1.0 - across) * width, -along * depth, (1.0 - along) * depth
+        posts, neighbors = int(rng.integers(0, 7)), int(rng.integers(0, most_neighbors + 1))
+        angles = rng.uniform(0.0, 2.0 * math.pi, posts + neighbors)
+        distances = rng.uniform(0.5, 2.0, posts + neighbors)
+        radii = np.append(rng.uniform(0.05, 0.25, posts), np.full(neighbors, 0.1))
+        rates = np.append(np.zeros(posts), rng.uniform(-0.5, 0.5, neighbors))
+        self._discs = list(zip(angles, distances, radii, rates, strict=True))
+
+    def ranges(self, x: Array, y: Array, angles: Array, times: Array) -> Array:
+        """The exact ranges of rays, each from its own place at its own time."""
+        cos, sin = np.cos(angles + 1e-9), np.sin(angles + 1e-9)  # along no wall
+        left, right, low, high = self._walls
+        to_x = np.where(cos > 0.0, right - x, left - x) / cos
+        ranges = np.minimum(to_x, np.where(sin > 0.0, high - y, low - y) / sin)
+        for angle, distance, radius, rate in self._discs:
+            ahead = distance * np.cos(angle + rate * times) - x
+            aside = distance * np.sin(angle + rate * times) - y
+            along = ahead * cos + aside * sin
+            half = radius**2 - (ahead**2 + aside**2 - along**2)
+            hit = along - np.sqrt(np.maximum(half, 0.0))
+            ranges = np.where((half >= 0.0) & (hit > 0.0), np.minimum(ranges, hit), ranges)
+        return np.asarray(ranges, np.float64)
+
+
+def swinging(rate: float, period: float, seconds: float) -> Array:
+    """Headings each STEP, at a rate of turn up to `rate` rad/s to both sides."""
+    time = np.arange(0.0, seconds, STEP)
+    yaws: Array = rate * period / (2.0 * math.pi) * (1.0 - np.cos(2.0 * math.pi * time / period))
+    return yaws
+
+
+def wandering(rng: np.random.Generator, seconds: float, *, fastest: float = 2.0) -> Array:
+    """Headings, each STEP, of a robot that stands and turns to random sides for random times."""
+    rates = np.zeros(round(seconds / STEP))
+    begin = 0
+    while begin < len(rates):
+        begin += round(rng.uniform(0.3, 2.0) / STEP)
+        end = begin + round(rng.uniform(0.5, 2.5) / STEP)
+        rates[begin:end] = rng.uniform(0.5, fastest) * rng.choice((-1.0, 1.0))
+        begin = end
+    smooth = np.convolve(rates, np.full(30, 1.0 / 30.0), mode="same")  # accelerates for 0.3 s
+    yaws: Array = np.cumsum(smooth) * STEP
+    return yaws
 
 
 class TurningLidar:
-    """A random history: the robot, the discs, and what the lidar measures of them."""
+    """Runs a lidar on a robot with headings each STEP through delay, order and de-skew.
 
-    def __init__(self, seed: int, seconds: float, discs: int = 4) -> None:
-        self._rng = np.random.default_rng(seed)
-        self.seconds = seconds
-        self._count = int(seconds / _STEP) + 200
-        self._poses = self._drive()
-        self.radii = self._rng.uniform(0.04, 0.1, discs)
-        self._places = self._move(discs)
-        self.measured: list[Array] = []  # (k, 3) s, x and y of the returns of each turn
+    `error`: the largest error in rad of a return's bearing in the last scan, against its place at
+    the time that the scan counts as of. `raw` and `seen`: the last scan, before and after.
+    """
 
-    def _drive(self) -> Array:
-        poses, (x, y, yaw), twist = np.empty((self._count, 3)), (0.0, 0.0, 0.0), (0.0, 0.0)
-        for k in range(self._count):
-            if k % 80 == 0:
-                twist = self._rng.uniform(-0.22, 0.22), self._rng.uniform(-2.0, 2.0)
-            poses[k] = x, y, yaw
-            x += twist[0] * _STEP * math.cos(yaw)
-            y += twist[0] * _STEP * math.sin(yaw)
-            yaw += twist[1] * _STEP
-        return poses
+    def __init__(
+        self, lidar: Lidar, yaws: Array, rng: np.random.Generator, room: Room | None = None
+    ) -> None:
+        self.lidar, self.yaws, self._rng = lidar, yaws, rng
+        self.room = Room(rng) if room is None else room
+        self.spec = lidar.spec()
+        self.delays = ScanDelay(self.spec)
+        self._history = OdometryHistory(self.delays)
+        self._deskewer = Deskewer(self.spec, self._history, self.delays.sweep)
+        self._ages = lidar.order.ages(lidar.rays)
+        self._claim = Order(1.0, lidar.claim).ages(lidar.rays) if lidar.claim else None
+        self._times = STEP * np.arange(len(yaws))
+        self._told = 0  # readings of odometry so far
+        self._seq = round(1.2 * lidar.rate)
+        self.raw = self.seen = Scan(0, 0.0, np.empty(0), np.empty(0), 0.0, 0.0)
+        self.time, self.error = 0.0, 0.0
 
-    def _move(self, discs: int) -> Array:
-        """(steps, discs, 2) places: discs circle around the robot, or move anyhow."""
-        angles = self._rng.uniform(0.0, 2.0 * math.pi, discs)
-        places = np.empty((self._count, discs, 2))
-        places[0] = np.column_stack((np.cos(angles), np.sin(angles)))
-        places[0] *= self._rng.uniform(0.4, 0.8, (discs, 1))
-        headings = angles.copy()
-        for k in range(1, self._count):
-            offsets = places[k - 1] - self._poses[k - 1, :2]
-            if k % 40 == 1:
-                around = np.arctan2(offsets[:, 1], offsets[:, 0])
-                sides = self._rng.choice([-0.5, 0.5], discs) * math.pi
-                free = self._rng.uniform(-math.pi, math.pi, discs)
-                circles = self._rng.random(discs) < 0.6
-                headings = np.where(circles, around + sides, free)
-            ways = np.column_stack((np.cos(headings), np.sin(headings)))
-            far = np.hypot(offsets[:, 0], offsets[:, 1])
-            is_near = far < NEAREST + self.radii
-            ways[is_near] = offsets[is_near] / far[is_near, None]
-            places[k] = places[k - 1] + OTHERS_SPEED * _STEP * ways
-        return places
+    @property
+    def order(self) -> Order | None:
+        """The order that is known."""
+        assert self.delays.sweep is not None
+        order: Order | None = self.delays.sweep.order
+        return order
 
-    def _at(self, table: Array, times: Array) -> Array:
-        steps = times / _STEP
-        before = np.clip(np.floor(steps).astype(int), 0, self._count - 2)
-        share = (steps - before).reshape(-1, *(1,) * (table.ndim - 1))
-        between: Array = table[before] * (1.0 - share) + table[before + 1] * share
-        return between
+    def turned(self) -> float:
+        """rad turned so far, to both sides."""
+        return float(np.abs(np.diff(self.yaws[: round(self.time / STEP)])).sum())
 
-    def pose(self, now: float) -> Array:
-        """(3,) x, y in m and yaw in rad of the robot."""
-        pose: Array = self._at(self._poses, np.array([now]))[0]
-        return pose
+    def next_scan(self) -> bool:
+        """Measure a scan and let it arrive; False after the last heading."""
+        lidar = self.lidar
+        self._seq += 1
+        newest = self._seq / lidar.rate
+        arrival = newest - float(self._ages.mean()) + self.spec.latency + lidar.delay
+        arrival += float(self._rng.uniform(0.0, lidar.jitter))
+        if arrival + STEP > self._times[-1]:
+            return False
+        while self._told * ODOMETRY_PERIOD <= arrival:
+            self._tell_odometry(self._told * ODOMETRY_PERIOD)
+            self._told += 1
+        self.time = arrival
+        self.raw, x, y = self._measure(newest)
+        self.delays.on_scan(self.raw, arrival)
+        age = arrival - (self._told - 1) * ODOMETRY_PERIOD
+        self.seen = self._deskewer.deskew(self.raw, arrival, age, self.delays.added)
+        middle = newest if self.order is not None else newest - float(self._ages.mean())
+        self.error = self._error(x, y, middle)
+        return True
 
-    def discs(self, now: float) -> Array:
-        """(discs, 2) the middles in m."""
-        places: Array = self._at(self._places, np.array([now]))[0]
-        return places
+    def _tell_odometry(self, at: float) -> None:
+        scale = self.lidar.odometry_scale
+        yaw, before = scale * self._yaw(at), scale * self._yaw(at - ODOMETRY_PERIOD)
+        rate = float(yaw - before) / ODOMETRY_PERIOD
+        pose = Pose(0.0, 0.0, math.remainder(float(yaw), 2.0 * math.pi))
+        odometry = Odometry(at, pose, Twist(0.0, rate))
+        self._history.take(odometry, at)
 
-    def lidar(self, now: float) -> Array:
-        """(2,) the place of the lidar in m."""
-        x, y, yaw = self.pose(now)
-        along, aside = PLATFORM.scan.offset
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        return np.array((x + cos * along - sin * aside, y + sin * along + cos * aside))
+    def _yaw(self, at: Array | float) -> Array:
+        return np.asarray(np.interp(at, self._times, self.yaws), np.float64)
 
-    def _ranges(self, times: Array, bearings: Array) -> tuple[Array, Array]:
-        """(n,) ranges in m of rays, and (n, 2) the places of their returns."""
-        poses, discs = self._at(self._poses, times), self._at(self._places, times)
-        cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        along, aside = PLATFORM.scan.offset
-        start = poses[:, :2] + np.column_stack(
-            (cos * along - sin * aside, sin * along + cos * aside)
-        )
-        rays = np.column_stack((np.cos(bearings + poses[:, 2]), np.sin(bearings + poses[:, 2])))
-        to_discs = discs - start[:, None]
-        ahead = (to_discs * rays[:, None]).sum(axis=2)
-        beside = np.abs(to_discs[:, :, 1] * rays[:, :1] - to_discs[:, :, 0] * rays[:, 1:])
-        chord = np.sqrt(np.maximum(self.radii**2 - beside**2, 0.0))
-        hits = np.where((beside < self.radii) & (ahead > 0.0), ahead - chord, np.inf).min(axis=1)
-        middle = (start * rays).sum(axis=1)
-        wall = np.sqrt(middle**2 - (start**2).sum(axis=1) + ROOM**2) - middle
-        ranges = np.minimum(hits, wall)
-        return ranges, start + ranges[:, None] * rays
+    def _sensor(self, at: Array | float) -> tuple[Array, Array, Array]:
+        yaw = np.asarray(self._yaw(at) * (not self.lidar.are_wheels_in_the_air))
+        return self.spec.offset[0] * np.cos(yaw), self.spec.offset[0] * np.sin(yaw), yaw
 
-    def arrivals(self, lost: float = 0.0) -> Iterator[Arrival]:
-        """All inputs in order; a share `lost` of the segments, and a quarter of it of the turns."""
-        inputs = [
-            Arrival(0.05 * k, "odometry", self._odometry(0.05 * k))
-            for k in range(int(self.seconds / 0.05))
-        ]
-        for turn in range(int(self.seconds / TURN)):
-            inputs += self._turn(turn, lost)
-        yield from sorted(inputs, key=lambda arrival: arrival.at)
-
-    def _odometry(self, now: float) -> Odometry:
-        pose, later = self.pose(now), self.pose(now + _STEP)
-        way = (later - pose) / _STEP
-        ahead = way[0] * math.cos(pose[2]) + way[1] * math.sin(pose[2])
-        return Odometry(now, Pose(*pose.tolist()), Twist(float(ahead), float(way[2])))
-
-    def _turn(self, turn: int, lost: float) -> Iterator[Arrival]:
-        spec, begin = PLATFORM.scan, turn * TURN
-        order = np.argsort((-spec.bearings - math.radians(0.5)) % (2.0 * math.pi), kind="stable")
-        times = begin + TURN / RAYS * np.arange(RAYS)
-        ranges, places = self._ranges(times, spec.bearings[order])
-        self.measured.append(np.column_stack((times, places)))
+    def _measure(self, newest: float) -> tuple[Scan, Array, Array]:
+        """The raw scan, and the places (n,) of its returns."""
+        lidar, spec, times = self.lidar, self.spec, newest - self._ages
+        x, y, yaw = self._sensor(times)
+        angles = yaw + spec.bearings
+        ranges = self.room.ranges(x, y, angles, times)
+        place = x + ranges * np.cos(angles), y + ranges * np.sin(angles)
+        ranges = ranges + self._rng.normal(0.0, lidar.noise, lidar.rays)
+        ranges[self._rng.random(lidar.rays) < lidar.dropouts] = math.nan
+        stamp = newest - float(self._ages.max()) + lidar.scan_clock
         limits = spec.range_min, spec.range_max
-        for number in range(SEGMENTS - 1):
-            own = slice(number * RAYS // SEGMENTS, (number + 1) * RAYS // SEGMENTS)
-            ages = times[own][-1] - times[own]
-            part = Scan(turn, times[own][0], ranges[own], spec.bearings[order[own]], *limits, ages)
-            if self._rng.random() >= lost:
-                yield Arrival(times[own][-1] + TRANSPORT, "segment", part)
-                if self._rng.random() < 0.05:
-                    yield Arrival(times[own][-1] + 0.03, "segment", part)
-        all_ranges, ages = np.empty(RAYS), np.empty(RAYS)
-        all_ranges[order], ages[order] = ranges, times[-1] - times
-        if self._rng.random() >= 0.25 * lost:
-            whole = Scan(turn, begin, all_ranges, spec.bearings, *limits, ages)
-            yield Arrival(times[-1] + TRANSPORT, "scan", whole)
+        return Scan(self._seq, stamp, ranges, spec.bearings, *limits, self._claim), *place
 
-
-class Watched:
-    """A barrier that takes the inputs, and the near returns that it holds, in the world."""
-
-    def __init__(self, barrier: Any, *, takes_segments: bool = True) -> None:
-        """`barrier`: interpreted, so that its parts can be read."""
-        self._barrier, self._takes_segments = barrier, takes_segments
-        self._sensors, self._geometry = Sensors(PLATFORM), ScanGeometry(PLATFORM.scan)
-        self.taken = 0  # segments
-        self.ignored: list[str] = []
-
-    def take(self, arrival: Arrival) -> None:
-        """Take an input."""
-        sensors, now = self._sensors, arrival.at
-        if arrival.kind == "odometry":
-            sensors.on_odometry(arrival.value, now)
-        elif arrival.kind == "scan":
-            if sensors.on_scan(arrival.value, now):
-                assert sensors.scan is not None
-                self._barrier.observe(sensors.scan, self._geometry, sensors.context(now))
-        elif self._takes_segments:
-            segment = sensors.on_segment(arrival.value, now)
-            if isinstance(segment, str):
-                self.ignored.append(segment)
-            elif segment is not None:
-                self.taken += 1
-                self._barrier.observe_segment(segment, sensors.context(now))
-
-    def decide(self, requested: Twist, now: float) -> ModeDecision:
-        """The decision at `now` for a robot that stands."""
-        context = self._sensors.context(now)
-        decision: ModeDecision = self._barrier.decide(requested, context, ZERO, None)
-        return decision
-
-    def returns(self, lidar: TurningLidar) -> Array:
-        """(k, 3) x, y in m in the world, and the time in s, of the near returns."""
-        feasible = self._barrier._feasible
-        motion, points = feasible.motion, feasible.near.points
-        if not math.isfinite(motion.measured_at):
-            return np.empty((0, 3))
-        x, y, yaw = lidar.pose(motion.measured_at)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        rows = [
-            (
-                x + cos * points.x[i] - sin * points.y[i],
-                y + sin * points.x[i] + cos * points.y[i],
-                motion.measured_at - points.age[i],
-            )
-            for i in range(points.count)
-        ]
-        return np.array(rows).reshape(-1, 3)
+    def _error(self, x: Array, y: Array, at: float) -> float:
+        own_x, own_y, yaw = self._sensor(np.array(at))
+        off: Array = self.seen.bearings[-self.lidar.rays :] - np.arctan2(y - own_y, x - own_x) + yaw
+        return float(np.abs((off + math.pi) % (2.0 * math.pi) - math.pi).max())

@@ -199,11 +199,11 @@ def test_segments_have_the_ranges_of_their_turn_before_it_is_whole(count: int) -
         for world in (with_segments, without):
             if step % 20 == 0:
                 world.begin_scans(np.array([0]))
-        ((_, expected),) = without.arrived_scans() or [(0, None)]
-        ((_, scan),) = with_segments.arrived_scans() or [(0, None)]
+        expected, arrived = dict(without.arrived_scans()), dict(with_segments.arrived_scans())
+        assert expected.keys() == arrived.keys()
         segments += [(with_segments.time, one) for _, one in with_segments.arrived_segments()]
-        if scan is not None and expected is not None:
-            np.testing.assert_array_equal(scan.ranges, expected.ranges)
+        for row, scan in arrived.items():
+            np.testing.assert_array_equal(scan.ranges, expected[row].ranges)
             scans.append(scan)
         with_segments.step()
         without.step()
