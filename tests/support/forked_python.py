@@ -152,7 +152,7 @@ def fork_hosts() -> None:
             os._exit(code)
     theirs.close()
     server = Server(ours, HOSTS)
-    subprocess.Popen = type("ForkedPython", (ForkedPython,), {"server": server})  # type: ignore[misc]
+    subprocess.Popen = type("ForkedPython", (ForkedPython,), {"server": server})  # type: ignore[assignment, misc]
 
 
 def _become_subreaper(value: bool) -> None:
