@@ -73,7 +73,7 @@ class FieldTools:
 
     `instance`: marks this life of the daemon, in hex. `version`: of the package. `keys` returns a
     summary of the present roster, `sandbox` the sandbox of the pattern host. `audit`: the audit
-    log. `storage_fault`: why a restart would lose latches, as in `Health`; empty without a fault.
+    log. `storage_fault`: why a restart would lose latches; empty without a fault.
     """
 
     def __init__(
