@@ -39,7 +39,7 @@ Meaning = Annotated[str, Meta(min_length=1, max_length=100)]
 class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `hazards`.
 
-    - `field`: a number in a message of `type`, as in `readings`.
+    - `field`: the number in a message of `type`, by names and indices with dots: `data.0`.
     - `list`: a list in the message, each of whose items has the field.
     - `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or a
       mapping from numbers to hazards. A hazard is a kind, and its place if known: `bump`, or

@@ -153,7 +153,7 @@ def fleet_for(
     sets: tuple[str, ...],
     **others: Any,
 ) -> FleetSpec:
-    """The fleet of the values of `fleet_options`; see `plain_fleet` and `scenario_fleet`."""
+    """The fleet by the values of `fleet_options`: of `scenario`, or of one platform without it."""
     if scenario is not None:
         from swarmd.sim.experiments.plan import parse_sets
 

@@ -119,7 +119,7 @@ class Cluster:
         note: Note,
         at_a_time: int | None,
     ) -> None:
-        """See `connect` for the arguments. Workers report progress of runs under `_topic`."""
+        """Made by `connect`. Workers report progress of runs under `_topic`."""
         self.manifest = manifest
         self._client, self._address = client, address
         self._timeout = timeout

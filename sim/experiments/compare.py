@@ -104,7 +104,7 @@ def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]
 
     Two folders with the same variants give a pair for each variant. ConfigError if `a` and `b` name
     different variants, or if one names a single variant and the other names several.
-    `is_trusted`: metrics in Python files run unchecked, as in `load_results`.
+    `is_trusted`: metrics in Python files run even if the files are new or have changed.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:

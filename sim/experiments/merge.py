@@ -37,7 +37,7 @@ def merge(
     may hold parts from an earlier call. Parts from different processors are joined, and the
     manifest names all processors. ConfigError, before any change of `out`, if the parts are of
     different experiments or software, have different results of one run, or lack a trace.
-    `is_trusted`: metrics in Python files run unchecked, as in `load_results`.
+    `is_trusted`: metrics in Python files run even if the files are new or have changed.
     """
     # 1. Manifests and tables of the parts, which must agree.
     if out.resolve() in [folder.resolve() for folder in folders]:

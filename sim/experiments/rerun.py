@@ -53,9 +53,9 @@ def rerun(
     An empty text: the traces are equal bit by bit; without traces, the metrics are equal. Runs are
     repeated from the manifest alone, and nothing in `folder` changes. With `out`, all runs are
     repeated in this folder. Without, the finished runs are repeated in a temporary folder.
-    `processes`: runs at a time. `timeout`: see `run_jobs`. `is_trusted`: Python files that the
-    manifest names run unchecked. ConfigError if `folder` is no experiment, has no finished run, or
-    is `out`, and if a Python file is not trusted (see `warnings` above).
+    `processes`: runs at a time. `timeout`: s without progress, then a run fails. `is_trusted`:
+    Python files that the manifest names run unchecked. ConfigError if `folder` is no experiment,
+    has no finished run, or is `out`, and if a Python file is not trusted (see `warnings` above).
     """
     before = load_results(folder)
     if not before.runs:

@@ -298,7 +298,8 @@ def tune(
     - `pseudo_reality`: the held-out runs are repeated with the scenario's `pseudo_reality` on, so
       that `drops` of the result says how much worse the metric is there.
     - `candidates`: the most new candidates of a race.
-    - `jobs`, `timeout`: as for `simulate`. The result does not depend on `jobs`.
+    - `jobs`: worker processes. `timeout`: s without progress after which a run fails. The result
+      does not depend on `jobs`.
     - `out`: the folder of the tuning. A repeated call with this folder and equal arguments
       continues an interrupted tuning. Without `out` the results lie in a temporary folder, which is
       deleted with the returned object or on an error.

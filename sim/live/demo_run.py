@@ -272,8 +272,9 @@ class DemoRun:
     ) -> DemoSummary:
         """The summary of the demo; adds states and reports of robots to the trace file.
 
-        `began`: as in `perform`. `started`: the robots that run the first patterns. `before`,
-        `after`: statuses at the start and at the end. `stop_outcome`: of the stop at the end.
+        `began`: s on the clock since boot, the start of the user's command. `started`: the robots
+        that run the first patterns. `before`, `after`: statuses at the start and at the end.
+        `stop_outcome`: of the stop at the end.
         """
         # 1. The trace and its numbers.
         spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))

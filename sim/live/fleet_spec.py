@@ -126,8 +126,8 @@ def scenario_fleet(
     """The fleet of a scenario: its arena, robots, fields and radio, with one seed.
 
     `scenario`: a name of `exp list` or a YAML file. `folder`: for logs and state. `overrides`: by
-    dotted key of the file. `emulator`: as in `plain_fleet`. `tell` is called with notes.
-    ConfigError names the wrong key.
+    dotted key of the file. `emulator`: the driver whose protocol is simulated, or None. `tell` is
+    called with notes. ConfigError names the wrong key.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.live_scenario import LiveScenario, check_live

@@ -90,7 +90,7 @@ class SimulatedSwarm:
     def connect(
         self, *, timeout: float | None = None, tell: Callable[[str], object] | None = None
     ) -> Connection:
-        """A connection to this swarm; see `swarmd.connect`. Its maps show true positions."""
+        """A connection as of `swarmd.connect`, whose maps show true positions."""
         return Connection(lambda _: self._operator(), timeout=timeout, tell=tell, places=self.poses)
 
     def poses(self) -> dict[str, tuple[float, float, float]]:

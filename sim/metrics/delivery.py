@@ -1,4 +1,4 @@
-"""Items that robots have delivered; see `ItemKind` of the world."""
+"""Items that robots have delivered, in the disc `nest` of their kind (world/item_kind.py)."""
 
 from __future__ import annotations
 

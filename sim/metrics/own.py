@@ -46,7 +46,11 @@ class MetricError(SwarmError):
 def metric(
     *, unit: str = "", better: Better | None = None, is_time_to_event: bool = False
 ) -> Callable[[_Function], _Function]:
-    """Give a function of a trace its unit and direction; see `Metric` for their meaning."""
+    """Make a function of a trace a metric with a unit and a direction.
+
+    `better`: the better direction; None if it depends on the task. `is_time_to_event`: the value is
+    a duration in s, None where the event never happened.
+    """
 
     def decorated(function: _Function) -> _Function:
         attributes = {"unit": unit, "better": better, "is_time_to_event": is_time_to_event}

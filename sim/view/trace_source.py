@@ -78,7 +78,7 @@ class TraceSource:
 
     @property
     def descriptions(self) -> Mapping[str, Mapping[str, Any]]:
-        """The units of reports by pattern; see `swarmd.view.source.Source`."""
+        """By pattern: `report_units`, the units of its reports."""
         return self._shown.descriptions
 
     @property

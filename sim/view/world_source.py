@@ -19,7 +19,7 @@ from swarmd.view.source import ShownRobot, link_of
 
 
 class WorldSource(LiveSource):
-    """See `swarmd.view.source.Source`. Positions are those of the world, not of odometry."""
+    """A running world as a `Source` (view/source.py), with positions of the world, not odometry."""
 
     kind = "world"
 

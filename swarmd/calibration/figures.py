@@ -33,7 +33,7 @@ class Figure(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The figure in a report, whose values are scalars; see `parse`."""
+        """The figure as a text of a report, whose values are scalars; `parse` reads this text."""
         if self.why:
             return f"- {self.assumed:.6g} {self.why}"
         return f"{self.value:.6g} {self.spread:.6g} {self.samples} {self.assumed:.6g}"

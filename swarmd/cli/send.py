@@ -44,7 +44,11 @@ def known_members(
     is_request_next: bool = False,
     needs_status: bool = True,
 ) -> MembersView:
-    """See `Session.look`."""
+    """Query all members, and tell the user which robots are missing; returns the members.
+
+    `is_request_next`: half of the time is left for a request. `needs_status` False: a beacon is an
+    answer.
+    """
     session = session_of(options, operator)
     return session.look(is_request_next=is_request_next, needs_status=needs_status)
 
@@ -84,7 +88,10 @@ class Asked:
 
 @contextmanager
 def asking(options: CommonOptions, targets: Targets, *, needs_status: bool) -> Iterator[Asked]:
-    """A session in the swarm after a look, and the targets of requests. See `Session.target`."""
+    """A session in the swarm after a query of all members, and the targets of requests.
+
+    RequestError if no robot is a target. Half of the time is left for requests.
+    """
     with options.operator() as operator:
         session = session_of(options, operator)
         yield Asked(options, session.target(targets, needs_status=needs_status))

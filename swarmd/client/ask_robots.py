@@ -61,7 +61,7 @@ def ask_robots(
 
 @contextmanager
 def statuses_of(operator: Operator) -> Iterator[SimpleQueue[Status]]:
-    """Subscribe to the statuses of robots within the `with` block; see `next_status`."""
+    """Subscribe to the statuses of robots within the `with` block; `next_status` reads them."""
     from queue import SimpleQueue
 
     news: SimpleQueue[Status] = SimpleQueue()

@@ -98,7 +98,7 @@ class AsyncSwarm:
         await self.close()
 
     async def close(self) -> None:
-        """Leave the network; see `Swarm.close`.
+        """Leave the network.
 
         Waits up to 6 s for calls under way: a cancelled call may still have to stop its robots, and
         the end of the program would prevent that stop.

@@ -90,7 +90,7 @@ class Run(Struct, frozen=True, kw_only=True):
             raise ConfigError(f"{names} do not go together; take one of them")
 
     def goal(self, targeted: TargetedView, targets: Collection[str]) -> Goal:
-        """The goal of this run, greater than all goals that the look has shown; see `next_goal`."""
+        """The goal of this run, greater than all goals that the look has shown."""
         return next_goal(
             targeted.operator,
             targeted.view,

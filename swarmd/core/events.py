@@ -107,7 +107,7 @@ class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
 
 
 class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
-    """The base is connected (`is_up`) or lost; see `Sink.state`."""
+    """The base is connected (`is_up`) or lost: `Sink.state` (driver_api/driver.py) as an input."""
 
     is_up: bool
     text: Text
@@ -165,7 +165,7 @@ class GoalInput(Struct, frozen=True, array_like=True, tag="goal"):
 
 
 class LeaseInput(Struct, frozen=True, array_like=True, tag="lease"):
-    """A message of the operator of the goal with the id `goal` was heard; see `RunLease`."""
+    """The operator of the goal with the id `goal` was heard; `count` rises with each message."""
 
     goal: Name
     count: Count
@@ -249,7 +249,7 @@ SensorInput = (
     | DetectionsInput
     | HazardsInput
 )
-"""The inputs that drivers hand over; see `Sink.take`."""
+"""The inputs that drivers hand over to `Sink.take` (driver_api/driver.py)."""
 Input = (
     SensorInput
     | DriverInput

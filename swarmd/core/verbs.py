@@ -400,7 +400,7 @@ class AuditReply(Struct, frozen=True, kw_only=True):
 class LogRecord(Struct, frozen=True, array_like=True):
     """A line of a daemon's log, or a line that its pattern printed (`pattern`).
 
-    `seq` counts the records of an instance. `at`: s on the robot's clock. `level`: as in `logging`.
+    `seq` counts the records of an instance. `at`: s on the robot's clock. `level`: of `logging`.
     """
 
     seq: Count
@@ -433,7 +433,10 @@ class LogBatch(Struct, frozen=True, kw_only=True):
 
 
 class LinkReport(Struct, frozen=True, array_like=True):
-    """The link from a robot, as in `LinkQuality`. `ways`: multicast, broadcast, unicast."""
+    """The link from a robot: beacons received and lost, s since the last, round trip in s.
+
+    `ways`: multicast, broadcast, unicast.
+    """
 
     robot: Name
     received: Count

@@ -86,7 +86,8 @@ RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
 class DriverOutput:
     """Runs the driver called `name`, and sends commands to the base through it.
 
-    `idle_output`: the output of an idle robot, as in `BaseOptions`. `on_crash` takes an exception
+    `idle_output`: what the base of an idle robot gets: `zeros`, or `silent` (zeros in the first
+    second, then nothing). `on_crash` takes an exception
     that the driver raised for a command; `command` itself never raises.
     """
 

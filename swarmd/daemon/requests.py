@@ -64,7 +64,7 @@ class SendReply(Protocol):
     """Sends the reply to a request, at once or later; `RequestServer.reply`."""
 
     def __call__(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
-        """See `RequestServer.reply`."""
+        """Send the reply. `is_stored`: latches and goals are on disk. `is_audited`: log it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -278,7 +278,7 @@ class PatternFiles(StateFile[CodeRecord]):
         return None
 
     def place(self, manifest: PatternManifest) -> tuple[str, bool]:
-        """The place of the code for a pattern host, as in `Load.origins`."""
+        """The place of the code for a pattern host: path or `WHEEL//module:Class`; is a path."""
         folder = self._folder_of(manifest.name, manifest.digest)
         if manifest.kind == "file":
             return str(folder / f"{manifest.name}.py"), True

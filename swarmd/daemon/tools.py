@@ -72,7 +72,7 @@ class FieldTools:
     """Answers questions about the condition of a robot, its daemon and its network.
 
     `instance`: marks this life of the daemon, in hex. `version`: of the package. `audit`: the audit
-    log. `storage_fault`: why a restart would lose latches, as in `Health`; empty without a fault.
+    log. `storage_fault`: why a restart would lose latches; empty without a fault.
     """
 
     def __init__(

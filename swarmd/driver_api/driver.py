@@ -24,7 +24,7 @@ class Sink(Protocol):
         """
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
-        """Take a pattern's message that the base's own radio received; see `MessageCarrier`."""
+        """Take a pattern's message that the base's own radio received, of robot `sender`."""
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
@@ -53,7 +53,7 @@ class Driver(Protocol):
     ) -> None:
         """Send a safe command. Never blocks, keeps no queue, drops commands to a lost base.
 
-        The first command after each (re)connect is zero: see `CommandGate`. `is_stopped`: the robot
+        The first command after each (re)connect is zero. `is_stopped`: the robot
         is stopped, estopped or faulted. In these states a driver whose base other nodes may command
         sends zero even to a lost base: with each call, and at once when a command of another node
         is heard.

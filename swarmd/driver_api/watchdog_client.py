@@ -78,7 +78,11 @@ class WatchdogProcess:
         return await asyncio.shield(self._lost)
 
     def feed(self, hint: str = "") -> None:
-        """Send a tick with a hint for the zero sender, see `ZeroSenderProvider`; never blocks."""
+        """Send a tick to the watchdog; never blocks.
+
+        `hint`: the form of zero that the base understands (at most 15 ASCII characters), for the
+        zero sender of the watchdog; empty: unknown.
+        """
         now = boottime()
         if now - self._fed_at < _FEED_PERIOD:
             return

@@ -29,7 +29,7 @@ from swarmd.kit.params import P, Params, derived_defaults
 
 
 class Make(Protocol):
-    """Makes the parts of a combined pattern; see `Context.make`."""
+    """Makes the parts of a combined pattern; the type of `Context.make`."""
 
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value

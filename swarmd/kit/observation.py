@@ -44,9 +44,10 @@ class ScanPart(_Part, frozen=True, tag="scan"):
 
 
 class RobotsPart(_Part, frozen=True, tag="robots"):
-    """The nearness (as in ScanPart) of those objects of the scan that are as narrow as a robot.
+    """The nearness, from 1 at the sensor to -1 at `range`, of objects as narrow as a robot.
 
-    See `robots_near`: a pillar counts as a robot, and a robot that stands at a wall does not.
+    A number for each of `sectors` equal sectors of the scan; sector 0 is centred ahead. A pillar
+    counts as a robot, and a robot that stands at a wall does not (kit/robot_detection.py).
     """
 
     sectors: Sectors = 12

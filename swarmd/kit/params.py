@@ -228,7 +228,7 @@ def build(
 
 
 def derived_defaults(params_type: type[Params], platform: Platform) -> dict[str, Value]:
-    """The defaults that are computed from the platform; see `about`."""
+    """The defaults that are computed from the platform (`derived` of `about`), by parameter."""
     derived = _declared(params_type).derived
     return {name: compute(platform) for name, compute in derived.items()}
 

@@ -88,7 +88,7 @@ class _Axis:
         self.reset(0.0, -math.inf)
 
     def check_indices(self) -> None:
-        """ValueError unless its commands are in its buffers; see `recall`."""
+        """ValueError unless its commands are in its buffers, for a serialised robot."""
         if not 0 <= self._first <= self._held <= self._end <= len(self._stamps):
             places = self._first, self._held, self._end
             raise ValueError(f"commands at {places} in {len(self._stamps)} stamps")

@@ -323,8 +323,9 @@ class NearObstacles:
         among the returns with a range up to `longest_range`; inf without such a return. Returns too
         close to measure go to `rays`, and have no gap.
 
-        `ranges`, `range_min`, `ages`: as in `take_scan`. `longest_range`: m from the lidar.
-        `binding_range`: m from the outline.
+        `ranges`: (n,) m; -inf: too close to measure; inf: no return. `range_min`: m, the least
+        range that the lidar measures. `ages`: (n,) s against the newest ray; empty: 0.
+        `longest_range`: m from the lidar. `binding_range`: m from the outline.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)

@@ -122,5 +122,5 @@ def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
 
 
 def digest_of(secret: bytes) -> bytes:
-    """SHA-256 of the secret of a swarm, as in `Roster.secret_digest`."""
+    """SHA-256 of the secret of a swarm, for `Roster.secret_digest`."""
     return hashlib.sha256(secret).digest()

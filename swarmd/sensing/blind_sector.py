@@ -104,7 +104,7 @@ class BlindSectors:
         self._bearings = self._sector = self._direction = self._is_return = None
 
     def check_indices(self) -> None:
-        """ValueError unless each ray is in one of the sectors; see `recall`."""
+        """ValueError unless each ray is in one of the sectors, for a serialised robot."""
         i: cython.Py_ssize_t
         for i in range(0 if self._sector is None else len(self._sector)):
             if not 0 <= self._sector[i] < _SECTORS:

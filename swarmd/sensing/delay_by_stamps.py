@@ -83,7 +83,7 @@ class DelayByStamps:
         self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
 
     def check_indices(self) -> None:
-        """ValueError unless its counts are of its arrays; see `recall`."""
+        """ValueError unless its counts are of its arrays, for a serialised robot."""
         is_of_ages: cython.bint = 0 <= self._age_count <= _STAMPS and 0 <= self._oldest < _STAMPS
         if not (is_of_ages and 0 <= self._period_count <= _PERIODS):
             raise ValueError(

@@ -46,7 +46,7 @@ def nearest(scan, bearing: cython.double, half_width: cython.double):
 
 
 def unit_vectors(bearings):
-    """See `rays.unit_vectors`."""
+    """(n, 2) the unit vectors of `bearings` (n,) in rad."""
     given: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
     vectors = np.empty((given.shape[0], 2))
     out: cython.double[:, ::1] = vectors

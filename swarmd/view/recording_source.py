@@ -26,7 +26,7 @@ MAX_MARKS = 200
 
 
 class RecordingSource:
-    """See `swarmd.view.source.Source`. The page and the player of a report show it."""
+    """A recording as a `Source` (view/source.py) of the page and of the player of a report."""
 
     kind = "recording"
     arena: ShownArena | None = None

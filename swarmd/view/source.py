@@ -208,7 +208,8 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The values of a status that pages show of a robot, as JSON.
 
-    - `why`: the reason in words why the robot does not move. `stands`: see `standing_of`.
+    - `why`: the reason in words why the robot does not move. `stands`: `at rest` if the
+      pattern wants so, `held` if the robot may not move; empty if it moves or does not run.
     - `lost`: why the base takes no commands; empty if the base takes commands.
     - `requested`, `safe`: commands: linear (m/s), angular (rad/s), lateral (m/s).
     - `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest speed (m/s)
