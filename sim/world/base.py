@@ -227,7 +227,8 @@ class Wheels:
         self._measured = memoryview(measured)
         self._truth, self._reported = memoryview(truth), memoryview(reported)
         draws = np.empty((len(rngs), _DRAWS, 2))
-        self._slip, self._rngs, self._blocks = slip, rngs, list(draws)
+        self._slip, self._rngs = slip, rngs
+        self._blocks = list(draws)
         self._draws = memoryview(draws)
         self._used = memoryview(np.full(len(rngs), _DRAWS, np.intp))  # the first reading draws
 

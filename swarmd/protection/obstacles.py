@@ -202,10 +202,10 @@ class NearObstacles:
 
         A hidden obstacle is in the blind zone of the lidar, and is known from earlier scans. A
         hidden obstacle that may touch the robot counts as a contact. IndexError if the lengths do
-        not match; the obstacles of the last scan then stay.
+        not match: the obstacles of the last scan then stay.
 
         Args:
-            ranges: (n,) m; -inf: a return too close to measure; inf: no return.
+            ranges: (n,) m, -inf for a return too close to measure, inf for no return.
             range_min: m, the least range that the lidar measures.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
             hidden: (m, 3) unit vector from the lidar to a hidden obstacle, and its least distance

@@ -108,8 +108,8 @@ _ABEAM, _ABEAM_WIDTH = 1.0, 0.6  # rad: the bearing of the walls beside, and how
 _BESIDE, _FREE = 0.5, 1.4  # m beside and before an opening that a robot leaves free for others
 _FARTHER_BESIDE = 0.15  # m beside that, to which the robot drives
 _ASIDE_FAR, _ASIDE_STEP = 0.4, 0.1  # m before an opening at least, and m back
-# m to another robot below which a place to wait is taken; m back to the next place, and how many.
-_TAKEN, _NEXT_PLACE, _PLACES = 0.4, 0.4, 4
+_TAKEN = 0.4  # m to another robot below which a place to wait is taken
+_NEXT_PLACE, _PLACES = 0.4, 4  # m back to the next place to wait, and the number of places
 _FACES = 0.2  # rad within which a waiting robot faces the place where it will line up
 _FACING = 0.5  # rad/s, of its turn to that place: below _TURNING
 _KEEPS_SIDE, _HAS_SIDE = 0.15, 0.05  # m beside the axis: keeps, and chooses, the side to wait on

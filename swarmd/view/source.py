@@ -210,12 +210,12 @@ def row_of(status: Status) -> dict[str, Any]:
 
     - `why`: the reason in words why the robot does not move. `stands`: `at rest` if the
       pattern wants so, `held` if the robot may not move; empty if it moves or does not run.
-    - `lost`: why the base takes no commands; empty if the base takes commands.
+    - `lost`: why the base takes no commands, empty if the base takes commands.
     - `requested`, `safe`: commands: linear (m/s), angular (rad/s), lateral (m/s).
     - `rows`: the nearest obstacles, each with bearing (rad), gap (m) and the highest speed (m/s)
       towards the obstacle that protection permits.
     - `near`: the least gap in m. `battery`: the charge. Both only if known.
-    - `fence`: the corners of the polygons in m, the outer polygon first; only with a fence.
+    - `fence`, only with a fence: the corners of the polygons in m, the outer polygon first.
     """
     decision = status.decision
     protection = protection_word_of(decision)

@@ -97,9 +97,9 @@ class Operator:
         takes_rosters: bool = True,
         program: str = "",
     ) -> None:
-        """Open the datagram carrier and start its thread; Zenoh sessions are opened as needed.
+        """Open the datagram carrier and start its thread. Zenoh sessions are opened as needed.
 
-        `name`: the operator's name in a swarm without keys; None: the name of this user. `roster`:
+        `name`: the operator's name in a swarm without keys, None for this user's name. `roster`:
         robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
         tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: the
         name of a program that chooses the requests, such as an agent; the robots' audit shows it.
