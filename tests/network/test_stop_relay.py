@@ -31,6 +31,10 @@ def ack(robot: str, *, is_moving: bool = False) -> Ack:
     return replace(one, is_moving=is_moving)
 
 
+def refusal(robot: str, *, via: str = "") -> Ack:
+    return replace(ack(robot), code=Code.REFUSED, refusal=REPLAYED, via=via)
+
+
 def copies(relay: StopRelay, seconds: float, began: float = 0.0) -> list[Stop]:
     found: list[Stop] = []
     for tick in range(1, round(seconds / 0.05) + 1):
@@ -50,6 +54,46 @@ def test_a_repeat_returns_few_acks_of_others_and_in_the_end_all() -> None:
         handed |= {body.robot for body, _ in sends if isinstance(body, Ack)}
     assert len(handed) == MAX_ACKS
     assert relay.on_stop(stop(targets=None), OPERATOR, 3.9 + ACK_PERIOD / 2) == []
+
+
+@pytest.mark.parametrize(
+    ("late", "is_handed_on"),
+    [
+        (ack("x0"), True),
+        (ack("x0", is_moving=True), False),
+        (refusal("x0"), True),
+        (refusal("y"), True),
+        (refusal("y", via="x0"), True),
+        (ack("y"), False),
+        (ack("y", is_moving=True), False),
+    ],
+)
+def test_a_full_table_of_acks_excludes_only_robots_without_a_kept_ack(
+    late: Ack, is_handed_on: bool
+) -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(targets=None), OPERATOR, 0.0)
+    for number in range(MAX_ACKS):
+        relay.on_ack(ack(f"x{number}", is_moving=True), PEER)
+    expected = [(replace(late, via="r1"), OPERATOR)] if is_handed_on else []
+    assert relay.on_ack(late, PEER) == expected
+
+
+def test_an_operator_learns_that_each_robot_of_a_full_table_of_acks_rests() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(), OPERATOR, 0.0)
+    robots = ["r2", *(f"x{number}" for number in range(MAX_ACKS - 1))]
+    for is_moving in (True, False):
+        for robot in robots:
+            relay.on_ack(ack(robot, is_moving=is_moving), PEER)
+    repeated = [
+        body
+        for repeat in range(1, MAX_ACKS // ACKS_AT_ONCE + 1)
+        for body, _ in relay.on_stop(stop(), OPERATOR, repeat * 0.1)
+    ]
+    assert repeated == [replace(ack(robot), via="r1") for robot in robots]
+    copies(relay, TRUSTLESS_TIME + LAST_INTERVAL)
+    assert not copies(relay, 2 * LAST_INTERVAL, began=TRUSTLESS_TIME + LAST_INTERVAL)
 
 
 def test_the_ack_of_a_robot_that_rests_follows_that_of_a_robot_that_moved() -> None:
@@ -81,10 +125,7 @@ def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
         for other, address in addresses.items():
             if other != name:
                 relay.on_stop(stop(targets=None, hops=1, origin=b"1234"), address, 0.0)
-    refusal = Ack(
-        id="s", robot="r4", instance=b"abcdef", revision=0, code="refused", refusal=REPLAYED
-    )
-    under_way: list[tuple[str, Ack, Address]] = [("a", refusal, ("10.0.0.4", 7440))]
+    under_way: list[tuple[str, Ack, Address]] = [("a", refusal("r4"), ("10.0.0.4", 7440))]
     count = 0
     while under_way:
         name, body, source = under_way.pop()

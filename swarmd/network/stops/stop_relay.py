@@ -35,7 +35,7 @@ LIFETIME = 60.0  # s
 REDUNDANCY = 2  # copies of other robots in an interval after which this robot does not send
 MAX_STOPS = 64
 MAX_SOURCES = 4
-MAX_ACKS = 256
+MAX_ACKS = 256  # robots whose acks of a stop are kept
 MAX_HANDED_ON = 8 * MAX_ACKS * MAX_SOURCES
 ACKS_AT_ONCE = 16  # acks of other robots that one repeat of a stop returns
 MAX_AGE_SHIFT = 2.0  # s by which later copies may make the stop older than its first copy says
@@ -186,7 +186,8 @@ class StopRelay:
         names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
         each part has its own senders.
 
-        1. A part with MAX_ACKS kept acks hands on no further ack.
+        1. A part keeps the acks of at most MAX_ACKS robots. The ack of a further robot is neither
+           kept nor handed on; the later acks of a robot with a kept ack are, and refusals.
         2. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
            handed on whenever it comes.
         3. A third robot may hand on such an ack, which could then travel in circles. Each sender
@@ -202,13 +203,16 @@ class StopRelay:
         is_refusal = ack.refusal == REPLAYED
         sends: list[Send] = []
         for (stop_id, _, _), relayed in self._stops.items():
-            if stop_id != ack.id or len(relayed.acks) >= MAX_ACKS:  # rule 1
+            if stop_id != ack.id:
                 continue
             receivers = [address for address in relayed.sources if address != source]
             if is_refusal and not ack.via:  # rule 2
                 sends += [(handed, address) for address in receivers]
                 continue
-            if not is_refusal and (not ack.is_moving or ack.robot not in relayed.acks):
+            is_first = ack.robot not in relayed.acks
+            if not is_refusal and is_first and len(relayed.acks) >= MAX_ACKS:  # rule 1
+                continue
+            if not is_refusal and (is_first or not ack.is_moving):
                 relayed.acks[ack.robot] = ack
             origin = relayed.stop.origin if is_refusal else None
             for address in receivers:
