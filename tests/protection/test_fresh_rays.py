@@ -6,13 +6,16 @@ The judge is tests/support/segment_history.py, where each ray has a time and eac
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist
-from swarmd.protection.decision import DecisionContext
+from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.sensing.segments import ScanSegment
 from tests.support import segment_history
@@ -132,16 +135,18 @@ class Ring:
     Rays and returns have the degrees by which the lidar, which turns clockwise, has turned.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, barrier: Any = None, *, radius: float = RING, ahead: int = 0) -> None:
+        """`barrier`: None for an interpreted barrier. `ahead`: the degrees of the ray ahead."""
         self.spec = segment_history.PLATFORM.scan
-        self.barrier = interpreted(
+        self.barrier = barrier or interpreted(
             segment_history.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0
         )
+        self._radius, self._ahead = radius, ahead
         self._odometry = Odometry(STAMP, Pose(), ZERO)
 
     def see(self, *, turns: int = 0, contact: int | None = None) -> None:
         """A whole turn, whose newest ray was measured `turns` after STAMP."""
-        ranges, now = np.full(360, RING), STAMP + turns * TURN
+        ranges, now = np.full(360, self._radius), STAMP + turns * TURN
         if contact is not None:
             ranges[contact] = -math.inf
         ages = TURN / 360 * np.arange(359, -1, -1.0)
@@ -156,7 +161,7 @@ class Ring:
         *,
         gap: float = 0.0,
         distance: float = FAR,
-        lost: range = range(0),
+        lost: Iterable[int] = (),
         turns: int = 0,
         odometry: Odometry | None = None,
     ) -> float:
@@ -167,24 +172,47 @@ class Ring:
         now = STAMP + turns * TURN + TURN / 360 * 45 * (number + 1)
         self._odometry = odometry or self._odometry
         bearings = self._bearings(45 * number, 45 * (number + 1))
-        odometry_age = max(now - self._odometry.stamp, 0.0)
-        context = DecisionContext(now, now - STAMP, self._odometry, odometry_age)
-        self.barrier.observe_segment(ScanSegment(ranges, bearings, ages, 0.0, gap), context)
+        segment = ScanSegment(ranges, bearings, ages, 0.0, gap)
+        self.barrier.observe_segment(segment, self._context(now))
         return now
 
+    def decide(self, requested: Twist, now: float) -> ModeDecision:
+        """The decision at `now` for a robot that stands."""
+        decision: ModeDecision = self.barrier.decide(requested, self._context(now), ZERO, None)
+        return decision
+
+    def _context(self, now: float) -> DecisionContext:
+        odometry_age = max(now - self._odometry.stamp, 0.0)
+        return DecisionContext(now, now - STAMP, self._odometry, odometry_age)
+
     def _bearings(self, first: int, end: int) -> Array:
-        return -np.radians(np.arange(first, end))
+        return np.radians(self._ahead - np.arange(first, end))
+
+    @property
+    def near(self) -> Any:
+        """The near obstacles of an interpreted barrier."""
+        return self.barrier._feasible.near
+
+    def stand(self, degrees: Iterable[int]) -> None:
+        """Let returns of the ring be on a wall that stands."""
+        self.near._walls = SimpleNamespace(has_standing=True)
+        for i, turned in self._degrees().items():
+            if turned in degrees:
+                self.near.points.others[i] = 0.01
 
     def left(self) -> set[int]:
         """The degrees of the returns of the ring that are left."""
-        points, lidar = self.barrier._feasible.near.points, self.spec.offset
+        return {*self._degrees().values()}
+
+    def _degrees(self) -> dict[int, int]:
+        """The degrees of the returns of the ring, by their index among the near obstacles."""
+        points, lidar = self.near.points, self.spec.offset
         places = [(points.x[i] - lidar[0], points.y[i] - lidar[1]) for i in range(points.count)]
-        turned = {
-            round(math.degrees(-math.atan2(y, x))) % 360
-            for x, y in places
-            if abs(math.hypot(x, y) - RING) < 1e-9
+        return {
+            i: round(math.degrees(-math.atan2(y, x))) % 360
+            for i, (x, y) in enumerate(places)
+            if abs(math.hypot(x, y) - self._radius) < 1e-9
         }
-        return turned
 
 
 def moved(degrees: int, now: float, slack: float) -> float:
@@ -200,17 +228,18 @@ def assert_left(ring: Ring, now: float, first: float, last: float, kept: Array) 
     """
     left = ring.left()
     for degrees in range(360):
-        for slack in (0.0, 0.03):
+        for slack in SLACKS:
             aside = moved(degrees, now, slack)
             is_passed = first + aside < degrees < last - aside
             is_passed = is_passed and not (np.abs(kept - degrees) <= aside).any()
-            if slack == 0.0 and not is_passed:
+            if slack == SLACKS[0] and not is_passed:
                 assert degrees in left
-            if slack > 0.0 and is_passed:
+            if slack == SLACKS[1] and is_passed:
                 assert degrees not in left
 
 
 NONE = np.empty(0)
+SLACKS = 0.015, 0.025  # m below and above the slack of a disc, 0.02 m
 UNGUARDED = -90.0  # before the first ray, whose neighbours are fresh, too
 
 
@@ -228,7 +257,9 @@ def test_a_return_is_dropped_once_the_sweep_has_passed_all_that_it_may_have_beco
 
 def test_each_turn_begins_a_sweep() -> None:
     ring = Ring()
-    for turns in range(2):
+    ring.see()
+    ring.segment(0, lost=range(10, 30))
+    for turns in range(1, 3):
         ring.see(turns=turns)
         for number in range(7):
             ring.segment(number, turns=turns)
@@ -236,17 +267,26 @@ def test_each_turn_begins_a_sweep() -> None:
         assert {*range(310, 360)} <= ring.left()
 
 
-@pytest.mark.parametrize("aside", [-0.12, 0.12])
-def test_a_robot_that_moves_knows_what_its_sweep_has_passed(aside: float) -> None:
+@pytest.mark.parametrize(
+    ("way", "segments", "kept", "dropped"),
+    [
+        ((0.0, -0.12), 3, range(140, 360), range(15, 100)),
+        ((0.0, 0.12), 3, range(140, 360), range(15, 100)),
+        ((0.12, 0.0), 2, range(70, 360), range(10, 60)),  # the last ray does not reach 85 to 88
+    ],
+)
+def test_a_robot_that_moves_knows_what_its_sweep_has_passed(
+    way: tuple[float, float], segments: int, kept: range, dropped: range
+) -> None:
     """The directions to a return differ at the first and at the last ray."""
     ring = Ring()
     ring.see()
-    for number in range(3):
-        stamp = STAMP + TURN / 8 * (number + 1)
-        pose = Pose(0.0, aside / 3 * (number + 1))
+    for number in range(segments):
+        stamp, share = STAMP + TURN / 8 * (number + 1), (number + 1) / segments
+        pose = Pose(way[0] * share, way[1] * share)
         ring.segment(number, odometry=Odometry(stamp, pose, ZERO))
-    assert {*range(140, 360)} <= ring.left()
-    assert not {*range(15, 100)} & ring.left()
+    assert {*kept} <= ring.left()
+    assert not {*dropped} & ring.left()
 
 
 def test_after_a_missing_segment_its_neighbours_stay() -> None:
@@ -259,35 +299,48 @@ def test_after_a_missing_segment_its_neighbours_stay() -> None:
     assert not {155, 156} & ring.left()
 
 
-def test_a_wide_run_of_lost_rays_keeps_what_may_hide_in_it() -> None:
+@pytest.mark.parametrize("count", [7, 10])
+def test_a_wide_run_of_lost_rays_keeps_what_may_hide_in_it(count: int) -> None:
     ring = Ring()
     ring.see()
     ring.segment(0)
-    now = ring.segment(1, lost=range(55, 65))
-    assert_left(ring, now, UNGUARDED, 89.0, np.arange(55.0, 65.0))
+    lost = range(55, 55 + count)
+    now = ring.segment(1, lost=lost)
+    assert_left(ring, now, UNGUARDED, 89.0, np.array(lost))
+
+
+def test_lost_rays_before_the_first_return_keep_what_may_hide_in_them() -> None:
+    ring = Ring()
+    for turns in range(2):
+        ring.see(turns=turns)
+        ring.segment(0, turns=turns, lost=range(4))
+        assert {*range(10)} <= ring.left()
+        assert not {*range(15, 30)} & ring.left()
 
 
 def test_a_lost_packet_keeps_its_own_returns_alone() -> None:
+    """And those within 0.01 m of its rays; the returns of the ring are 0.0087 m apart."""
     ring = Ring()
     ring.see()
     ring.segment(0)
-    ring.segment(1, lost=range(50, 56))
-    assert {*range(50, 56)} <= ring.left()
-    assert not ({*range(40, 48), *range(58, 65)} & ring.left())
+    ring.segment(1, lost=[*range(50, 56), *range(62, 66)])
+    assert {*range(40, 70)} & ring.left() == {*range(49, 57), *range(61, 67)}
+
+
+@pytest.mark.parametrize("distance", [0.0, 0.04, 3.6, math.inf, math.nan])
+def test_rays_without_a_range_that_the_lidar_measures_tell_nothing(distance: float) -> None:
+    ring = Ring()
+    ring.see()
+    ring.segment(0, distance=distance)
+    assert len(ring.left()) == ring.near.points.count == 360
 
 
 def test_contacts_and_standing_returns_stay() -> None:
     ring = Ring()
     ring.see(contact=10)
-    near = ring.barrier._feasible.near
-    near._walls = SimpleNamespace(has_standing=True)
+    ring.stand([20])
+    near = ring.near
     contacts = int((np.array(near.points.gap[: near.points.count]) == 0.0).sum())
-    standing = next(
-        i
-        for i in range(near.points.count)
-        if abs(near.points.y[i] + RING * math.sin(math.radians(20))) < 1e-9
-    )
-    near.points.others[standing] = 0.01
     ring.segment(0)
     assert contacts == near.contacts == 1
     assert near.points.gap[: near.points.count].count(0.0) == 1
@@ -299,15 +352,125 @@ def test_rays_that_hit_a_standing_wall_tell_nothing() -> None:
     """A fresh return is charged more than the wall at the same place."""
     ring = Ring()
     ring.see()
-    near = ring.barrier._feasible.near
-    near._walls = SimpleNamespace(has_standing=True)
-    for i in range(near.points.count):
-        near.points.others[i] = 0.01
-    before = near.points.count
-    ring.segment(0, distance=RING + 0.02)
-    assert near.points.count == before
-    ring.segment(1, distance=RING - 0.2)  # before the wall
-    assert near.points.count == before + 45
+    ring.stand(range(360))
+    ring.segment(0, distance=RING + 0.09)
+    assert ring.near.points.count == 360
+    ring.segment(1, distance=RING - 0.11)  # before the wall
+    assert ring.near.points.count == 360 + 45
+
+
+def test_rays_beside_a_standing_wall_count() -> None:
+    """Those from 30 degrees on are farther than 0.1 m from the wall."""
+    ring = Ring()
+    ring.see()
+    ring.stand(range(20))
+    ring.segment(0, distance=RING + 0.03)
+    assert ring.near.points.count - len(ring.left()) == 15
+
+
+@pytest.mark.parametrize(("radius", "are_left"), [(0.065, True), (0.075, False)])
+def test_returns_as_near_as_hidden_obstacles_stay(radius: float, are_left: bool) -> None:
+    """The lidar measures 0.05 m at least; 0.02 m are the slack."""
+    barrier = interpreted(segment_history.PLATFORM, others_speed=0.01, unseen_extent=0.0)
+    ring = Ring(barrier, radius=radius)
+    ring.see()
+    for number in range(3):
+        ring.segment(number)
+    assert bool({*range(60, 70)} & ring.left()) is are_left
+
+
+def test_returns_that_may_have_reached_the_lidar_stay() -> None:
+    ring = Ring(radius=0.09)
+    ring.see()
+    for number in range(3):
+        ring.segment(number)
+    assert {*range(30)} <= ring.left()
+
+
+def test_the_returns_of_a_segment_have_the_place_gap_and_age_of_their_rays() -> None:
+    """The robot drives 0.1 m ahead during the segment."""
+    ring, distance = Ring(), 0.4
+    ring.see()
+    ring.segment(0, distance=distance, odometry=Odometry(STAMP + TURN / 8, Pose(0.1), ZERO))
+    points = ring.near.points
+    rows = [
+        (-points.age[i], points.x[i], points.y[i], points.gap[i])
+        for i in range(points.count)
+        if points.age[i] < 0.0
+    ]
+    share, bearings = np.arange(1, 46) / 45, -np.radians(np.arange(45))
+    x, y = ring.spec.offset[0] + distance * np.cos(bearings), distance * np.sin(bearings)
+    front, left = segment_history.PLATFORM.footprint.max(axis=0)
+    gaps = np.hypot(np.maximum(x - front, 0.0), np.maximum(np.abs(y) - left, 0.0))
+    expected = np.column_stack((share * TURN / 8, x + 0.1 * share, y, gaps))
+    assert np.array(sorted(rows)) == pytest.approx(expected, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("distance", "count", "is_near"), [(FAR, 0, False), (0.9, 45, False), (0.5, 45, True)]
+)
+def test_near_returns_of_a_segment_constrain_the_robot(
+    distance: float, count: int, is_near: bool
+) -> None:
+    ring = Ring(radius=1.0)
+    ring.see()
+    ring.segment(0, distance=distance)
+    assert ring.near.points.count - len(ring.left()) == count
+    assert ring.near.is_near is is_near
+
+
+def test_the_returns_of_a_sweep_stay() -> None:
+    ring = Ring()
+    ring.see()
+    for number in range(3):
+        ring.segment(number, distance=0.4)
+        points = ring.near.points
+        assert sum(points.age[i] < 0.0 for i in range(points.count)) == 45 * (number + 1)
+
+
+@pytest.mark.parametrize(("gap", "is_continued"), [(0.03, True), (0.04, False)])
+def test_a_gap_in_which_obstacles_move_little_does_not_end_the_sweep(
+    gap: float, is_continued: bool
+) -> None:
+    ring = Ring()
+    ring.see()
+    ring.segment(0)
+    ring.segment(1, gap=gap)
+    assert (40 not in ring.left()) is is_continued
+
+
+def test_a_sweep_of_nearly_a_turn_drops_no_more() -> None:
+    ring = Ring()
+    ring.see()
+    for number in range(7):
+        ring.segment(number)
+    left = ring.left()
+    ring.segment(7)
+    assert ring.left() == left
+
+
+def test_a_turn_of_the_robot_against_the_sweep_adds_no_turn_to_the_sweep() -> None:
+    ring = Ring()
+    ring.see()
+    ring.segment(0)
+    ring.segment(0, odometry=Odometry(STAMP + 0.02, Pose(0.0, 0.0, 1e-9), ZERO))
+    ring.segment(1)
+    assert 60 not in ring.left()
+
+
+def test_segments_before_the_first_turn_are_ignored() -> None:
+    ring = Ring()
+    ring.segment(0, distance=0.4)
+    assert ring.near.points.count == 0
+
+
+def test_segments_of_a_lidar_without_a_sweep_are_ignored() -> None:
+    platform = segment_history.PLATFORM
+    platform = replace(platform, scan=replace(platform.scan, sweep=None))
+    ring = Ring(interpreted(platform, others_speed=OTHERS_SPEED, unseen_extent=0.0))
+    ring.see()
+    ring.segment(0)
+    assert len(ring.left()) == 360
 
 
 def test_after_a_reset_of_odometry_segments_wait_for_a_turn() -> None:
@@ -315,3 +478,31 @@ def test_after_a_reset_of_odometry_segments_wait_for_a_turn() -> None:
     ring.see()
     ring.segment(0, odometry=Odometry(STAMP - 5.0, Pose(), ZERO))
     assert len(ring.left()) == 360
+
+
+@compares_forms
+@pytest.mark.parametrize(
+    "segments",
+    [
+        [{"number": 0}, {"number": 1}],
+        [{"number": 1, "gap": math.inf}, {"number": 3, "gap": math.inf}],
+        [{"number": 0}, {"number": 1, "lost": range(50, 56)}],
+        [{"number": 0}, {"number": 1, "lost": range(55, 65)}],
+        [{"number": 0}, {"number": 1, "odometry": Odometry(STAMP + 0.05, Pose(0.1), ZERO)}],
+        [{"number": 0, "odometry": Odometry(STAMP - 5.0, Pose(), ZERO)}],
+    ],
+)
+def test_both_forms_decide_alike_after_each_segment(segments: list[dict[str, Any]]) -> None:
+    settings = under_barrier(segment_history.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0)
+    speeds = []
+    for ahead in range(0, 100, 10):
+        rings = [
+            Ring(kernel.Barrier(settings), radius=0.3, ahead=ahead) for kernel in both_forms(KERNEL)
+        ]
+        for ring in rings:
+            ring.see()
+        for segment in segments:
+            decisions = [ring.decide(Twist(0.22), ring.segment(**segment)) for ring in rings]
+            assert decisions[0] == decisions[1]
+            speeds.append(decisions[0].twist.linear)
+    assert min(speeds) < 0.2
