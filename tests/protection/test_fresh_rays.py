@@ -129,6 +129,13 @@ RING = 0.5
 STAMP = 10.0
 
 
+def with_scan(**changes: Any) -> Any:
+    """An interpreted barrier of a platform with another lidar."""
+    platform = segment_history.PLATFORM
+    platform = replace(platform, scan=replace(platform.scan, **changes))
+    return interpreted(platform, others_speed=OTHERS_SPEED, unseen_extent=0.0)
+
+
 class Ring:
     """A robot that stands in a ring of returns, which then are gone: rays find FAR.
 
@@ -138,9 +145,7 @@ class Ring:
     def __init__(self, barrier: Any = None, *, radius: float = RING, ahead: int = 0) -> None:
         """`barrier`: None for an interpreted barrier. `ahead`: the degrees of the ray ahead."""
         self.spec = segment_history.PLATFORM.scan
-        self.barrier = barrier or interpreted(
-            segment_history.PLATFORM, others_speed=OTHERS_SPEED, unseen_extent=0.0
-        )
+        self.barrier = barrier or with_scan()
         self._radius, self._ahead = radius, ahead
         self._odometry = Odometry(STAMP, Pose(), ZERO)
 
@@ -327,9 +332,14 @@ def test_a_lost_packet_keeps_its_own_returns_alone() -> None:
     assert {*range(40, 70)} & ring.left() == {*range(49, 57), *range(61, 67)}
 
 
-@pytest.mark.parametrize("distance", [0.0, 0.04, 3.6, math.inf, math.nan])
-def test_rays_without_a_range_that_the_lidar_measures_tell_nothing(distance: float) -> None:
-    ring = Ring()
+@pytest.mark.parametrize(
+    ("distance", "range_min"),
+    [(0.0, 0.05), (0.0, 0.0), (0.04, 0.05), (3.6, 0.05), (math.inf, 0.05), (math.nan, 0.05)],
+)
+def test_rays_without_a_range_that_the_lidar_measures_tell_nothing(
+    distance: float, range_min: float
+) -> None:
+    ring = Ring(with_scan(range_min=range_min))
     ring.see()
     ring.segment(0, distance=distance)
     assert len(ring.left()) == ring.near.points.count == 360
@@ -460,14 +470,12 @@ def test_a_turn_of_the_robot_against_the_sweep_adds_no_turn_to_the_sweep() -> No
 
 def test_segments_before_the_first_turn_are_ignored() -> None:
     ring = Ring()
-    ring.segment(0, distance=0.4)
+    ring.segment(0, distance=0.06)
     assert ring.near.points.count == 0
 
 
 def test_segments_of_a_lidar_without_a_sweep_are_ignored() -> None:
-    platform = segment_history.PLATFORM
-    platform = replace(platform, scan=replace(platform.scan, sweep=None))
-    ring = Ring(interpreted(platform, others_speed=OTHERS_SPEED, unseen_extent=0.0))
+    ring = Ring(with_scan(sweep=None))
     ring.see()
     ring.segment(0)
     assert len(ring.left()) == 360
