@@ -146,9 +146,9 @@ class Graph:
         among = f" among {listed(names)}" if names else ""
         return f"no {topic}{among}; start the sensor, or correct {option}"
 
-    def _namespace_request(self, spaces: Namespaces, found: Candidates, option: str) -> str:
+    def _namespace_request(self, spaces: Namespaces, candidates: Candidates, option: str) -> str:
         """The request to set this robot's namespace: several are in use, or its own is not."""
-        names = listed(found.namespaces)
+        names = listed(candidates.namespaces)
         if spaces.own:
             return (
                 f"nothing of namespace {spaces.own} is there: start this robot's nodes; if it has"
@@ -329,18 +329,17 @@ class Graph:
         """The text for a topic of commands without a subscriber, with proposals of other topics."""
         here = self._in_domain(is_publisher=False)
         spaces, option = self._namespaces(), "driver_options.cmd_vel"
-        found = spaces.candidates(
+        candidates = spaces.candidates(
             {end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS}
         )
-        if found.topics:
+        if candidates.topics:
             return (
-                f"no node subscribes to {topic}, but to {listed(sorted(found.topics))}; correct"
-                f" driver_options.namespace or {option}"
+                f"no node subscribes to {topic}, but to {listed(sorted(candidates.topics))};"
+                f" correct driver_options.namespace or {option}"
             )
-        if found.namespaces:
-            return (
-                f"no node subscribes to {topic}; {self._namespace_request(spaces, found, option)}"
-            )
+        if candidates.namespaces:
+            request = self._namespace_request(spaces, candidates, option)
+            return f"no node subscribes to {topic}; {request}"
         return f"no node subscribes to {topic}; start the base, or correct {option}"
 
     @property
@@ -576,17 +575,18 @@ class DriverCheck:
 
     def _findings(self) -> Iterator[Finding]:
         """The findings of a check whose hub answers."""
-        # 1. The hub and the topics. A topic gets a finding if the robot needs the topic, if a
-        # message has come, or if the user has named the topic in an option: imu, battery, or an
-        # entry of an option of topic_entries.py (`goes_stale`: only entries read the topic). Each
-        # further entry with the same topic gets the same finding under the name of the entry.
+        # 1. The hub and the topics. A topic gets a finding if
+        #    - the robot needs the topic, or
+        #    - the user has named the topic: by an entry (topic_entries.py), `imu` or `battery`, or
+        #    - a message has come, readable or not.
         middleware, topics = self.graph.middleware, self.subscriptions.topics
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in topics.values():
-            is_named = stats.goes_stale or stats.name in ("imu", "battery")
+            is_named = stats.has_only_entries or stats.name in ("imu", "battery")
             has_come = bool(stats.count or stats.faults)
             if stats.is_needed or is_named or has_come:
                 yield self._topic(stats)
+            # Further entries that read the topic: the same finding under the name of each entry.
             for entry_option in stats.further:
                 yield replace(self._topic(stats, is_entry=True), subject=entry_option)
         ring = self.subscriptions.contents.get("ranges")
@@ -596,11 +596,10 @@ class DriverCheck:
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
-        # 2. The commands. The first fault that applies: no base, a second base, or a hub that does
-        # not pass the commands on. (A second publisher of scans or odometry, the other kind of
-        # conflict, is in the finding of its topic.) Then nodes that are not known, and other nodes
-        # that command.
+        # 2. The topic of commands, with the first fault that applies: no base, a second base, or a
+        # hub that does not pass the commands on.
         conflict = self.graph.conflict(topics.values(), self.spec)
+        # The other kind of conflict, a second publisher of scans or odometry, is in `_topic`.
         has_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
         no_base = self.graph.no_subscriber(
             self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
@@ -608,6 +607,7 @@ class DriverCheck:
         second_base = conflict.text if conflict is not None and has_second_base else ""
         fault = no_base or second_base or self.unpassed.get(self.cmd_vel, "")
         yield Finding("cmd_vel", not fault, fault or self._subscriber())
+        # 3. Why the nodes of the topics are not known, and other nodes that may command the base.
         if self.unlisted:
             yield Finding("nodes", True, self.unlisted, is_measured=False)
         yield self._last_word()
@@ -624,8 +624,9 @@ class DriverCheck:
 
     def _topic(self, stats: TopicStats, *, is_entry: bool = False) -> Finding:
         """The finding of a topic; `is_entry`: for an entry (topic_entries.py) that shares it."""
-        fault, goes_stale = self._fault(stats), stats.goes_stale or is_entry
+        fault, goes_stale = self._fault(stats), stats.has_only_entries or is_entry
         if fault:
+            # A silent topic is no fault of a robot that does not need it, unless an entry reads it.
             is_fault = stats.is_needed or goes_stale or stats.count or stats.faults
             text = fault if is_fault else f"no message, and not needed to drive: {fault}"
             return Finding(stats.name, not is_fault, text)

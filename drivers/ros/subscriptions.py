@@ -106,7 +106,7 @@ class Subscriptions:
         deliver_entries = partial(self.deliver_inputs, now=now)
         if is_kept and stats.stamps:
             stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
-        if stats.goes_stale:  # only entries read this topic; stamp 0: not set
+        if stats.has_only_entries:  # stamp 0: not set
             stats.record(now, stamp or now, entries_text or stats.summary)
             return deliver_entries
         if is_kept:  # an earlier message is no scan, odometry or pose
@@ -283,7 +283,7 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
     entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
     # The sensors of one entry with one topic have the same option: one of them stands for all.
     for option, entry in {entry.option: entry for entry in entries}.items():
-        new = TopicStats(option, option, entry.topic, entry.message_type, goes_stale=True)
+        new = TopicStats(option, option, entry.topic, entry.message_type, has_only_entries=True)
         stats = by_topic.setdefault(entry.topic, new)  # one subscription a topic
         if stats is not new:
             stats.further.append(option)

@@ -41,7 +41,8 @@ class TopicStats:
     fault_at: float = -math.inf  # s of the last such message
     faults: int = 0  # messages that could not be used
     stale_after: float = math.inf  # s, the least of all entries of the topic
-    goes_stale: bool = False  # the topic has only entries of `ENTRY_KINDS`
+    has_only_entries: bool = False
+    """Only entries of `ENTRY_KINDS` read the topic; `stale_after` is theirs."""
     doubt: str = ""  # the first contradiction in the present series of readable messages
     further: list[str] = field(default_factory=list)
     """Options of further entries that share the topic."""
@@ -89,7 +90,7 @@ class TopicStats:
     @property
     def is_never_stale(self) -> bool:
         """True for entries whose last message counts until the next message."""
-        return self.goes_stale and self.stale_after == math.inf
+        return self.has_only_entries and self.stale_after == math.inf
 
     @property
     def is_scan(self) -> bool:

@@ -113,16 +113,18 @@ class Adapter:
         self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
         self._command_type = ""
         self._publisher: Any = None
-        self._is_joined = False
-        self._misses = 0
+        self._is_joined = False  # the node is registered with the master
+        self._misses = 0  # polls in a row in which the master lacks subscriptions of this node
         self._wake = threading.Event()
         self._ends_at: Optional[float] = None  # noqa: UP045
         # `holds`: an earlier adapter drove the robot. Then it is sent zeros as soon as it connects,
         # for ZERO_TIME; after that other nodes may drive it, unless the daemon commands it again.
         self._is_armed = self._holds = bool(config["holds"])
         self._holds_until = float("inf")
+        # Times of the last command, and of the last non-zero command; the time until which commands
+        # of the daemon become zeros (rule 2).
         self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
-        self._reported: Any = None
+        self._reported: Any = None  # the last event `state` that the driver has taken
         self._others: Any = None  # the subscription to other nodes' commands
         self._kept: Dict[int, KeptTopic] = {  # noqa: UP006
             index: KeptTopic(index, self) for index in config["kept_topics"]

@@ -140,8 +140,8 @@ class _Surroundings(NamedTuple):
     scan: Scan
     points: NearPoints  # of near surfaces
     robots: list[tuple[float, float]]  # range and bearing of each fully visible robot
-    seen: int  # number of robots, partly hidden robots included
-    adjacent: int  # number of robots that are near
+    seen: int  # number of robots in sight: those of `robots`, and partly hidden robots
+    adjacent: int  # number of robots of `robots` that are near
     pull: Vector  # the sum of all attraction, at most 1 long
     free: float  # length of the pull that is left once it keeps clear of `points`
     is_line: bool  # all robots lie on one line through this robot
@@ -167,13 +167,13 @@ class Attraction(FieldPattern[AttractionParams]):
     def __init__(self, params: AttractionParams, context: Context) -> None:
         super().__init__(params, context)
         self.state = "search"
-        self._since = 0.0
-        self._rest_time = _FIRST_REST_TIME
-        self._most_seen = 0
-        self._side = float(context.rng.choice((-1.0, 1.0)))
-        self._view: _Surroundings | None = None
-        self._drift = 0.0
-        self._drift_until = -math.inf
+        self._since = 0.0  # s, the time at which `state` began
+        self._rest_time = _FIRST_REST_TIME  # s in a state before the next try to roll or lead
+        self._most_seen = 0  # robots in one scan so far
+        self._side = float(context.rng.choice((-1.0, 1.0)))  # of a roll: 1 left, -1 right
+        self._view: _Surroundings | None = None  # of the last scan
+        self._drift = 0.0  # rad, the heading of a search
+        self._drift_until = -math.inf  # s, the time at which `_drift` changes
 
     def update(self, params: AttractionParams) -> None:
         """Apply changed parameters, and evaluate the scan again."""
@@ -200,6 +200,7 @@ class Attraction(FieldPattern[AttractionParams]):
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
 
     def _look(self, scan: Scan) -> _Surroundings:
+        """The robots and near surfaces in a scan, and the pull of the robots."""
         params = self.params
         offset = self.context.platform.scan.offset
         spacing = params.spacing - params.slack
@@ -219,6 +220,7 @@ class Attraction(FieldPattern[AttractionParams]):
         return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line)
 
     def _follow(self, view: _Surroundings, vector: Vector) -> Twist:
+        """The command along `vector` (base frame, share of full speed), clear of near surfaces."""
         params = self.params
         points = view.points
         spacing, brake = params.spacing - params.slack, params.brake
@@ -261,8 +263,8 @@ class Attraction(FieldPattern[AttractionParams]):
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         """The next state: search, gather, settled, roll or lead.
 
-        `received`: the number of robots that are heard. `is_in_line`: all robots in sight lie on
-        one line through this robot, and more robots are heard.
+        `received`: the number of robots that are heard. `is_in_line`: all fully visible robots lie
+        on one line through this robot, and more robots are heard than are in sight.
         """
         if len(view.robots) == 0:
             return "search"
@@ -272,28 +274,32 @@ class Attraction(FieldPattern[AttractionParams]):
         if view.seen > self._most_seen:
             self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
             present_state = "gather" if present_state == "lead" else present_state
-        in_state_s = now - self._since
-        # 2. Go on with a roll or a lead. The swarm is known to be small if each robot that is heard
-        # is in sight. A place is incomplete if few robots are adjacent although there are more.
+        in_state_s = now - self._since  # of `self.state`, also after a lead that ends here
+        # 2. Go on with a roll or a lead.
+        # The swarm is known to be small: robots are heard, and all of them are in sight.
         is_small_swarm = 0 < received <= view.seen
-        is_few = view.seen <= _FEW_ROBOTS and not is_small_swarm
+        # Few robots are in sight, and the swarm may be larger: the rest may be lost.
+        may_be_lost = view.seen <= _FEW_ROBOTS and not is_small_swarm
+        # Each fully visible robot is adjacent, and no more robots are heard than are in sight.
         are_all_adjacent = view.adjacent == len(view.robots) and received <= view.seen
-        is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not are_all_adjacent)
+        # A place is incomplete if too few robots are adjacent, and there are or may be more robots.
+        is_incomplete = view.adjacent < _MIN_ADJACENT and (may_be_lost or not are_all_adjacent)
         if present_state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
         if present_state == "lead" and in_state_s < _LEAD_TIME:
             return "lead"
-        # 3. Begin a roll or a lead. A robot tries to roll before it settles in a line. A robot at
-        # rest tries again, a few times, after a wait (`_rest_time`) that `_try` doubles each time.
+        # 3. Begin a roll or a lead, after a wait (`_rest_time`) that `_try` doubles each time.
         # `free`: the length of the pull, less what near obstacles take off.
         is_pulled = view.free > (_STOP_PULL if present_state == "gather" else _START_PULL)
-        has_not_tried = self._rest_time == _FIRST_REST_TIME
-        may_begin = is_in_line and present_state == "gather" and has_not_tried
+        # A robot in a line rolls before it settles: the first try since `_rest_time` was reset.
+        is_first_try = self._rest_time == _FIRST_REST_TIME
+        may_begin = is_in_line and present_state == "gather" and is_first_try
+        # A robot at rest tries a few times.
         may_try_again = (
             present_state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
         )
         if (may_begin or may_try_again) and in_state_s > self._rest_time:
-            if is_few and self._rest_time > _LEAD_REST_TIME:
+            if may_be_lost and self._rest_time > _LEAD_REST_TIME:
                 return self._try("lead", view)
             if may_begin or is_incomplete:
                 return self._try("roll", view)

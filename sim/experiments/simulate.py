@@ -174,20 +174,24 @@ def run_experiment(
     in the folder, and a later call does the rest. SwarmError if the folder cannot be used or the
     disk is full.
     """
-    # The user runs these Python files (patterns, metrics), so `exp rerun` may run them later. The
-    # file of a mission holds no code.
-    digest_by_file = manifest.plugins.items()
-    remember_code(digest for name, digest in digest_by_file if not name.endswith(MISSION))
-    custom_metrics = {
-        metric.origin: manifest.plugins.get(metric.origin, "") for metric in manifest.metrics
-    }
+    # `digests`: of the user's patterns and missions by path, and of the metrics by origin. The user
+    # runs their code, so `exp rerun` may run the code later. The file of a mission holds no code.
+    digests = manifest.plugins
+    remember_code(digest for name, digest in digests.items() if not name.endswith(MISSION))
+    metric_digests = {metric.origin: digests.get(metric.origin, "") for metric in manifest.metrics}
     columns = (*METRICS, *(metric.name for metric in manifest.metrics))
     with open_store(folder, manifest, columns) as store:
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
             jobs = [
-                Job(r.id, r.variant.effective, r.seed, store.trace_of(r), metrics=custom_metrics)
-                for r in runs
+                Job(
+                    run.id,
+                    run.variant.effective,
+                    run.seed,
+                    store.trace_of(run),
+                    metrics=metric_digests,
+                )
+                for run in runs
             ]
             _gather(store, runs, runner(jobs), on_progress)
         except BaseException:

@@ -56,10 +56,10 @@ def start_and_end_figure(
     extent = scene.extent_of(trace)
     map_width, map_height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
     rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
-    if width is None:
-        # Room beside each map and for the y axis; above each map for its title, and for the texts.
+    # Beside the maps is the y axis, above each map its title, above and below all maps are texts.
+    if width is None:  # each map has its size, and 0.2 of space beside it
         size = columns * (map_width + 0.2) + 0.7, rows * (map_height + 0.4) + 1.1
-    else:  # a paper: the same rooms for small texts; 0.55 of the width is for the y axis
+    else:  # a paper, with smaller texts: the maps share the width that the y axis leaves
         scale = (width - 0.55) / (columns * map_width)
         size = width, rows * (map_height * scale + 0.25) + 0.6
     figure = new_figure(*size, is_map=True)

@@ -155,10 +155,10 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.movable_boxes:
         entries.append(mark("s", scene.MOVABLE_BOX_COLOUR, "0.3", "movable box or item"))
-    found = [mark.kind for mark in marks_of(trace)]
+    kinds = [mark.kind for mark in marks_of(trace)]
     for kind, (marker, face) in MARKS.items():
-        if kind in found:
-            label = f"{kind}: {found.count(kind)}"
+        if kind in kinds:
+            label = f"{kind}: {kinds.count(kind)}"
             entries.append(mark(marker, face, CONTACT_COLOUR, label))
     return entries
 
@@ -174,13 +174,13 @@ class Mark:
 def marks_of(trace: Trace) -> list[Mark]:
     """A mark for every contact, where it began."""
     row_of = {robot: row for row, robot in enumerate(trace.ids)}
-    found = []
+    marks = []
     for contact in contact_list(trace):
         rows = [row_of[contact.a]] + ([row_of[contact.b]] if contact.kind == "robot" else [])
         moving = contact.is_a_moving + contact.is_b_moving
         kind = (NONE, ONE, BOTH)[moving] if len(rows) == 2 else OTHER
-        found.append(Mark(kind, _place(trace, contact.start, rows)))
-    return found
+        marks.append(Mark(kind, _place(trace, contact.start, rows)))
+    return marks
 
 
 def paint_contacts(axes: Axes, marks: list[Mark], *, size: float) -> None:
@@ -263,19 +263,19 @@ def overview_figure(
 
 def _common_extent(runs: Sequence[tuple[str, Load]]) -> scene.Extent | None:
     """An extent that holds every run, for one scale; None if there is no trace."""
-    shown = []
+    extents = []
     for _, load in runs:
         trace = load()
         if trace is not None:
             scene.check_drawable(trace)
-            shown.append(scene.extent_of(trace))
-    if not shown:
+            extents.append(scene.extent_of(trace))
+    if not extents:
         return None
     return scene.Extent(
-        min(extent.left for extent in shown),
-        max(extent.right for extent in shown),
-        min(extent.bottom for extent in shown),
-        max(extent.top for extent in shown),
+        min(extent.left for extent in extents),
+        max(extent.right for extent in extents),
+        min(extent.bottom for extent in extents),
+        max(extent.top for extent in extents),
     )
 
 

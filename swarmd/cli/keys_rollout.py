@@ -175,7 +175,7 @@ def _outstanding(authority: Authority) -> tuple[str, ...]:
     """The robots that have a bundle, and may not have the present generation of the roster."""
     records = ((name, authority.record_of(name)) for name in authority.roster.robots)
     generation = authority.roster.generation
-    return tuple(name for name, one in records if one and one.generation < generation)
+    return tuple(name for name, record in records if record and record.generation < generation)
 
 
 def _network(options: CommonOptions, authority: Authority) -> tuple[NetworkSettings, Identity]:

@@ -86,17 +86,17 @@ def replay(
 def _files(given: tuple[Path, ...]) -> list[RecordedFile]:
     from swarmd.recording.reader import read_file
 
-    found = [read_file(path) for path in parts_of(given)]
-    for one in found:
-        if one.fault:
-            warn(f"{one.path}: {one.fault}; what is whole is repeated")
-    return found
+    files = [read_file(path) for path in parts_of(given)]
+    for file in files:
+        if file.fault:
+            warn(f"{file.path}: {file.fault}; what is whole is repeated")
+    return files
 
 
 def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
     content = {
-        name: fields(one, "count", "equal", "largest", "first")
-        for name, one in (("safe", parity.safe), ("requested", parity.requested))
+        name: fields(commands, "count", "equal", "largest", "first")
+        for name, commands in (("safe", parity.safe), ("requested", parity.requested))
     }
     more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}
     print_json("Replay", {**more, **content, "is_equal": is_equal})
@@ -106,11 +106,11 @@ def _print_table(parity: Parity) -> None:
     rows = [
         (
             name,
-            str(one.count),
-            f"{math.floor(1e4 * one.share) / 1e2:.2f}%",  # 100 % are all of them
-            f"{one.largest:.3g}",
-            NOTHING if one.first is None else f"{one.first:.2f} s",
+            str(commands.count),
+            f"{math.floor(1e4 * commands.share) / 1e2:.2f}%",  # 100 % only if all are equal
+            f"{commands.largest:.3g}",
+            NOTHING if commands.first is None else f"{commands.first:.2f} s",
         )
-        for name, one in (("safe", parity.safe), ("requested", parity.requested))
+        for name, commands in (("safe", parity.safe), ("requested", parity.requested))
     ]
     print_table(("COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST"), rows)

@@ -73,9 +73,10 @@ class PatternIntake:
     def __init__(self, state: PatternVersions, drops: DropCounter) -> None:
         self._state = state
         self._drops = drops
-        self._uploads: dict[bytes, bytearray] = {}
+        self._uploads: dict[bytes, bytearray] = {}  # by digest: the pieces that came so far
         self._tasks: set[asyncio.Task[None]] = set()
-        self._is_taking = False
+        self._is_taking = False  # `_take` checks, writes or adopts an entry, without a trial so far
+        # The arguments of each call of `_take` to come.
         self._queue: deque[tuple[Entry, bytes, str, PushRequest | None]] = deque()
 
     def check_again(self) -> None:
@@ -187,14 +188,14 @@ class PatternIntake:
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
 
+        # `DropCounter.refusing` counts an exception of the `with` block below, and calls `refuse`.
         def refuse(reply_code: Code, text: str) -> None:
-            """Reply after an error in this method: refused for bad input, else failed."""
+            """Reply with `reply_code`: REFUSED after a CodecError, FAILED after any other error."""
             reply = self._refused(id, Refusal.PATTERN_FAILED, text)
             if reply_code is not Code.REFUSED:
                 reply = replace(reply, code=reply_code, refusal=None)
             self._state.control.reply(reply)
 
-        # `refusing` counts an exception of the block and hands it to `refuse`.
         with self._drops.refusing("control/push", refuse):
             try:
                 refusal_and_text = await self._write(entry, code)
@@ -204,14 +205,15 @@ class PatternIntake:
                     if refusal is Refusal.PATTERN_FAILED:
                         self._state.note_failed(entry, Version.of(entry, source), text)
                     reply = self._refused(id, refusal, text)
-                # No trial.
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)
+                    reply = await self._adopt(id, entry)  # without a trial
             finally:
-                self._is_taking = False  # `_try` sets `candidate`, so the intake stays busy
+                self._is_taking = False
+            # Nothing awaits between here and `_take_next`, so no other entry is taken in between.
             if reply is not None:
                 self._state.control.reply(reply)
             else:
+                # Sets `state.candidate`: the intake stays busy until the end of the trial.
                 self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 
@@ -265,6 +267,7 @@ class PatternIntake:
         self._state.control.code_changed()
 
     def _try(self, id: str, entry: Entry, version: Version, request: PushRequest | None) -> None:
+        """Begin the trial of the code of `entry`; `on_event` and `on_reply` take its end."""
         self._state.candidate = Candidate(id, entry, version)
         targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
         is_rerun, age = False, 0.0
@@ -298,6 +301,7 @@ class PatternIntake:
         return None
 
     async def _accept(self, candidate: Candidate, event: TrialDone) -> None:
+        """Write the record of a version that passed its trial, then hand `event` to the robot."""
         state, entry, version = self._state, candidate.entry, candidate.version
 
         def is_wanted() -> bool:
@@ -421,6 +425,8 @@ class PatternPull:
             self._pull_code(robot, address, now)
 
     def _pull_table(self, robot: str, digest: bytes, address: Address, now: float) -> bool:
+        """Pull the table of `robot` if it may be asked now; True if the pull has begun."""
+
         def on_done(blob: Blob, reason: str) -> None:
             if blob is None:
                 log.info("the pushed patterns of %s are not known: %s", robot, reason)

@@ -63,9 +63,9 @@ def recording_head(
 ) -> RecordingHead:
     """The head of a recording: all values from which a replay makes the same robot.
 
-    `robot`: as it is at the begin of the recording, with its counters: `revision` (of changes, in
-    the epoch) and `generation` (of loads). `instance`: marks this life of the daemon. `seed`: of
-    the robot's random generator. `pushed`: the names of the pushed patterns.
+    `robot`: as it is at the begin of the recording, with its counters: `revision` (changes, in the
+    epoch) and `generation` (patterns that were loaded). `instance`: marks this life of the daemon.
+    `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     # The layers of parameters of each pattern; patterns without own parameters are left out.

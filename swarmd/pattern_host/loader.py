@@ -36,9 +36,11 @@ class PatternLoader:
         self.origins = origins
         self._digests: Mapping[str, bytes] = {}
         self._wheels: dict[bytes, str] = {}  # the path of the copy, by digest
+        # The classes that this load has read, by file; None before the first load.
         self._files: dict[Path, type[Pattern[Any]]] | None = None
+        # The classes of missions by path, time in ns of the last change, and size.
         self._missions: dict[tuple[Path, int, int], type[Pattern[Any]]] = {}
-        self._open: list[str] = []
+        self._open: list[str] = []  # the missions being read, each a part of the mission before
 
     def begin(
         self, origins: Mapping[str, tuple[str, bool]], digests: Mapping[str, bytes] | None = None
@@ -80,7 +82,7 @@ class PatternLoader:
         return self._files[path]
 
     def _wheel(self, path: Path, digest: bytes) -> str:
-        """The path of a sealed copy of a wheel, which has this digest."""
+        """The path of a sealed copy of the wheel at `path`, whose SHA-256 must be `digest`."""
         content = _checked(path, digest)
         if digest not in self._wheels:
             self._wheels[digest] = _sealed_copy(path.name, content)

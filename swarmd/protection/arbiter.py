@@ -97,20 +97,20 @@ class Protection:
     _has_walls: cython.bint  # walls that have stood are assumed to stand on
     _is_running: cython.bint
     _has_followed: cython.bint  # `following` has had a reading since its reset
-    _scan_seq: cython.Py_ssize_t
-    _scan: object
+    _scan_seq: cython.Py_ssize_t  # of the last scan; -1 before the first
+    _scan: object  # the last conditioned scan; None before the first
     _scan_points: object  # (k, 2) returns of the scan within the lookahead; None: not computed yet
-    _min_gap: object
+    _min_gap: object  # m from the outline to the nearest return of the last scan; None without one
     _points_context: object  # the context of the present decision
     _ring_points: object  # (k, 2) returns of the ring, m in the base frame; None without one
-    _safe: object
+    _safe: object  # the last safe command, which is in force until the next decision
     _mode_command: object  # the safe command before `speed_share`
     _requested: object
     _clipped_request: object  # `_requested` within the limits
-    # The last decision without a hold. The decision is repeated for the same case (`_case`) in the
-    # same context, in which each mode decides the same. A scan or odometry ends the context.
-    _last_context: object
-    _last_case: tuple
+    # The last decision without a hold. The decision is repeated for the same case in the same
+    # context, in which each mode decides the same. A scan or odometry ends the context.
+    _last_context: object  # None: no decision may be repeated
+    _last_case: tuple  # of `decide`
     _last_decision: object
 
     def __init__(
@@ -400,12 +400,15 @@ class Protection:
 
         Args:
             clipped_request: the request within the limits, for the report.
+            twist: the command of the mode in m/s and rad/s.
             is_active: the mode or a replacement changed the request.
             rows: the limiting obstacles.
-            is_fenced: the fence changed the command.
             reason: why the command is zero; None if the robot moves.
+            context: the time, and the ages of the inputs.
+            is_fenced: the fence changed the command.
         """
         monitor, safe = self._monitor, twist
+        # The objects `clipped_request` and `_zero` are within the limits. A Twist does not change.
         if twist is not clipped_request and twist is not _zero:
             safe = self._limits.clip(twist)
         self._mode_command = safe
@@ -423,8 +426,9 @@ class Protection:
         self.following.on_command(safe)
         if safe is not _zero and (safe.linear != 0.0 or safe.angular != 0.0 or safe.lateral != 0.0):
             self.moved_at = context.now
-        # The mode decides by `_safe`, so the last decision must not be repeated after a change;
-        # `decide` sets `_last_context` again.
+        # To repeat the last decision does not set `_safe`. So a decision may be repeated only while
+        # its command is `_safe`: here a hold ends the repetition, and `decide` sets `_last_context`
+        # again after a decision without a hold.
         self._safe, self._last_context = safe, None
         min_gap = self._min_gap
         if self._ring_points is not None:

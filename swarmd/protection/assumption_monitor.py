@@ -806,7 +806,8 @@ class AssumptionMonitor:
     def on_moved_wall(self, stamp: float, moved: MovedWall) -> str:
         """Take in a wall that had stood and has moved; return the text of an event.
 
-        A second one, 5 s to 600 s after the first, is a violation, which slows the robot.
+        A second wall that moves, _MIN_APART to _MAX_APART s later, is a violation, which slows the
+        robot.
         """
         moves = self._wall_moves
         evidence = (

@@ -89,7 +89,8 @@ class Barrier:
 
     _limits: Limits
     _scan: ScanSpec
-    _hidden: object  # the memory of a lidar's blind zone; None where nothing is lost there
+    # Cython sets an attribute without a value to None, and so does CPython (cython_shadow.py).
+    _hidden: object  # the memory of a lidar's blind zone; None if the lidar reports near returns
     _walls: StandingWalls  # None unless walls are assumed to stand
     _feasible: FeasibleSet
     _fresh: FreshRays
@@ -97,13 +98,14 @@ class Barrier:
     _stop: StopCheck
     _limiting: LimitingRows
     # The last request in the present situation, and its result.
-    _is_decided: cython.bint
-    _is_limited: cython.bint
-    _asked: Speeds
-    _speeds: Speeds
-    _decision: object
+    _is_decided: cython.bint  # False until `_asked` is judged
+    _is_limited: cython.bint  # the request must be limited
+    _asked: Speeds  # of the request
+    _speeds: Speeds  # of the limited command
+    _decision: object  # the ModeDecision of a limited request
 
     def __init__(self, platform: Platform) -> None:
+        """ConfigError if the platform has no settings of mode `barrier`."""
         given = platform.protection["barrier"]
         if given is None:
             raise ConfigError(
@@ -112,7 +114,10 @@ class Barrier:
             )
         settings = msgspec.convert(given, BarrierSettings)
         self._limits, self._scan = platform.limits, platform.scan
+        # Returns nearer than range_min are lost, as if nothing were there: a memory keeps them.
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
+            # m/s at which an obstacle and this robot approach each other at most. `own`: the
+            # highest speed of this base in any direction.
             speed = settings.others_speed + BindingRange(platform, settings, DECISION_PERIOD).own
             blind_zone = load_kernel("swarmd.protection.blind_zone")
             self._hidden = blind_zone.BlindZoneMemory(

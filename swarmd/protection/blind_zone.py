@@ -233,15 +233,16 @@ class BlindZoneMemory:
 
     bearings = cython.declare(object, visibility="readonly")
     nearest = cython.declare(object, visibility="readonly")
-    _radius: cython.double
-    _speed: cython.double
-    _period: cython.double
-    _narrowest_sector: cython.double
-    _given_bearings: object
+    _radius: cython.double  # m, of the rim
+    _speed: cython.double  # m/s, the highest speed at which obstacles approach
+    _period: cython.double  # s between two scans
+    _narrowest_sector: cython.double  # rad, in which a robot may be hidden
+    _given_bearings: object  # of the last scan; an array, recognised by its identity
     _ray_count: cython.Py_ssize_t
-    _reserved: cython.Py_ssize_t
+    _reserved: cython.Py_ssize_t  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
-    # `_age_by_ray` in s is inf where no obstacle is hidden.
+    # `_age_by_ray` in s is inf where no obstacle is hidden. `_is_face_by_ray`: True where no
+    # obstacle is hidden, or where the hidden obstacle only continues a face in view.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
@@ -285,7 +286,7 @@ class BlindZoneMemory:
     _nearest_range: cython.double[::1]
     _is_face: cython.double[::1]
     _is_hidden: cython.uchar[::1]
-    _entered_x: cython.double
+    _entered_x: cython.double  # m, the place at which the last obstacle became hidden
     _entered_y: cython.double
     # m beside the rim that came into view since the memory was empty, and that went out of view
     _emerged_m: cython.double
@@ -298,7 +299,6 @@ class BlindZoneMemory:
         obstacles approach, `period` in s the time between two scans.
         """
         self._radius, self._speed, self._period = range_min, speed, period
-        # rad: the narrowest sector in which a robot may be hidden
         self._narrowest_sector = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
         self._given_bearings = None
         self._ray_count = self._reserved = self._point_count = self._old_point_count = (
@@ -688,9 +688,10 @@ class BlindZoneMemory:
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
         # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
-        # that have not expired and have not reappeared (rule 5). `_find_reappeared` sets `_angles`
-        # to those of reappeared returns. Of a narrow obstacle, half of the vanished width suffices.
-        # The candidates behind `_hidden_count` vanished just now, so they have not reappeared.
+        # that have not expired, and that have not reappeared (rule 5). An obstacle has reappeared
+        # if _MIN_EMERGED came into view beside the rim; half of the vanished width suffices if
+        # that is less. `_find_reappeared` sets `_angles` to the angles of the reappeared returns.
+        # The candidates from `_hidden_count` on vanished just now, so they have not reappeared.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
@@ -779,14 +780,20 @@ class BlindZoneMemory:
     def _fill(self, seconds: cython.double) -> cython.int:
         """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        An obstacle with an age above 0 is doubtful. The first case that fits a sector counts:
+        The age of a ray is inf without a hidden obstacle, 0 for a certain obstacle, and above 0 for
+        a doubtful obstacle, which expires at the age _NARROW_MEMORY. So a finite age on a ray that
+        had inf puts an obstacle there. The first case that fits a sector counts:
 
-        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE: ages become at
-           most _DOUBTFUL. Rays at which nothing else hides get the distance of the corner (rule 2
-           of the file).
-        2. An obstacle is hidden in a sector that is not too wide: it fills the sector. The age: 0
-           in a sector as wide as a robot; else at most _DOUBTFUL if an obstacle crosses the rim;
-           else the age grows by `seconds`.
+        1. Obstacles cross the rim at both ends, and the sector is narrower than _MAX_FACE: a single
+           obstacle fills the sector (rule 2 of the file).
+           - All ages become at most _DOUBTFUL, so each ray has an obstacle.
+           - A ray without an obstacle so far, or with an obstacle that only continues a face in
+             view, gets the distance of the corner. Any other ray keeps its distance.
+        2. An obstacle is hidden in the sector, which is not wider than _MAX_SECTOR: the nearest
+           hidden distance fills the sector. The age of all its rays is
+           - 0 if the sector is wide enough for a robot;
+           - else the least age, at most _DOUBTFUL, if an obstacle crosses the rim at one end;
+           - else the least age plus `seconds`: an obstacle too narrow for a robot expires.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         """
         n: cython.Py_ssize_t = self._ray_count
@@ -796,7 +803,7 @@ class BlindZoneMemory:
         after_last: cython.Py_ssize_t
         for k in range(self._sector_count):
             first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
-            # The youngest and the nearest hidden obstacle of the sector; inf without an obstacle.
+            # The least age and the least distance in the sector; inf without a hidden obstacle.
             youngest = nearest = INFINITY
             for i in range(first, after_last):
                 youngest = min(youngest, self._age_by_ray[_wrapped(i, n)])

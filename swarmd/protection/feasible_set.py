@@ -41,10 +41,11 @@ _NO_ODOMETRY = cython.declare(cython.Py_ssize_t, -1)
 class Situation:
     """The inputs of a decision that determine the constraints.
 
-    A new scan, touch zone or set of discs sets `is_known` to False instead.
+    The scan, the touch zone and the discs are not among the attributes: `FeasibleSet` and `Barrier`
+    set `is_known` to False for a new scan, segment of a scan, touch zone or set of discs.
     """
 
-    is_known: cython.bint
+    is_known: cython.bint  # the constraints were built for the inputs below
     now: cython.double
     scan_age: cython.double  # s; NaN without a scan
     odometry_age: cython.double  # s; NaN without odometry
@@ -136,9 +137,10 @@ class FeasibleSet:
         if touch is not self.touch.zone and touch != self.touch.zone:
             self.touch.grant(touch, self.outline.corners)
             self.situation.is_known = False
-        told = context.told + context.near if context.near else context.told
-        if told is not self.discs.obstacles and told != self.discs.obstacles:
-            self.discs.set(told)
+        # Places that peers shared, and returns of the ring of range sensors.
+        reported = context.told + context.near if context.near else context.told
+        if reported is not self.discs.obstacles and reported != self.discs.obstacles:
+            self.discs.set(reported)
             self.situation.is_known = False
         self.discs.find_binding(self.assumptions, self.outline.radius)
         self.motion.ahead.note(command.linear)
@@ -162,6 +164,12 @@ class FeasibleSet:
         limit: cython.double,
     ) -> cython.int:
         """1 if the constraints of the last decision still hold; else 0, and build them anew.
+
+        `command` and `limit` go into the constraints, but `Situation.keep` need not compare them:
+
+        - `command` differs at the same `now` only because the last decision was made at this `now`.
+          The base has not followed this decision yet, so the predicted motion stays as it was.
+        - `limit` follows from `along_x` and `along_y`: the limits of a platform do not change.
 
         Args:
             context: the DecisionContext: time, odometry, and the ages of the inputs.

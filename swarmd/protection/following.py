@@ -79,8 +79,10 @@ class _Axis:
     _slow_speed: cython.double  # the speed of the slow base
     _command: cython.double  # the last command
     _begun_at: cython.double  # when the comparison began
-    _outside_since: cython.double  # since when the speed is outside the bounds; inf: it is not
-    _outside_readings: cython.Py_ssize_t  # outside the bounds
+    # The time since which the speed is outside the bounds (inf: it is within), and the readings
+    # since then.
+    _outside_since: cython.double
+    _outside_readings: cython.Py_ssize_t
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
@@ -142,8 +144,9 @@ class _Axis:
         by_twist: cython.double,
         by_pose: cython.double,
     ):
-        """Compare the speed of the last period with the bounds; sets `text`.
+        """Compare the speed of the last period with the bounds.
 
+        Sets `text` once the base has not followed for MIN_DURATION; empty while the base follows.
         The bounds are the speeds of a slow base, which responds late and accelerates slowly, and of
         a fast base, which responds at once to any command of the last WINDOW s. The speed is known
         from the twist and from the pose. The base follows if either speed is within the bounds.
@@ -225,9 +228,10 @@ class FollowingMonitor:
     _angular: _Axis
     _lateral: _Axis
     _is_lateral: cython.bint
-    _command: object
-    _has_last: cython.bint
-    _stamp: cython.double  # of the last reading, and its pose
+    _command: object  # the last safe command
+    _has_last: cython.bint  # a reading has come since the reset
+    # Stamp and pose of the last reading.
+    _stamp: cython.double
     _x: cython.double
     _y: cython.double
     _yaw: cython.double

@@ -72,30 +72,26 @@ _SHOWN_TWICE = cython.declare(cython.double, 2.0)  # scans in a row that show a 
 _MOVED = cython.declare(cython.double, 0.05)
 _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
 
-# The fields of a wall in `_walls`: the middle of its bins and its direction in the odometry frame;
-# the same in the base frame of the present scan; time, and way and turn by odometry, at which its
-# line was measured; the time since which it stands; the time at which it was last confirmed; how
-# far its line then was off; 1 if a run of this scan continues it; in how many scans in a row it was
-# seen elsewhere; its first and its last covered bin; how many scans in a row have not shown it.
-_W_X = cython.declare(cython.Py_ssize_t, 0)
+# The fields of a wall in `_walls`.
+_W_X = cython.declare(cython.Py_ssize_t, 0)  # the middle of its bins, in the odometry frame
 _W_Y = cython.declare(cython.Py_ssize_t, 1)
-_W_UX = cython.declare(cython.Py_ssize_t, 2)
+_W_UX = cython.declare(cython.Py_ssize_t, 2)  # its direction, in the odometry frame
 _W_UY = cython.declare(cython.Py_ssize_t, 3)
-_W_HERE_X = cython.declare(cython.Py_ssize_t, 4)
+_W_HERE_X = cython.declare(cython.Py_ssize_t, 4)  # the same in the base frame of the present scan
 _W_HERE_Y = cython.declare(cython.Py_ssize_t, 5)
 _W_HERE_UX = cython.declare(cython.Py_ssize_t, 6)
 _W_HERE_UY = cython.declare(cython.Py_ssize_t, 7)
-_W_AT = cython.declare(cython.Py_ssize_t, 8)
-_W_WAY = cython.declare(cython.Py_ssize_t, 9)
-_W_TURN = cython.declare(cython.Py_ssize_t, 10)
-_W_SINCE = cython.declare(cython.Py_ssize_t, 11)
-_W_CONFIRMED = cython.declare(cython.Py_ssize_t, 12)
-_W_OFF = cython.declare(cython.Py_ssize_t, 13)
-_W_SEEN = cython.declare(cython.Py_ssize_t, 14)
-_W_MOVES = cython.declare(cython.Py_ssize_t, 15)
-_W_LOW = cython.declare(cython.Py_ssize_t, 16)
-_W_HIGH = cython.declare(cython.Py_ssize_t, 17)
-_W_MISSED = cython.declare(cython.Py_ssize_t, 18)
+_W_AT = cython.declare(cython.Py_ssize_t, 8)  # the time at which its line was measured
+_W_WAY = cython.declare(cython.Py_ssize_t, 9)  # `_way` at that time
+_W_TURN = cython.declare(cython.Py_ssize_t, 10)  # `_turn` at that time
+_W_SINCE = cython.declare(cython.Py_ssize_t, 11)  # the time since which it stands
+_W_CONFIRMED = cython.declare(cython.Py_ssize_t, 12)  # the time at which it was last confirmed
+_W_OFF = cython.declare(cython.Py_ssize_t, 13)  # m by which its line then was off
+_W_SEEN = cython.declare(cython.Py_ssize_t, 14)  # 1 if a run of this scan continues it
+_W_MOVES = cython.declare(cython.Py_ssize_t, 15)  # scans in a row that showed it elsewhere
+_W_LOW = cython.declare(cython.Py_ssize_t, 16)  # its first covered bin
+_W_HIGH = cython.declare(cython.Py_ssize_t, 17)  # its last covered bin
+_W_MISSED = cython.declare(cython.Py_ssize_t, 18)  # scans in a row that have not shown it
 _W_FIELDS = cython.declare(cython.Py_ssize_t, 19)
 
 

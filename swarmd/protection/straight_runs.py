@@ -48,20 +48,18 @@ _LATE_RAY = cython.declare(cython.double, 1.5)
 _RUNS = cython.declare(cython.Py_ssize_t, 64)  # the most runs of a scan
 _STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part that is to be split
 
-# The fields of a run: its first return, and how many returns follow it up to the last one, as whole
-# numbers; count and sums of x, y, xx, xy, yy; the place and the direction of its line; the places
-# of its ends along the line in m; 1 once it belongs to a wall; 1 for a long run.
-RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)
-RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)
-RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)
-RUN_X = cython.declare(cython.Py_ssize_t, 8)
+# The fields of a run.
+RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)  # the index of its first return
+RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)  # the returns that follow, a whole number
+RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)  # six: the count, the sums of x, y, xx, xy, yy
+RUN_X = cython.declare(cython.Py_ssize_t, 8)  # m, a point of its line
 RUN_Y = cython.declare(cython.Py_ssize_t, 9)
-RUN_UX = cython.declare(cython.Py_ssize_t, 10)
+RUN_UX = cython.declare(cython.Py_ssize_t, 10)  # the unit vector along its line
 RUN_UY = cython.declare(cython.Py_ssize_t, 11)
-RUN_FROM = cython.declare(cython.Py_ssize_t, 12)
-RUN_TO = cython.declare(cython.Py_ssize_t, 13)
-RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)
-RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)
+RUN_FROM = cython.declare(cython.Py_ssize_t, 12)  # m along its line from this point to its begin
+RUN_TO = cython.declare(cython.Py_ssize_t, 13)  # m along its line from this point to its end
+RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)  # 1 once the run belongs to a wall
+RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)  # 1 for a long and straight run
 RUN_FIELDS = cython.declare(cython.Py_ssize_t, 16)
 
 
@@ -78,7 +76,7 @@ class StraightRuns:
     lidar_x: cython.double
     lidar_y: cython.double
     _length: cython.double  # m of a long run
-    _oldest: cython.double  # s, the age of a ray of this turn
+    _oldest: cython.double  # s, the greatest age of a ray of this revolution
     _returns: cython.Py_ssize_t
     _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
     _sums: cython.double[::1]  # running sums over the returns

@@ -192,11 +192,14 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of an object or value: its index in `_nodes`, in a 1-tuple.
+        """The place of the node of `value`: the index in `_nodes`, in a 1-tuple.
 
-        Adds the node if `value` has none yet. A value is split into its parts now. An object gets
-        an empty node, whose fields `memory` adds later: objects may refer to one another in a
-        circle, values cannot.
+        In the parts of another node, the tuple tells a place from an int. If `value` has no node
+        yet, the method adds a node:
+
+        - for a value (a container, an array, bytes, an instance of a class of values): with parts,
+        - for an object (an instance of any other class): empty. `memory` adds the parts later,
+          since objects may refer to one another in a circle.
         """
         known_place = self._places.get(id(value))
         if known_place is not None:

@@ -175,7 +175,7 @@ def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, byte
 
 
 def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, bytes]:
-    """The handed over roster, and its signed bytes; CodecError if it cannot replace the present.
+    """The roster of `shared`, and its signed bytes; CodecError if it cannot replace the present.
 
     If only encoding or signature differ from the present roster, the bytes are the present bytes.
     """
@@ -192,10 +192,12 @@ def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, b
 
 
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
-    """The datagram keys of the identity's name at the generation of `roster`.
+    """The keys with which this identity signs and checks datagrams, for the generation of `roster`.
 
-    Empty if the roster lacks the name, or has it in another role. CodecError if the digests in the
-    roster show that the handed over secret or keys are not those of this roster.
+    `shared`: what came with the roster: the secret of the swarm for a robot, or the keys for an
+    operator or viewer. `giver`: the robot that sent `shared`, as its link has proved; empty: no
+    robot. Without keys if the roster lacks this identity's name, or has the name in another role.
+    CodecError if secret or keys of `shared` have another digest than the roster says.
     """
     role, present = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:

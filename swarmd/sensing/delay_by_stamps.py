@@ -63,7 +63,7 @@ class DelayByStamps:
     _lowest: cython.double  # of this period
     _lowest_before: cython.double  # of the two periods before it
     _period_ends: cython.double  # the end of this period
-    _drifts: cython.bint
+    _drifts: cython.bint  # the clock of odometry does not run at real time
     _minima: cython.double[4]  # of the last periods
     _period_count: cython.Py_ssize_t
     # Ages of the last scans, the oldest at `_oldest`; when the last one arrived.

@@ -217,17 +217,19 @@ class MeasuredSweep:
     def __init__(self, spec: ScanSpec) -> None:
         self._period, self._offset = 1.0 / spec.rate, spec.offset
         self.order: Order | None = None
-        self._layout: _Layout | None = None
-        self._given_rays: tuple[Array | None, Array | None] = None, None
-        self._ages: Array | None = None
+        self._layout: _Layout | None = None  # of the last scan
+        self._given_rays: tuple[Array | None, Array | None] = None, None  # its bearings and ages
+        self._ages: Array | None = None  # the result of `ages`; None: not computed yet
         self._candidates = _Candidates((AT_ONCE,))
         self._stored_scans: deque[_ScanAtPose] = deque(maxlen=_MAX_SCANS)
-        self._yaw = self._turned = 0.0  # rad turned since the last pair
-        self._scan_count = self._pair_count = 0  # so far; and pairs that told the order
-        self._mean_errors: deque[Array] = deque(maxlen=_MAX_PAIRS)
+        self._yaw = 0.0  # rad, the heading at the last scan
+        self._turned = 0.0  # rad of turns since the last pair
+        self._scan_count = 0
+        self._pair_count = 0  # the pairs by which the order was set
+        self._mean_errors: deque[Array] = deque(maxlen=_MAX_PAIRS)  # of each pair: (c,) rad
         self._sides: deque[float] = deque(maxlen=_MAX_PAIRS)  # of these pairs: 1.0 left, -1.0 right
-        self._delay = 0.0
-        self._reason = ""
+        self._delay = 0.0  # s, by which the stored scans got their times
+        self._reason = ""  # why the order is not known
 
     def ages(self, scan: Scan) -> Array:
         """(n,) s by which each ray is older than the newest ray.
@@ -261,18 +263,20 @@ class MeasuredSweep:
             headings: the headings of the robot by odometry.
             base: the pose of the base when the scan arrived.
         """
-        # 1. Skips scans that show nothing new: unusable rays, rays that are all measured at once (a
-        # claim of 0 s by the driver), most scans of a known order, and repeats of a robot at rest
-        # (after half of _MAX_SCAN_PERIOD a repeat is stored, so that a later turn has a partner).
+        # 1. Skips scans that show nothing new.
         layout = self._update_layout(scan)
         half = 0.5 * self._longest_scan()  # s from the mean ray to the oldest and the newest ray
         self._scan_count += 1
-        if abs(delay - self._delay) > _MAX_DELAY_CHANGE:  # earlier pairs had wrong headings
+        # The stored scans got their times, and so their headings, by a delay that was wrong.
+        if abs(delay - self._delay) > _MAX_DELAY_CHANGE:
             self._delay = delay
             self._forget_pairs()
+        # Most scans of a known order.
         if self.order is not None and self._scan_count % _SCAN_STRIDE:
             return
         time = arrival - delay  # of the mean ray
+        # Unusable rays; rays that are all measured at once, by the driver; a scan that began before
+        # the oldest heading.
         if layout.fault or layout.claim == 0.0 or time - half < headings.times[0]:
             return
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
@@ -281,6 +285,8 @@ class MeasuredSweep:
         # rad since the last pair; a jump of the heading counts as _MAX_TURN at most.
         self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
         self._yaw = yaw
+        # A repeat of the last stored scan by a robot at rest. After half of _MAX_SCAN_PERIOD a
+        # repeat is stored, so that a later turn has a partner.
         age_of_last = time - stored[-1].at if stored else 0.0
         is_last_fresh = 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD
         if turned + abs(skew) < _AT_REST and is_last_fresh:
@@ -297,12 +303,13 @@ class MeasuredSweep:
             if difference > greatest_difference and earlier.is_comparable(scan_at_pose):
                 partner, greatest_difference = earlier, difference
 
-        # 3. Stores the scan. Stored scans are _SPACING apart in heading: while the robot is near
-        # the heading of the last scan but one, the new scan replaces the last. Then compares the
-        # pair, once the robot has turned far enough since the last pair.
+        # 3. Stores the scan. Stored scans are _SPACING apart in heading, except the newest: the new
+        # scan replaces the newest if the robot is within _SPACING of the stored scan before that.
         if len(stored) > 1 and abs(yaw - stored[-2].yaw) < _SPACING:
             stored.pop()
         stored.append(scan_at_pose)
+
+        # 4. Compares the pair, once the robot has turned far enough since the last pair.
         if partner is not None and self._turned > (_SPACING if self.order is None else _CHECK_TURN):
             self._turned = 0.0
             self._compare(partner, scan_at_pose)

@@ -54,8 +54,8 @@ def _nearest_angle(
 ) -> cython.Py_ssize_t:
     """The index of the angle nearest to `wanted` (rad), by binary search.
 
-    `rising`: angles in [0, a full turn), of which the first `n` are in use and rise. `wanted`: rad,
-    any angle. `hint`: an index at which the search begins, such as the last result.
+    `rising`: angles in [0, a full turn), of which the first `n` > 0 are in use and rise. `wanted`:
+    rad, any angle. `hint`: an index at which the search begins, such as the last result.
     """
     angle: cython.double = mod_turn(wanted)
     low: cython.Py_ssize_t = 0
@@ -113,12 +113,12 @@ class RayMemory:
     _rising: cython.double[::1]
     _place: cython.longlong[::1]
     # The memory by the place of a ray plus `_shift`: to turn the memory, only `_shift` changes.
-    _ranges: cython.double[::1]
-    _seen_at: cython.double[::1]
-    _near_at: cython.double[::1]
+    _ranges: cython.double[::1]  # the last known range; NaN before the first
+    _seen_at: cython.double[::1]  # the time of this range; -inf before the first
+    _near_at: cython.double[::1]  # the time of the last range below `_near_below`; -inf: none
     _shift: cython.Py_ssize_t
-    _is_zero: cython.uchar[::1]
-    _is_lost: cython.uchar[::1]
+    _is_zero: cython.uchar[::1]  # of the present scan: the raw range is 0
+    _is_lost: cython.uchar[::1]  # of the present scan: unknown, other than by a zero of an LDS
 
     def __init__(self, spec, *, guesses_near):
         self.known_at = -INFINITY

@@ -187,7 +187,7 @@ class DriverHarness:
     task: asyncio.Task[None]
 
     async def until(self, condition: Callable[[], bool], *, publishing: bool = False) -> None:
-        """Wait for a condition, while the base publishes or stays silent."""
+        """Wait for a condition, while the base publishes scan and odometry, or stays silent."""
         async with asyncio.timeout(TIMEOUT):
             while not condition():
                 if publishing:
@@ -415,17 +415,18 @@ class DriverContract:
             not_heard = reports[0]
             assert [hazard.kind for hazard in not_heard] == [HazardKind.NOT_HEARD]
 
-            def is_reported(expected: tuple[Hazard, ...], *, is_present: bool) -> bool:
+            def publish_and_compare(expected: tuple[Hazard, ...], *, is_present: bool) -> bool:
+                """Publish the state of the hazard; True once the last report is `expected`."""
                 rig.publish_hazard(is_present=is_present)
                 return reports[-1] == expected
 
             # The hazard and its end, twice.
             for _ in range(2):
-                is_begun = partial(is_reported, (rig.hazard,), is_present=True)
+                is_begun = partial(publish_and_compare, (rig.hazard,), is_present=True)
                 await harness.until(is_begun, publishing=True)
-                is_ended = partial(is_reported, (), is_present=False)
+                is_ended = partial(publish_and_compare, (), is_present=False)
                 await harness.until(is_ended, publishing=True)
-            # Silence: nothing publishes hazards any more.
+            # Silence: the rig publishes no hazards any more, only scan and odometry.
             await harness.until(lambda: reports[-1] == not_heard, publishing=True)
             assert harness.sink.is_up
 

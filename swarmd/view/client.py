@@ -47,17 +47,17 @@ class Client:
         self.selected: list[str] = []
         self.past: float | None = None
         """The time that the page looks back at; None for the present."""
-        self._plotted = 0
-        self._looked: Moment | None = None
+        self._plotted = 0  # the number of moments whose plotted values were sent
+        self._looked: Moment | None = None  # the past moment that the page shows; None: the present
         self.sent = 0
         """Frames that were sent."""
-        self._unacked = 0
-        self._detail_at = 0.0
-        self._rows: dict[str, str] = {}
-        self._known = -1
-        self._others: Sequence[str] = ()
+        self._unacked = 0  # frames that were sent and not acknowledged
+        self._detail_at = 0.0  # s, the time of the last message of details
+        self._rows: dict[str, str] = {}  # the rows that the page has, by robot
+        self._known = -1  # the revision of the source that the page has
+        self._others: Sequence[str] = ()  # the messages of links and boxes that the page has
         self._sending: asyncio.Task[None] | None = None
-        self._answers: list[str] = []
+        self._answers: list[str] = []  # JSON of `tell` and `plot`, to be sent first
         self._requests: set[asyncio.Task[None]] = set()
 
     def on_ack(self) -> None:
@@ -108,10 +108,11 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send a past moment to a page that looks back, then the messages that wait.
+        """Send the answers that are due, and a past moment, to a page that looks back.
 
-        The frame has the number that it had at its time. A command of the page quotes the number of
-        the frame that the user saw, and so counts as old.
+        The moment is sent once, as the text and the frame that the page got at that time. The frame
+        has its old number. A command quotes the number of the frame that the page shows. So the
+        server refuses a command of a page that looks back by MAX_LATENESS s or more, except a stop.
         """
         if self._is_sending:
             return
@@ -161,8 +162,8 @@ class Client:
 
     def _scans(self, source: Source) -> list[bytes]:
         index = {robot.name: robot.index for robot in source.robots}
-        found = ((index[name], source.scan(name)) for name in self.selected if name in index)
-        return [pack_scan(one, points) for one, points in found if points is not None]
+        scans = ((index[name], source.scan(name)) for name in self.selected if name in index)
+        return [pack_scan(number, points) for number, points in scans if points is not None]
 
     def _details(self, source: Source, now: float) -> list[str]:
         if not self.selected or now - self._detail_at < DETAIL_PERIOD:

@@ -271,7 +271,7 @@ class ViewServer:
             await self._commander.act(verb, message, tell)
 
     def _is_late(self, seen: Any) -> bool:
-        """True if a command quotes the number of a frame that was drawn long ago."""
+        """False if a command quotes a frame that was sent less than MAX_LATENESS s ago."""
         now = asyncio.get_running_loop().time()
         return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
 
@@ -291,7 +291,7 @@ class ViewServer:
         The number of watched robots is limited, since scans load the robots' network.
         """
         order = sorted(self._clients, key=lambda client: client.role != "operator")
-        names = dict.fromkeys(name for one in order for name in reversed(one.selected))
+        names = dict.fromkeys(name for client in order for name in reversed(client.selected))
         watched = sorted(list(names)[:MAX_WATCHED])
         if watched != self._watched:
             self._watched = watched

@@ -341,7 +341,7 @@ class Operator:
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
-        # Asked are the targets in reach at the last look, or since.
+        # Targets that were in reach at the last look, or came in reach since.
         asked = {
             name: epoch
             for name, epoch in targets.items()

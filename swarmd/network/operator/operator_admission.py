@@ -126,9 +126,11 @@ class OperatorAdmission:
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
         """True if this identity has the key that it shares with the robot.
 
-        Without the key, calls `on_missing_key` with `source`, the robot's address, unless `source`
-        is None. Any robot of the roster can make a datagram with this name: only the link to
-        `source` proves the name.
+        Without the key, no signature of a datagram proves that the robot sent it, since any robot
+        of the roster can make a datagram with the name `robot`. So the method calls
+        `on_missing_key` with `source`, the address of the sender, to which the caller opens a link:
+        the link proves the name of the robot, and gives the key. `source` None: the address of the
+        robot is not known, and the method calls nothing.
         """
         if self._trust.verifier.has_key_of(robot):
             return True
@@ -142,6 +144,11 @@ class OperatorAdmission:
     def _note_generation(
         self, flaw: Flaw, body: Datagram, payload: bytes, source: Address, now: float
     ) -> None:
+        """Note a beacon that is signed with the keys of an older or newer generation of the roster.
+
+        Older: `outdated` gets the robot. Newer: `on_newer_roster` is called, at most once within
+        HINT_PERIOD for robots of the own roster, and at most once for all other names.
+        """
         if not isinstance(body, Beacon):
             return
         if flaw is Flaw.OLDER and body.robot in self._names:

@@ -114,7 +114,8 @@ class Acks:
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
         self._replies: dict[str, dict[str, Reply]] = {}  # by robot, then by instance
-        self._direct: set[tuple[str, str]] = set()  # robots and instances that acked directly
+        # Robot and instance of each ack that came directly, and does not say that the base moves.
+        self._direct_at_rest: set[tuple[str, str]] = set()
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
         """Take a reply that came on `robot`'s key; False if the reply is not kept."""
@@ -132,18 +133,28 @@ class Acks:
     def on_ack(self, ack: Ack) -> bool:
         """Take the ack of a stop, as the reply of its robot; False if the ack is not kept.
 
-        `ack.via`: the robot that has handed the ack on; empty if the ack came directly. An ack that
-        was handed on is dropped once the same instance has itself acked that its base rests.
+        `ack.via`: the robot that has handed the ack on; empty if the ack came directly.
+
+        Not kept are
+
+        1. an ack of another request,
+        2. an ack that says that the base moves, after an ack of the same instance that does not:
+           the ack is older, and took longer on its way (as by another robot),
+        3. an ack that was handed on, after a direct ack of the same instance that does not say that
+           the base moves: the direct ack needs no word of another robot.
         """
-        # 1. Drop acks of other requests, and older acks.
-        instance = ack.instance.hex()
-        if ack.id != self._request_id or (ack.via and (ack.robot, instance) in self._direct):
+        # 1. Drop the ack in the cases 1 to 3.
+        if ack.id != self._request_id:
             return False
+        instance = ack.instance.hex()
         earlier = self._replies.get(ack.robot, {}).get(instance)
         if ack.is_moving and earlier is not None and not earlier.is_moving:
-            return False  # an older ack, which took longer through another robot
+            return False
+        if ack.via and (ack.robot, instance) in self._direct_at_rest:
+            return False
 
-        # 2. Make the reply. A later version may send a code or refusal that is unknown here.
+        # 2. Make the reply. A later version may send a code or refusal that is unknown here. This
+        # version sends a refusal with each code but APPLIED.
         text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
         code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
         refusal = None
@@ -160,11 +171,11 @@ class Acks:
         )
         is_taken = self.on_reply(ack.robot, reply)
         if is_taken and not (ack.via or ack.is_moving):
-            self._direct.add((ack.robot, instance))
+            self._direct_at_rest.add((ack.robot, instance))
         return is_taken
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
-        """True if no reply of the robot has come, or not one of each of several `instances`."""
+        """True if no reply of the robot has come, or if one of several `instances` sent none."""
         answered = self._replies.get(robot, {}).keys()
         return not answered or (len(instances) > 1 and not set(instances) <= answered)
 

@@ -94,8 +94,10 @@ class PendingStop:
     def on_ack(self, ack: Ack, now: float) -> bool:
         """Take an ack; False if the ack is not kept.
 
-        An ack of another request is not kept. Nor is the ack of a robot that refuses the stop as
-        replayed: such an ack gives the next repeat of the stop a new origin.
+        Not kept are an ack of another request, and the ack of a robot that refuses the stop as
+        replayed: the robot has heard a later stop of the same origin (the random number by which
+        robots count the stops of one operator). The next repeat of the stop then gets an origin
+        that was never used, which no robot refuses as replayed.
         """
         if ack.refusal != REPLAYED or self._renew is None:
             return self.acks.on_ack(ack)
