@@ -241,8 +241,7 @@ class BlindZoneMemory:
     _ray_count: cython.Py_ssize_t
     _reserved: cython.Py_ssize_t  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
-    # `_age_by_ray` in s is inf where no obstacle is hidden. `_is_face_by_ray`: True where no
-    # obstacle is hidden, or where the hidden obstacle only continues a face in view.
+    # `_age_by_ray` in s is inf where no obstacle is hidden.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
@@ -251,7 +250,7 @@ class BlindZoneMemory:
     _is_in_entered_sector: cython.uchar[::1]
     _age_by_ray: cython.double[::1]
     _nearest_by_ray: cython.double[::1]
-    _is_face_by_ray: cython.uchar[::1]
+    _is_face_by_ray: cython.uchar[::1]  # only a face in view continues there; or nothing is hidden
     _exact_bearing: cython.double[::1]
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
