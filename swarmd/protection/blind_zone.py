@@ -241,8 +241,7 @@ class BlindZoneMemory:
     _ray_count: cython.Py_ssize_t
     _reserved: cython.Py_ssize_t  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
-    # `_age_by_ray` in s is inf where no obstacle is hidden. `_is_face_by_ray`: True where no
-    # obstacle is hidden, or where the hidden obstacle only continues a face in view.
+    # `_age_by_ray` in s is inf where no obstacle is hidden.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
@@ -251,7 +250,7 @@ class BlindZoneMemory:
     _is_in_entered_sector: cython.uchar[::1]
     _age_by_ray: cython.double[::1]
     _nearest_by_ray: cython.double[::1]
-    _is_face_by_ray: cython.uchar[::1]
+    _is_face_by_ray: cython.uchar[::1]  # only a face in view continues there; or nothing is hidden
     _exact_bearing: cython.double[::1]
     # Empty sectors: the first ray, the number of rays, at how many ends (0 to 2) an obstacle
     # crosses the rim, and m to the square corner of rule 2.
@@ -688,10 +687,9 @@ class BlindZoneMemory:
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
         # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
-        # that have not expired, and that have not reappeared (rule 5). An obstacle has reappeared
-        # if _MIN_EMERGED came into view beside the rim; half of the vanished width suffices if
-        # that is less. `_find_reappeared` sets `_angles` to the angles of the reappeared returns.
-        # The candidates from `_hidden_count` on vanished just now, so they have not reappeared.
+        # that have not expired and have not reappeared (rule 5): _MIN_EMERGED, or half of the width
+        # that vanished, came into view. `_find_reappeared` sets `_angles` to those of reappeared
+        # returns. Candidates from `_hidden_count` on vanished just now: they have not reappeared.
         self._find_reappeared(turned, obstacle_step)
         self._emerged_m = max(self._emerged_m, 0.0)
         has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
@@ -780,20 +778,15 @@ class BlindZoneMemory:
     def _fill(self, seconds: cython.double) -> cython.int:
         """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        The age of a ray is inf without a hidden obstacle, 0 for a certain obstacle, and above 0 for
-        a doubtful obstacle, which expires at the age _NARROW_MEMORY. So a finite age on a ray that
-        had inf puts an obstacle there. The first case that fits a sector counts:
+        The age of a ray is inf without an obstacle, and above 0 for a doubtful obstacle. The first
+        case that fits a sector counts:
 
-        1. Obstacles cross the rim at both ends, and the sector is narrower than _MAX_FACE: a single
-           obstacle fills the sector (rule 2 of the file).
-           - All ages become at most _DOUBTFUL, so each ray has an obstacle.
-           - A ray without an obstacle so far, or with an obstacle that only continues a face in
-             view, gets the distance of the corner. Any other ray keeps its distance.
-        2. An obstacle is hidden in the sector, which is not wider than _MAX_SECTOR: the nearest
-           hidden distance fills the sector. The age of all its rays is
-           - 0 if the sector is wide enough for a robot;
-           - else the least age, at most _DOUBTFUL, if an obstacle crosses the rim at one end;
-           - else the least age plus `seconds`: an obstacle too narrow for a robot expires.
+        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE (rule 2 of the
+           file): ages become at most _DOUBTFUL, so each ray has an obstacle. A ray that had none,
+           or only the continuation of a face in view, gets the distance of the corner.
+        2. An obstacle is hidden in a sector of at most _MAX_SECTOR: the least distance fills it,
+           with one age: 0 in a sector as wide as a robot; else the least age, at most _DOUBTFUL if
+           an obstacle crosses the rim, else plus `seconds`: a narrow obstacle expires.
         3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
         """
         n: cython.Py_ssize_t = self._ray_count
