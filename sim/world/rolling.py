@@ -95,11 +95,6 @@ class RollingScans:
         self._waiting: set[int] = set()
         self._sweeps = lidar.sweeps(ends, self._ranges)
 
-    @property
-    def has_segments(self) -> bool:
-        """Whether scans in progress are handed over in segments."""
-        return bool(self._segments)
-
     def begin(self, robot: int) -> None:
         """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
         self._waiting.add(robot)

@@ -52,7 +52,7 @@ class World:
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
     - `measures_late`: `arrived_scans` measures only the rays that end a scan, and leaves all other
-      rays of rolling scans to `measure_rays`. The results are equal.
+      rays of rolling scans to `measure_rays`. The results are equal. No effect with segments.
     """
 
     def __init__(
@@ -89,8 +89,10 @@ class World:
         self._begin_rings(realism, seed)
         # Delays scans on their way to the robots.
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
-        names = [f"segments of {robot}" for robot in self.ids]
-        self._segment_transport = ScanTransport(realism.lidar, self.platforms, names, seed)
+        self._segment_transport: ScanTransport | None = None
+        if any(platform.scan.segments for platform in self.platforms):
+            names = [f"segments of {robot}" for robot in self.ids]
+            self._segment_transport = ScanTransport(realism.lidar, self.platforms, names, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
         """Build the model of MuJoCo, with robots and boxes at their start poses."""
@@ -226,8 +228,9 @@ class World:
                 ranges = self._noise.measured(scan.row, scan.ranges)
                 sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
                 self._transport.send(scan.row, sent, self.time)
-            for segment in rolling.segments:
-                self._segment_transport.send(segment.row, self._segment(segment), self.time)
+            if self._segment_transport is not None:
+                for segment in rolling.segments:
+                    self._segment_transport.send(segment.row, self._segment(segment), self.time)
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.
@@ -279,13 +282,13 @@ class World:
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:
         """The scans that have arrived since the last call, with their rows, in order of rows."""
-        measures_late = self.measures_late and not any(r.has_segments for r in self._rolling)
-        self.measure_rays(ends_only=measures_late)
+        self.measure_rays(ends_only=self.measures_late and self._segment_transport is None)
         return self._transport.arrived(self.time)
 
     def arrived_segments(self) -> list[tuple[int, Scan]]:
         """As `arrived_scans`, the segments of scans in progress."""
-        return self._segment_transport.arrived(self.time)
+        transport = self._segment_transport
+        return [] if transport is None else transport.arrived(self.time)
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A scan of each of `robots` (m,), with all rays measured now, without transport delay."""

@@ -53,10 +53,9 @@ class Driver(Protocol):
     ) -> None:
         """Send a safe command. Never blocks, keeps no queue, drops commands to a lost base.
 
-        The first command after each (re)connect is zero. `is_stopped`: the robot
-        is stopped, estopped or faulted. In these states a driver whose base other nodes may command
-        sends zero even to a lost base: with each call, and at once when a command of another node
-        is heard.
+        The first command after each (re)connect is zero. `is_stopped`: the robot is stopped,
+        estopped or faulted. In these states a driver whose base other nodes may command sends zero
+        even to a lost base: with each call, and at once when a command of another node is heard.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
