@@ -312,14 +312,16 @@ class _Programme:
             cross: cython.double = line.dx * other.dy - line.dy * other.dx
             offset: cython.double = other.dx * (line.y - other.y) - other.dy * (line.x - other.x)
             if fabs(cross) <= _EPSILON:  # parallel: the line before permits all positions or none
-                if offset < 0.0:
+                if offset < -_EPSILON:
                     return False
                 continue
             if cross >= 0.0:
                 high = min(high, offset / cross)
             else:
                 low = max(low, offset / cross)
-            if low > high:
+            # An empty part within _EPSILON is rounding of lines that meet in one velocity. `relax`
+            # would lead as far as possible to the permitted side of such lines.
+            if low > high + _EPSILON:
                 return False
 
         # 3. The best position in this part.

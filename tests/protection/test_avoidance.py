@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -143,6 +143,8 @@ def kept(lines: list[Line], velocities: Array) -> NDArray[np.bool_]:
     return np.asarray(shaped.all(axis=1), np.bool_)
 
 
+@example([(0.0, 5.55e-131), (2.2e-308, 0.0)], (1.0, 0.0))  # equal lines but for rounding
+@example([(0.0, 2e-8), (1e-17, 0.0)], (1.0, 0.0))
 @settings(max_examples=examples(100))
 @given(
     st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-math.pi, math.pi)), max_size=6),
