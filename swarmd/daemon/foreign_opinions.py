@@ -4,7 +4,8 @@
    nothing proves the sender. The first opinion of each sender is an event.
 2. An opinion in the name of a robot of the swarm is dropped: that robot votes by itself.
 3. A secured swarm hears declared robots alone; the first other robot is an event.
-4. A sender has the limits of a robot's pattern; at most MAX_SENDERS senders are heard.
+4. A sender may send as many messages a second as the pattern of a robot (`SenderLimits`). At most
+   MAX_SENDERS senders are heard.
 5. Only opinions from 0 to MAX_OPINION are heard and published.
 """
 
