@@ -103,9 +103,9 @@ def fence_settings_text(fence: FenceSettings) -> str:
 def peers_text(settings: DaemonSettings) -> str:
     """The platforms of swarmd whose robots make this robot stand, as text.
 
-    The platforms of the real peers are unknown, since the roster has only names. The settings
-    `accepts_unseen` and `accepts_faster` may name platforms that swarmd lacks, such as a file on
-    another robot, so such a name is no fault.
+    All platforms of swarmd are compared, since the roster has only the names of the real peers, not
+    their platforms. The settings `accepts_unseen` and `accepts_faster` may also name a platform
+    that swarmd lacks, such as a file on another robot; the text says so.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []

@@ -235,6 +235,7 @@ def _send_start(
     is_withdrawn = False
 
     def is_cancelled_before_start() -> bool:
+        """True ends the wait for replies; `is_withdrawn` keeps the last result."""
         nonlocal is_withdrawn
         is_withdrawn = session.is_cancelled() and boottime() < start
         return is_withdrawn

@@ -249,24 +249,33 @@ class Network:
         A claim is won if no other daemon shows the same id for `settings.settle` s. Raises
         NetworkError if the network cannot be opened, IdHeldError if another daemon has the id.
         """
-        # 1. Open the network.
-        settings = self._settings
         self._owner = owner
         if self._identity is not None:
-            assert self._stop_counters is not None
-            self._guard = DatagramGuard(
-                self._identity,
-                self._tag,
-                settings.lease_seconds,
-                self._stop_counters,
-                self.drops,
-                on_event=owner.on_event,
-                on_newer_roster=owner.on_newer_roster,
-            )
+            self._guard = self._guard_of(self._identity, owner)
         await self._connection.open()
+        self._peer = self._made_peer(owner)
+        await self._claim(self._peer)
+        while not self._peer.is_in_sync(boottime()):  # with the latches of the peers
+            await asyncio.sleep(SYNC_PERIOD)
+        self._is_settled = True
+        self._serve()
 
-        # 2. Make the datagram protocol, which claims the id.
-        self._peer = Peer(
+    def _guard_of(self, identity: Identity, owner: NetworkOwner) -> DatagramGuard:
+        assert self._stop_counters is not None
+        return DatagramGuard(
+            identity,
+            self._tag,
+            self._settings.lease_seconds,
+            self._stop_counters,
+            self.drops,
+            on_event=owner.on_event,
+            on_newer_roster=owner.on_newer_roster,
+        )
+
+    def _made_peer(self, owner: NetworkOwner) -> Peer:
+        """The datagram protocol, which begins to claim the id of this robot."""
+        settings = self._settings
+        return Peer(
             PeerSettings(
                 robot=self._robot.name,
                 instance=self._instance,
@@ -282,15 +291,8 @@ class Network:
             roster=self._roster,
             now=boottime(),
             admission=None if self._guard is None else self._guard.admission,
-            check_goal=self._owner.check_goal,
+            check_goal=owner.check_goal,
         )
-        await self._claim(self._peer)
-
-        # 3. Wait for the latches (held emergency stops) of the peers.
-        while not self._peer.is_in_sync(boottime()):
-            await asyncio.sleep(SYNC_PERIOD)
-        self._is_settled = True
-        self._serve()
 
     async def _claim(self, peer: Peer) -> None:
         """Wait until the id is claimed; IdHeldError if a daemon owns the id already (the holder).
@@ -465,24 +467,23 @@ class Network:
             answer = partial(self._ack, stop, sender, author)
             self._owner.on_stop(_as_relayed(stop) if actions.is_repeated else stop, sender, answer)
         if self._guard is not None:
-            self._note_flaws(self._guard, body, source, author, actions)
+            if actions.flaw is not None:
+                self._guard.count(actions.flaw, source, boottime())
+            else:
+                self._confirm(body, source)
+            self._refuse_replays(self._guard, actions, author)
         self._carry_out(actions, source, author)
 
-    def _note_flaws(
-        self,
-        guard: DatagramGuard,
-        body: Datagram,
-        source: Address,
-        author: Author | None,
-        actions: PeerActions,
-    ) -> None:
-        """In a secured swarm: count the flaws of a datagram, and refuse a replayed stop."""
-        now = boottime()
-        if actions.flaw is not None:
-            guard.count(actions.flaw, source, now)
-        is_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
-        if actions.flaw is None and is_member and self._carrier is not None:
+    def _confirm(self, body: Datagram, source: Address) -> None:
+        """Tell the carrier that `source` has proved to be a member, by its beacon."""
+        is_of_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
+        if is_of_member and self._carrier is not None:
             self._carrier.confirm(source)
+
+    def _refuse_replays(
+        self, guard: DatagramGuard, actions: PeerActions, author: Author | None
+    ) -> None:
+        """Answer replayed stops with a refusal, at a limited rate."""
         for stop, sender in actions.replayed:
             ack = Ack(
                 id=stop.id,
@@ -491,7 +492,7 @@ class Network:
                 revision=0,
                 code="refused",
             )
-            refusal = guard.refusal(stop, sender, ack, now)
+            refusal = guard.refusal(stop, sender, ack, boottime())
             if refusal is not None:
                 self._send(refusal, sender, author)
 
