@@ -282,7 +282,7 @@ def _end_findings(
 
 
 def _disproved(robot: str, status: Status, report: Mapping[str, object]) -> dict[str, str]:
-    """The figure, as text, that disproves a finding, by finding; warns of all other findings.
+    """For each finding that is disproved: the measured figure, as text. Warns of all others.
 
     The measured braking (m/s^2 or rad/s^2), less 2 standard deviations, disproves a finding on
     brakes if it exceeds 85 % (SOUND) of the braking in the platform file.

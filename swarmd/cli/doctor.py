@@ -121,12 +121,13 @@ def _findings_of(
         remedy = "install the same version everywhere"
         yield Finding("answer", False, f"unreadable: {error}", remedy)
         return
-    # The robot read its clock between `sent_at` and `returned_at`: in their middle, within `error`.
-    answered_at, error = 0.5 * (sent_at + returned_at), 0.5 * (returned_at - sent_at)
+    # The robot read its clock between `sent_at` and `returned_at`: in their middle, within half of
+    # the time between them.
+    answered_at = 0.5 * (sent_at + returned_at)
     yield from findings_of.of_robot(
         reply,
         skew=reply.machine.wall - answered_at,
-        error=error,
+        error=0.5 * (returned_at - sent_at),
         version=version("swarmd"),
         ways=operator.ways(robot),
         others=others,

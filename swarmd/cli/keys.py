@@ -140,7 +140,7 @@ def _make_authority(
     swarm: str,
     names_by_role: Mapping[Role, tuple[str, ...]],
     settings: Mapping[str, Any],
-    passphrase: str | None,
+    passphrase: bytes | None,
     days: float,
 ) -> tuple[Authority, Identity]:
     """Write the authority into `folder`, and install the first operator for this user.

@@ -68,7 +68,7 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")
 
 
-def _without_ipv6(endpoints: Mapping[str, str]) -> Mapping[str, str]:
+def _without_ipv6(endpoints: Mapping[str, str]) -> dict[str, str]:
     """The endpoints, by robot, that Zenoh can dial by TLS; NetworkError if none is left."""
     by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
     if by_ipv6:

@@ -47,9 +47,8 @@ class Plan:
 def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     """The changes that bring the robots in `view` to the content of a swarm file.
 
-    A robot that did not answer gets no changes, and is in `Plan.unknown`. A file without labels
-    leaves all labels as they are. A file without a goal, or without parameters, leaves these as
-    they are.
+    A robot that did not answer gets no changes, and is in `Plan.unknown`. What the file does not
+    have (labels, a goal, parameters) stays as it is.
     """
     statuses = {
         name: member.status

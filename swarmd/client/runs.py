@@ -183,8 +183,9 @@ def start_at(
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
     """Send the run of a goal, so that all robots start at one moment, in `at` s.
 
-    Each robot gets the start on its own clock, from a measured clock offset. Returns the outcome,
-    and notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
+    Each robot gets the moment of the start on its own clock, whose offset is measured. Returns the
+    outcome, and notes on the start: `in` and `skew` (between robots) in s, and the error of each
+    clock in s.
     A robot whose clock does not answer gets no request, and counts as missing. Raises ConfigError
     if the timeout ends before the start. Raises SwarmError if the session is cancelled before the
     start; robots that have accepted the run are then stopped.

@@ -42,8 +42,8 @@ class Audit:
     """Makes a log line and an audit entry for each request, within limits of the rates.
 
     Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock`: the id
-    of the clock from which callers read `now`: another id after each boot. `wall` returns s since
-    1970.
+    of the clock by which callers state times, which differs after each boot of the machine. `wall`
+    returns s since 1970.
     """
 
     def __init__(
@@ -211,9 +211,10 @@ class AuditLog:
 
         Also returns whether older entries match, and a fault of the disk (empty without a fault).
         `age_of` returns the age of an entry in s; None: unknown. With `query.since`, entries that
-        are older or of unknown age are left out. Damaged lines are left out. Blocks until the
-        queued entries are written. After READ_TIMEOUT the last entries are read without the queued
-        entries, and the fault says so.
+        are older or of unknown age are left out. Damaged lines are left out.
+
+        Blocks until the queued entries are written, for READ_TIMEOUT at most. If the queue is not
+        empty by then, the result lacks the queued entries, and the fault says so.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()

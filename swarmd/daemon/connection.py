@@ -313,9 +313,9 @@ class NetworkConnection:
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
         """Open the UDP carrier, and a session that listens on the same port number by TCP.
 
-        The number is the same since a robot dials, by TCP, the UDP port from which the beacons of a
-        peer come. Without a configured port the UDP port is free, but its TCP port may be in use:
-        then another port is tried for both, up to MAX_PORT_TRIES times.
+        A robot dials a peer, by TCP, at the UDP port from which the beacons of the peer come. So
+        both ports have one number. Without a configured port any free UDP port is taken. If the TCP
+        port of this number is in use, another UDP port is tried, up to MAX_PORT_TRIES times.
         """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)

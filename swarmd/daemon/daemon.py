@@ -419,8 +419,8 @@ class Daemon:
         """Let timer and driver rest, or end their rest.
 
         At rest the timer ticks half as often, and the driver keeps readings back; at the end of the
-        rest the robot gets these readings. While a recording is made, which has each reading of
-        odometry, the driver does not rest.
+        rest the robot gets these readings. The driver does not rest while a recording is made,
+        since the recording needs each reading of odometry.
         """
         self._timer.rest(is_resting)
         driver, was_resting = self._resting_driver, self._is_driver_resting

@@ -50,8 +50,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
 
     A base with a command timeout stops by itself when commands cease. For a base without a command
     timeout (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed.
-    Raises SwarmError if the driver or its options are wrong, ConfigError if the base would stop in
-    neither way.
+    Raises SwarmError if the driver or its options are wrong, ConfigError if the base would have
+    neither a command timeout nor a watchdog.
     """
     driver = make_bare_driver(settings)
     base = base_options(settings.driver_options, f"driver {settings.driver}")

@@ -5,7 +5,7 @@ epoch that the robot had when the command was issued.
 
 1. The robot refuses a run or reset if its epoch has changed since the command was issued.
 2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.
-3. A stop or emergency stop has no limit of age. It is repeated until the base rests.
+3. A stop or emergency stop of any age is carried out, and repeated until the base rests.
 4. Only operators command: in a secured swarm the name must be an operator of the roster.
 """
 

@@ -153,11 +153,12 @@ class PatternIntake:
     def take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
     ) -> None:
-        """Queue code to check, write and try, or a removal to carry out.
+        """Queue a pattern, or a removal, for `_take`.
 
-        `source`: where the code came from, in words. `request`: the push to answer at the end;
-        None: the code came from a peer. Entries are handled one by one: a robot may pull a pattern
-        from a peer while an operator pushes the same pattern.
+        `entry`: the signed manifest. `code`: its bytes. `source`: where the code came from, in
+        words. `request`: the push to answer at the end; None: the code came from a peer. Entries
+        are handled one by one, since a robot may pull a pattern from a peer while an operator
+        pushes the same pattern.
         """
         self._queue.append((entry, code, source, request))
         self._take_next()
