@@ -120,9 +120,9 @@ def init(
     for path in (folder, identities):
         if path.exists():
             raise ConfigError(f"{path} is there already; remove it to begin anew")
-    passphrase_text = ask_passphrase(is_new=True) if passphrase else None
+    passphrase_bytes = ask_passphrase(is_new=True) if passphrase else None
     authority, installed = _make_authority(
-        folder, swarm, names_by_role, swarm_yaml, passphrase_text, days
+        folder, swarm, names_by_role, swarm_yaml, passphrase_bytes, days
     )
     click.echo(f"authority of swarm {swarm}, certificates of {days:g} days: wrote {folder}")
     report_identity(installed, authority.roster)

@@ -183,12 +183,12 @@ def start_at(
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
     """Send the run of a goal, so that all robots start at one moment, in `at` s.
 
-    Each robot gets the moment of the start on its own clock, whose offset is measured. Returns the
-    outcome, and notes on the start: `in` and `skew` (between robots) in s, and the error of each
-    clock in s.
-    A robot whose clock does not answer gets no request, and counts as missing. Raises ConfigError
-    if the timeout ends before the start. Raises SwarmError if the session is cancelled before the
-    start; robots that have accepted the run are then stopped.
+    Each robot gets the moment of the start on its own clock, whose offset is measured. A robot
+    whose clock does not answer gets no request, and counts as missing. Returns the outcome, and
+    notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
+
+    Raises ConfigError if the timeout ends before the start. Raises SwarmError if the session is
+    cancelled before the start; robots that have accepted the run are then stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
@@ -283,7 +283,7 @@ def run_with_canary(
         names = ", ".join(canaries)
         session.tell(f"canary: {names} did not start; nothing was sent to the others")
         return outcome, {}
-    faults = _watched(session, view, canaries, seconds)
+    faults = _canary_faults(session, view, canaries, seconds)
     if faults:
         _fail(operator, canaries, faults, len(targeted.names))
 
@@ -297,7 +297,7 @@ def run_with_canary(
     return outcome, {"canary": list(canaries), "others": list(others)}
 
 
-def _watched(
+def _canary_faults(
     session: Session, view: MembersView, canaries: tuple[str, ...], seconds: float | None
 ) -> Mapping[str, str]:
     """Watch running canaries for `seconds`; returns the fault of each that does not run well.

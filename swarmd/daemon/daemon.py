@@ -565,7 +565,8 @@ class Daemon:
 
         The timer calls this each period (1/20 s), and between two periods if the robot asked.
         """
-        periods_before, self._periods = self._periods, self._timer.periods
+        periods_before = self._periods
+        self._periods = self._timer.periods
 
         def is_due(interval: int) -> bool:
             """True once every `interval` periods."""
@@ -650,7 +651,7 @@ class Daemon:
             self._pushed_runs.on_failed(actions.failed_code)
         for reply in map(self._pattern_intake.on_reply, actions.replies):
             self._reply(reply, is_stored=is_stored)
-        wake_at = self._robot.wake_at(boottime())  # a time before the end of the period, or None
+        wake_at = self._robot.wake_at(boottime())  # a deadline between two regular ticks
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
     def _reply(self, reply: Reply, *, is_stored: bool) -> None:
