@@ -237,7 +237,8 @@ def _send_roster(
             query_timeout = None if options.timeout is None else options.timeout / 2.0
             view = operator.members(timeout=query_timeout, needs_status=False)
             outcomes = _send_in_batches(options, operator, view, authority, remaining, issued)
-            # Revoked robots get no newer keys than the keys that this operator has had so far.
+            # A revoked robot has no keys of a newer generation than this operator has had so far. A
+            # robot with keys of an older generation is not reached.
             if revoked and generation == own.roster.generation:
                 _send_to_revoked(operator, view, authority, revoked)
         seconds += view.seconds
