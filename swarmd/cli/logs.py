@@ -108,7 +108,8 @@ class _Follower:
         view: MembersView,
         printer: _Printer,
     ) -> None:
-        self._options, self._operator, self._targets = options, operator, targets
+        self._options, self._operator = options, operator
+        self._targets = targets
         self._view = view  # of the last query
         self._printer = printer
         self._robots = set(robots_of(view, targets))

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from swarmd.client.session import Session, TargetedView
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
-    from swarmd.core.messages import Epoch
-    from swarmd.network.operator.members_view import MembersView
+    from swarmd.core.messages import Epoch, Status
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
@@ -273,7 +272,10 @@ def run_with_canary(
     returned without names. If a canary fails later, all canaries are stopped, and RequestError is
     raised.
     """
-    session, operator, view = targeted.session, targeted.operator, targeted.view
+    from swarmd.client.canary import CANARY_TIME
+
+    session, operator = targeted.session, targeted.operator
+    view = targeted.view
     # This goal targets only the canaries, so that it ends no run of another robot.
     canary_goal = signed_again(operator, goal, targets=canaries)
     canary_epochs = view.epochs(canaries)
@@ -283,7 +285,8 @@ def run_with_canary(
         names = ", ".join(canaries)
         session.tell(f"canary: {names} did not start; nothing was sent to the others")
         return outcome, {}
-    faults = _canary_faults(session, view, canaries, seconds)
+    before = {name: view.members[name].status for name in canaries if name in view.members}
+    faults = _canary_faults(session, canaries, seconds or CANARY_TIME, before)
     if faults:
         _fail(operator, canaries, faults, len(targeted.names))
 
@@ -298,18 +301,19 @@ def run_with_canary(
 
 
 def _canary_faults(
-    session: Session, view: MembersView, canaries: tuple[str, ...], seconds: float | None
+    session: Session,
+    canaries: tuple[str, ...],
+    seconds: float,
+    before: Mapping[str, Status | None],
 ) -> Mapping[str, str]:
-    """Watch running canaries for `seconds`; returns the fault of each that does not run well.
+    """Watch running canaries for `seconds`; the fault of each canary that does not run well.
 
-    `view`: the canaries before their run. After a cancellation each canary has a fault. After
-    Ctrl-C the canaries are stopped.
+    `before`: the status of each canary before its run. After a cancellation each canary has a
+    fault. After Ctrl-C the canaries are stopped.
     """
-    from swarmd.client.canary import CANARY_TIME, watch_canary
+    from swarmd.client.canary import watch_canary
 
-    seconds = seconds or CANARY_TIME
     session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
-    before = {name: view.members[name].status for name in canaries if name in view.members}
     try:
         faults = watch_canary(session, canaries, seconds, before)
     except (KeyboardInterrupt, SystemExit):

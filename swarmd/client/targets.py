@@ -137,9 +137,9 @@ def named(view: MembersView, targets: Targets) -> Targets:
 def stop_targets(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop by labels, with the labels replaced by names.
 
-    A robot is a target if `targets` names it, if it has one of the labels, or if its labels are not
-    known: in doubt a robot is stopped. Excluded robots are no targets. RequestError if the labels
-    of all expected robots are known, and no robot has one of the labels in `targets`.
+    The targets are robots that `targets` names, robots with one of the labels, and robots whose
+    labels are not known: in doubt a robot is stopped. Excluded robots are no targets. RequestError
+    if the labels of all expected robots are known, and no robot has one of the labels in `targets`.
     """
     labels_by_robot = labels_of(view)
     if view.expected and view.expected <= labels_by_robot.keys():
