@@ -27,6 +27,7 @@ from swarmd.network.operator.exit_codes import FAILED, REFUSED, TIMEOUT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from swarmd.network.operator.members_view import SeenMember
     from swarmd.network.operator.operator import Operator
 
 LONGEST = 600.0
@@ -80,33 +81,33 @@ def calibrate(
     within the range of the lidar must stand: moving objects make the figures less exact. Ctrl-C
     stops the robot.
     """
-    # 1. All that can be refused before anything moves.
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
     _check_file(write)
     with options.operator() as operator:
         view = known_members(options, operator)
         check_known(robot, view.members)
-        member = view.members[robot]
-        status = member.status
-        if member.presence is not Presence.ALIVE or status is None:
-            raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
-        if status.state not in (State.IDLE, State.STOPPED):
-            activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
-            raise Failure(
-                f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED
-            )
-        # 2. Warn of moving robots, and ask whether the floor is free.
+        status = _resting_status(robot, view.members[robot])
         side_m = _floor(status) if floor is None else floor
         statuses = {name: other_member.status for name, other_member in view.members.items()}
         if moving := running_beside(statuses, robot):
             names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side_m, yes)
-        # 3. Drive, and use the figures.
         report, status = _measure(operator, robot, {"floor": side_m, "repeats": repeats})
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
+
+
+def _resting_status(robot: str, member: SeenMember) -> Status:
+    """The status of a robot that may be calibrated; Failure unless it answers and rests."""
+    status = member.status
+    if member.presence is not Presence.ALIVE or status is None:
+        raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
+    if status.state not in (State.IDLE, State.STOPPED):
+        activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
+        raise Failure(f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED)
+    return status
 
 
 def running_beside(statuses: Mapping[str, Status | None], robot: str) -> list[str]:

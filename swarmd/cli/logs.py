@@ -77,7 +77,7 @@ def logs(
         printer = _Printer(robots, query, is_json=options.is_json and follow)
         if follow:
             with signals_end():
-                _Follower(options, operator, targets, view, printer).run()
+                _Follower(options, operator, targets, view, printer).run()  # until a signal
         replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
         lines = printer.new_lines(replies.values())
         if options.is_json:
