@@ -27,7 +27,6 @@ from swarmd.network.operator.exit_codes import FAILED, REFUSED, TIMEOUT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmd.network.operator.members_view import SeenMember
     from swarmd.network.operator.operator import Operator
 
 LONGEST = 600.0
@@ -87,7 +86,9 @@ def calibrate(
     with options.operator() as operator:
         view = known_members(options, operator)
         check_known(robot, view.members)
-        status = _resting_status(robot, view.members[robot])
+        member = view.members[robot]
+        is_alive = member.presence is Presence.ALIVE
+        status = _resting_status(robot, member.status if is_alive else None)
         side_m = _floor(status) if floor is None else floor
         statuses = {name: other_member.status for name, other_member in view.members.items()}
         if moving := running_beside(statuses, robot):
@@ -99,10 +100,12 @@ def calibrate(
         _show(options, robot, status, report, write)
 
 
-def _resting_status(robot: str, member: SeenMember) -> Status:
-    """The status of a robot that may be calibrated; Failure unless it answers and rests."""
-    status = member.status
-    if member.presence is not Presence.ALIVE or status is None:
+def _resting_status(robot: str, status: Status | None) -> Status:
+    """The status of a robot that may be calibrated; Failure unless the robot answers and rests.
+
+    `status`: the last status; None if the robot is not alive or has sent none.
+    """
+    if status is None:
         raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
     if status.state not in (State.IDLE, State.STOPPED):
         activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
