@@ -286,7 +286,7 @@ def _end_findings(
 
 
 def _disproved(robot: str, status: Status, report: Mapping[str, object]) -> dict[str, str]:
-    """For each finding that is disproved: the measured figure, as text. Warns of all others.
+    """The measured figure as text for each finding that it disproves; warns of all other findings.
 
     The measured braking (m/s^2 or rad/s^2), less 2 standard deviations, disproves a finding on
     brakes if it exceeds 85 % (SOUND) of the braking in the platform file.
@@ -325,10 +325,10 @@ def _show(
     report: Mapping[str, object],
     write: Path | None,
 ) -> None:
-    """Print the measured figures and the platform file that has them, or write that file.
+    """Print the measured figures, and print or write a platform file that has these figures.
 
-    `report`: the report of the calibration pattern after its drives. `write`: the file to write,
-    None to print. Failure if another version of swarmd made the report.
+    `report`: the report of the calibration pattern after its drives. `write`: the file to write;
+    None: the platform file is printed. Failure if another version of swarmd made the report.
     """
     from swarmd.calibration.report import figures_of
 

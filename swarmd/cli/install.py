@@ -49,7 +49,8 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
         )
     base = _base(root)
     machine_root = root or Path("/")
-    is_of_service = base == machine_root / "etc/swarmd"
+    is_of_service = base == machine_root / "etc/swarmd"  # else of this user
+    is_this_machine = machine_root == Path("/")  # else the root is another one, such as an SD card
     if is_of_service:
         keep_for_root(machine_root)
     # All is checked before the first write.
@@ -68,11 +69,11 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
         give_to_service(machine_root)
     report_identity(identity, opened.roster)
     _report_file(config, drafted)
-    if base == Path("/etc/swarmd"):
+    if is_of_service and is_this_machine:
         has_service = UNIT_FILE.exists()
         next_step = "systemctl restart swarmd" if has_service else "swarmd service install"
         click.echo(f"next: {next_step}")
-    elif root is None:
+    elif is_this_machine:
         click.echo(f"next: swarmd --config {config}")
 
 

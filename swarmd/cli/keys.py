@@ -145,9 +145,9 @@ def _make_authority(
 ) -> tuple[Authority, Identity]:
     """Write the authority into `folder`, and install the first operator for this user.
 
-    The key, the roster and the `settings` for bundles are written into a draft folder, which gets
-    its name when all is written. An error or Ctrl-C leaves nothing. `days`: the life of
-    certificates.
+    `folder` must not exist. The key, the roster and the `settings` for bundles are written into a
+    draft folder, which is renamed to `folder` when all is written. After an error or Ctrl-C neither
+    folder is left. `days`: the life of certificates.
     """
     from swarmd.security.authority import Authority
     from swarmd.security.bundle import OpenedBundle
@@ -164,7 +164,7 @@ def _make_authority(
         operator_bundle = bundle_of(authority, names_by_role[Role.OPERATOR][0])
         draft.rename(folder)
         opened = OpenedBundle(operator_bundle, authority.roster)
-        installed = install_reader(opened, {}, is_forced=False)
+        installed = install_reader(opened, overrides={}, is_forced=False)
     except BaseException:
         shutil.rmtree(draft, ignore_errors=True)
         shutil.rmtree(folder, ignore_errors=True)
@@ -206,10 +206,10 @@ def bundle(
 
 
 def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
-    """The file of each name's bundle; makes the folder `target` (None: the present folder).
+    """The file to write for each name: `target` itself for one name, else files in `target`.
 
-    `target` is the file itself if there is only one name, and `target` has a suffix and is no
-    folder.
+    `target` is a file if its name has a suffix and no folder has this name. Makes the folder of the
+    files. `target` None: the present folder.
     """
     from swarmd.security.bundle import SUFFIX
 
@@ -325,8 +325,11 @@ def _is_in_use(swarm: str) -> bool:
     """True if verbs without options address this swarm."""
     from swarmd.settings.contexts import context_in_use
 
-    chosen = context_in_use()
-    return chosen is not None and chosen[1].swarm == swarm and not os.environ.get("SWARM")
+    name_and_context = context_in_use()
+    if name_and_context is None or os.environ.get("SWARM"):
+        return False
+    _, context = name_and_context
+    return context.swarm == swarm
 
 
 def _report_context(swarm: str) -> None:

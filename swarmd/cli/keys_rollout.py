@@ -227,19 +227,21 @@ def _send_roster(
     seconds = 0.0  # of all queries and requests
     for identity in _identities(own, authority, robots):
         generation = identity.roster.generation
-        # A robot has the recorded generation or a later generation, never an earlier generation.
+        # A robot never has an earlier generation than the authority has recorded for it.
         candidates = [name for name in robots if _generation(authority, name) <= generation]
         remaining = [name for name in candidates if name not in replies]
         if not remaining:
             continue
         # `takes_rosters` False: the operator keeps the keys of `generation` in this block.
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
+            # Half of the time is left for the requests.
             query_timeout = None if options.timeout is None else options.timeout / 2.0
             view = operator.members(timeout=query_timeout, needs_status=False)
             outcomes = _send_in_batches(options, operator, view, authority, remaining, issued)
-            # A revoked robot has no keys of a newer generation than this operator has had so far. A
-            # robot with keys of an older generation is not reached.
-            if revoked and generation == own.roster.generation:
+            # Revoked robots get the roster once, with the keys that this operator has had so far.
+            # No revoked robot has newer keys; a revoked robot with older keys is not reached.
+            is_own_generation = generation == own.roster.generation
+            if revoked and is_own_generation:
                 _send_to_revoked(operator, view, authority, revoked)
         seconds += view.seconds
         for outcome in outcomes:
@@ -259,12 +261,14 @@ def _send_in_batches(
 ) -> list[Outcome]:
     """Send the roster to `robots`, in requests with at most MAX_CERTIFICATES certificates each.
 
-    `view`: a query, whose epochs the requests quote.
+    `view`: a query, whose epochs the requests quote. `issued`: the new certificate of each robot;
+    empty to send the roster alone, in one request.
     """
     batch_size = MAX_CERTIFICATES if issued else len(robots)
     outcomes = []
     for start in range(0, len(robots), batch_size):
         batch = robots[start : start + batch_size]
+        certificates = {name: issued[name].certificate for name in batch} if issued else {}
         outcomes.append(
             operator.request(
                 RosterRequest,
@@ -272,7 +276,7 @@ def _send_in_batches(
                 timeout=session_of(options, operator).time_left(view),
                 roster=authority.signed_roster,
                 secret=authority.secret,
-                certificates={name: issued[name].certificate for name in batch if issued},
+                certificates=certificates,
             )
         )
     return outcomes
@@ -282,9 +286,9 @@ def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> I
     """Yields this user's identity with the keys of each generation that a robot may have.
 
     A generation is a version of the roster. A datagram is signed with the keys of one generation,
-    and a robot accepts only its own generation. Any robot may have the present generation, also if
-    the authority has recorded an older generation: the robot's answer was lost, or the robot has a
-    new bundle.
+    and a robot accepts only its own generation. The generations are those that the authority has
+    recorded for `robots`, and the present generation: a robot has the present generation unrecorded
+    if its answer was lost, or if it has a new bundle.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)

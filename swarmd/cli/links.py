@@ -56,16 +56,18 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
         start_query = LinksQuery(measures=True)
         replies = ask_robots(options, operator, in_reach(view, robots), LINKS, start_query)
         if any(reply.links for reply in replies.values()):
-            # A robot that is far from here may be as far from other robots.
+            # The time for the measurement: two robots may be as far apart as a robot and this
+            # machine.
             time.sleep(max(PING_TIME, 2.0 * view.round_trip))
             replies |= ask_robots(options, operator, replies, LINKS, LinksQuery())
-        pairs = pairs_of(replies, set(view.expected) | set(replies))
+        robots_to_hear = {*view.expected, *replies}
+        pairs = pairs_of(replies, robots_to_hear)
         if options.is_json:
             missing = sorted(set(robots) - replies.keys())
             print_json("Links", {"links": [_record(pair) for pair in pairs], "missing": missing})
         else:
             listed_pairs = pairs if every else pairs[:MAX_ROWS]
-            by_name = sorted(listed_pairs, key=lambda pair: pair[:2])
+            by_name = sorted(listed_pairs, key=lambda pair: (pair.robot, pair.other))
             print_table(HEADER, [_row(pair) for pair in by_name])
             for line in summary(pairs, len(listed_pairs)):
                 click.echo(printable(f"# {line}"))

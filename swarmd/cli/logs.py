@@ -74,22 +74,30 @@ def logs(
     with options.operator() as operator:
         view = known_members(options, operator)
         robots = robots_of(view, targets)
-        printer = _Printer(robots, query, is_json=options.is_json and follow)
+        printer = _Printer(robots, query, is_json=options.is_json)
         if follow:
-            with signals_end():
-                _Follower(options, operator, targets, view, printer).run()  # until a signal
-        replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
-        lines = printer.new_lines(replies.values())
-        if options.is_json:
-            # `left_out`: by robot, the count of lines that the daemon dropped at its limit.
-            left_out = {robot: reply.left_out for robot, reply in replies.items() if reply.left_out}
-            missing = sorted(set(robots) - replies.keys())
-            records = [_record(line) for line in lines]
-            print_json("Logs", {"records": records, "left_out": left_out, "missing": missing})
+            with signals_end():  # a signal ends the program
+                _Follower(options, operator, targets, view, printer).run()
         else:
-            printer.show(lines)
-            printer.tell_left_out(replies.values())
-        end(robots, replies)
+            replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
+            if options.is_json:
+                _print_json(robots, replies, printer.new_lines(replies.values()))
+            else:
+                printer.print_new(replies.values())
+            end(robots, replies)
+
+
+def _print_json(
+    robots: Collection[str], replies: Mapping[str, LogBatch], lines: Iterable[_Line]
+) -> None:
+    """Print lines as one document. `robots`: those that were queried."""
+    content = {
+        "records": [_record(line) for line in lines],
+        # By robot, the count of lines that the daemon dropped at its limit.
+        "left_out": {robot: reply.left_out for robot, reply in replies.items() if reply.left_out},
+        "missing": sorted(set(robots) - replies.keys()),
+    }
+    print_json("Logs", content)
 
 
 class _Follower:
@@ -178,7 +186,7 @@ class _Follower:
 
 
 class _Printer:
-    """Prints each record once; `query` selects the records."""
+    """Prints each record once, with `is_json` as a document; `query` selects the records."""
 
     def __init__(self, names: Iterable[str], query: LogsQuery, *, is_json: bool) -> None:
         self.query = query

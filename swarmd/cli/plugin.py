@@ -76,9 +76,8 @@ def new(
     has_folder: bool,
 ) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    # With `has_folder`, `write_plugin` also returns a scenario and a page.
     paths = write_plugin(name, folder, kind, policy, has_folder=has_folder)
-    pattern_file, test_file = paths[:2]
+    pattern_file, test_file, *scenario_and_page = paths
     # The next commands, each with a remark.
     python = shlex.quote(sys.executable)
     install_pytest = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
@@ -89,7 +88,7 @@ def new(
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if has_folder:
-        scenario = paths[2]
+        scenario, _page = scenario_and_page
         run = f"swarmctl exp run {scenario} --seeds 20 --out runs/{name}"
         next_steps.append((run, "twenty runs of its scenario"))
     if options.is_json:
@@ -97,7 +96,8 @@ def new(
         content = {"name": name, "files": [str(path) for path in paths], "next": commands}
         print_json("Plugin", content)
         return
-    click.echo(f"wrote {', '.join(map(str, paths[:-1]))} and {paths[-1]}; next:\n")
+    *first_paths, last_path = map(str, paths)
+    click.echo(f"wrote {', '.join(first_paths)} and {last_path}; next:\n")
     width = max(len(command) for command, _ in next_steps)
     for command, remark in next_steps:
         click.echo(f"  {command.ljust(width)}  # {remark}")
@@ -169,12 +169,13 @@ plugin.add_command(remove)
 def write_plugin(
     name: str, folder: Path, kind: str, policy: Path | None = None, *, has_folder: bool = False
 ) -> tuple[Path, ...]:
-    """Write a pattern and its test from the templates in `templates/`; returns their paths.
+    """Write a pattern and its test from the templates in `templates/`.
 
-    `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern then
-    runs that network. `has_folder`: also write a scenario and a page; all files are then in a new
-    folder `name`. UsageError for an unusable name or an existing file, ConfigError for a `policy`
-    without a network; nothing is written then.
+    Returns the paths of the pattern and the test, with `has_folder` also of the scenario and the
+    page. `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern
+    then runs that network. `has_folder`: also write a scenario and a page; all files are then in a
+    new folder `name`. UsageError for an unusable name or an existing file, ConfigError for a
+    `policy` without a network; nothing is written then.
     """
     if policy is not None and kind != "movement":
         raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
@@ -183,17 +184,23 @@ def write_plugin(
     _check_name(name)
     plugin_folder = folder / name if has_folder else folder
     pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
-    paths = {template: pattern_file, f"test_{template}": plugin_folder / f"test_{name}.py"}
+    test_file = plugin_folder / f"test_{name}.py"
+    path_by_template = {template: pattern_file, f"test_{template}": test_file}
     if has_folder:
-        paths |= {"scenario": plugin_folder / "scenario.yaml", "page": plugin_folder / "page.md"}
-    for path in paths.values():
+        path_by_template["scenario"] = plugin_folder / "scenario.yaml"
+        path_by_template["page"] = plugin_folder / "page.md"
+    for path in path_by_template.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
     _check_free(name)
     templates = files("swarmd.cli") / "templates"
-    texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
+    text_by_template = {
+        template: (templates / f"{template}.txt").read_text() for template in path_by_template
+    }
     class_title = class_name(name)
-    if class_title in "".join(texts.values()):  # the templates use this word, such as Twist
+    if class_title in "".join(
+        text_by_template.values()
+    ):  # the templates use this word, such as Twist
         class_title += "Pattern"
     fields = {  # of the templates, such as `$class_name`
         "name": name,
@@ -202,10 +209,10 @@ def write_plugin(
         "network": network,
     }
     plugin_folder.mkdir(parents=True, exist_ok=True)
-    for path, text in texts.items():
+    for template, path in path_by_template.items():
         with path.open("x", encoding="utf-8") as file:
-            file.write(Template(text).substitute(fields))
-    return tuple(texts)
+            file.write(Template(text_by_template[template]).substitute(fields))
+    return tuple(path_by_template.values())
 
 
 def _network_text(policy: Path) -> str:

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, NamedTuple
 
 from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.core.processes import how_it_ended
@@ -61,7 +61,7 @@ class Point:
 def describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: str, timeout: float = DESCRIBE_TIMEOUT
 ) -> list[Record]:
-    """A description (JSON object) of each of the named patterns; without names, of all patterns.
+    """Describes the patterns `names`, or all patterns without names, each by a JSON object.
 
     A pattern that cannot be loaded within `timeout` s has a description with `error`. PluginError
     if the child process that imports the patterns fails.
@@ -154,18 +154,18 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
             for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
-                is_lost = "lost" in row  # the child ended, or hangs, while it checked a point
-                name = row["lost"] if is_lost else row.get("result")  # of the checked point
-                if name is None or name in checked_names:
+                # Each further child checks again the points before the tests, such as the import.
+                if row.get("result") in checked_names:
+                    continue
+                check = _check_of(row)
+                if check is None:
                     continue
                 is_import = not checked_names  # the first point imports the file
-                checked_names.append(name)
-                yield _point(name, _lost_fault(row) if is_lost else row, known_faults)
-                # The child itself notices some hangs: `is_hang`.
-                hangs = row["hangs"] if is_lost else row.get("is_hang", False)
-                if hangs:
+                checked_names.append(check.name)
+                yield _point(check.name, check.fields, known_faults)
+                if check.hangs:
                     yield Point(SKIPPED, "skipped", "correct the failed point first")
-                needs_child = is_lost and not is_import and not hangs
+                needs_child = check.has_ended_child and not is_import
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
     # Two points about the whole check.
@@ -173,13 +173,27 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         yield Point(name, "fault" if faults else "ok", _first_of(faults))
 
 
-def _lost_fault(row: Record) -> Record:
-    """The fault of a point in which the child ended or hangs, by the last row of `_inspect`."""
-    return {"fault": f"the process that checks it {row['how']}"}
+class _Check(NamedTuple):
+    """The check of a point, by a row of `_inspect`."""
+
+    name: str  # of the point
+    fields: Record  # `fault` and `on`, or `text` without a fault
+    hangs: bool
+    has_ended_child: bool  # the plugin's code ended the child
+
+
+def _check_of(row: Record) -> _Check | None:
+    """The check that ends with `row`; None for a row of another kind."""
+    if "lost" in row:  # the child ended, or hangs
+        fields, hangs = {"fault": f"the process that checks it {row['how']}"}, row["hangs"]
+        return _Check(row["lost"], fields, hangs, has_ended_child=not hangs)
+    if "result" in row:  # the child goes on, also after a hang that it noticed itself
+        return _Check(row["result"], row, row.get("is_hang", False), has_ended_child=False)
+    return None
 
 
 def _point(name: str, row: Record, faults: set[str]) -> Point:
-    """The point, `repeated` if its fault equals an earlier one up to numbers."""
+    """The point, `repeated` if an earlier point has the same fault, its numbers aside."""
     fault = row.get("fault")
     if fault is None:
         return Point(name, "ok", str(row.get("text", "")))
@@ -206,14 +220,18 @@ def _inspect(
 ) -> Iterator[Record]:
     """Yields the rows (JSON objects) of a child process that imports plugin code.
 
-    The child works on items: the points of a check, or the patterns to describe. `words`: the
-    arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
-    plugin's code. `log`: takes standard error.
+    The child works on items: the points of a check, or the patterns to describe. An item begins
+    with a row that has the key `begin`, which is not yielded, and ends with a row that has the key
+    `result`. If the child ends or hangs in an item, this function adds a last row, which has the
+    fields of the row `begin`, and
 
-    If the child ends or hangs in an item, this function adds a last row: the fields of the row that
-    began the item, and the keys `lost` (the name of the item), `how` (the end in words, with the
-    line of code) and `hangs`. PluginError if the child reports an error outside an item, or ends or
-    hangs before its first item.
+    - `lost`: the name of the item,
+    - `how`: how the child ended, in words, with the line of code,
+    - `hangs`: True if the child hangs.
+
+    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row.
+    `folder`: the folder of the plugin's code. `log` takes the child's standard error. PluginError
+    if the child reports an error outside an item, or ends or hangs before its first item.
     """
     with _started(words, log) as child:
         assert child.stdout is not None
@@ -225,8 +243,7 @@ def _inspect(
                 row = _record_of(line)
                 if "end" in row:  # all items are done
                     return
-                is_child_error = "error" in row and "result" not in row  # of no item
-                if is_child_error:
+                if "error" in row and "result" not in row:  # the error concerns no item
                     raise PluginError(row["error"])
                 if "begin" in row:
                     open_item = row
@@ -240,10 +257,10 @@ def _inspect(
         except TimeoutError:
             hangs = True
         how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
-        # Before its first item a child has no handler of SIGUSR1, and the signal would end it.
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
         if hangs:
+            # From its first item on, the child prints its stack on SIGUSR1.
             code_place = code_place or _place_of_hang(child, folder)
         yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
 

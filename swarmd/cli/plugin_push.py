@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import click
 from msgspec.structs import replace as with_fields
@@ -94,9 +94,9 @@ def push(
     """Send the pattern in FILE, a .py or a wheel of pure Python, to TARGETS; starts no run.
 
     At most 1 MiB. With keys, your identity signs the pattern. Each robot tries the code in a
-    process of its own, then a run takes it. The code is provisional until it has run for 60 s
-    without a fault; after a fault the robot stands and returns to the version before. Robots that
-    join later and match TARGETS get the pattern from other robots.
+    process of its own, and the next run of the pattern uses the code. The code is provisional until
+    it has run for 60 s without a fault; after a fault the robot stands and returns to the version
+    before. Robots that join later and match TARGETS get the pattern from other robots.
     """
     read_canary(canary)
     source = read_source(file)
@@ -115,14 +115,15 @@ def push(
         if canaries:
             remaining = tuple(robot for robot in robots if robot not in canaries)
             warn(f"canary: {', '.join(canaries)}")
-            outcome = pusher.push(canaries, canaries, generation)
+            outcome = pusher.push(generation, targets=canaries, robots=canaries)
             if len(outcome.applied) < len(canaries):
-                _end_early(outcome, remaining)
+                _warn_of_faults(outcome)
+                raise _canary_failure(f"canary: {outcome.line}", remaining)
             result = _await_canary(asked, source, canaries, remaining, canary_time)
             warn(f"canary: {result}; now {', '.join(remaining)}")
             # The manifest of the canaries has other targets. A greater generation replaces it.
             generation += 1
-        asked.report(pusher.push(push_targets, robots, generation))
+        asked.report(pusher.push(generation, targets=push_targets, robots=robots))
 
 
 @click.command("remove")
@@ -136,7 +137,8 @@ def remove(options: CommonOptions, name: str, targets: Targets) -> None:
     with asking(options, targets, needs_status=False) as asked:
         pusher = _Pusher(asked, None, name=name)
         generation = pusher.next_generation()
-        asked.report(pusher.push(goal_targets(targets, asked.names), asked.names, generation))
+        push_targets = goal_targets(targets, asked.names)
+        asked.report(pusher.push(generation, targets=push_targets, robots=asked.names))
 
 
 @click.command("list")
@@ -305,11 +307,17 @@ class _Pusher:
             )
         return generation
 
-    def push(self, targets: Collection[str], names: Collection[str], generation: int) -> Outcome:
-        """Push to robots in pieces; a robot that refuses a piece gets no further piece."""
+    def push(
+        self, generation: int, *, targets: Collection[str], robots: Collection[str]
+    ) -> Outcome:
+        """Push to `robots` in pieces; a robot that refuses a piece gets no further piece.
+
+        `targets`: the robots that may have the pattern, by names, globs and labels; the manifest
+        names the targets, also for robots that join later.
+        """
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
-        epochs, outcome = self._asked.view.epochs(names), None
+        epochs, outcome = self._asked.view.epochs(robots), None
         timeout = self._asked.options.timeout
         for offset in range(0, max(len(code), 1), PIECE):
             sent = self._operator.request(
@@ -347,12 +355,11 @@ class _Pusher:
             generation=generation,
             issuer=issuer,
             targets=targets,
-            kind="removed",
+            kind="removed" if source is None else source.kind,
         )
         if source is not None:
             manifest = with_fields(
                 manifest,
-                kind=source.kind,
                 version=(self._version or source.version)[:MAX_VERSION],
                 digest=hashlib.sha256(source.code).digest(),
                 size=len(source.code),
@@ -412,7 +419,7 @@ def _await_canary(
             report = _named(replies.get(robot), source.name)
             if report is None or report.digest != digest:
                 fault = _canary_fault(report, has_answered=robot in replies)
-                raise _untouched(f"canary {robot} {fault}", rest)
+                raise _canary_failure(f"canary {robot} {fault}", rest)
             if report.standing == "provisional":
                 provisional_on.append(robot)
         if not provisional_on:
@@ -437,16 +444,17 @@ def _runs(view: MembersView, robot: str, pattern: str) -> bool:
     return status is not None and status.pattern == pattern
 
 
-def _end_early(outcome: Outcome, rest: Collection[str]) -> NoReturn:
+def _warn_of_faults(outcome: Outcome) -> None:
+    """Warn of each robot that refused a push, failed or did not answer."""
     for name, reply in outcome.replies.items():
         if reply.code is not Code.APPLIED:
             warn(f"{name}: {reply.code}: {reply.text}")
     for name in outcome.missing:
         warn(f"{name}: no answer")
-    raise _untouched(f"canary: {outcome.line}", rest)
 
 
-def _untouched(why: str, rest: Collection[str]) -> Failure:
+def _canary_failure(why: str, rest: Collection[str]) -> Failure:
+    """The failure after which the robots of `rest` keep their code."""
     return Failure(f"{why}; nothing was sent to {', '.join(rest)}", PARTIAL)
 
 

@@ -175,17 +175,17 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
 
 
 def _pattern_fault(row: Record, origin: Origin, *, is_in_plugin_dir: bool) -> str | None:
-    """The fault of a pattern; None also for a pattern that only does not fit this platform.
+    """The fault of a pattern; None if there is none, or if the platform lacks what it needs.
 
-    `row`: the description of the pattern. Its `missing`: what the pattern needs and the platform
-    lacks. Its `refused`: why a robot refuses the pattern, which is a fault only of a pattern that
-    the owner has put into `plugin_dir`.
+    `row`: the description of the pattern. `row["missing"]`: what the pattern needs and the platform
+    lacks. `row["refused"]`: why a robot refuses the pattern.
     """
     if origin.rival:  # a second file or package with this name
         return f"exists twice: {origin.source} and {origin.rival}; rename one"
     if "error" in row:
         return str(row["error"])
-    if row["refused"] and not row["missing"] and is_in_plugin_dir:
+    is_refused = bool(row["refused"]) and not row["missing"]
+    if is_refused and is_in_plugin_dir:  # the owner has put the pattern there to run it
         return str(row["refused"])
     return None
 

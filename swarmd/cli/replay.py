@@ -78,10 +78,11 @@ def _repeated(
     places: Mapping[str, tuple[str, bool]],
     platform: Platform | None,
 ) -> list[tuple[RecordingHead, Parity]]:
-    """Repeat each recording, a list of files; warns of each that cannot be repeated.
+    """Repeat recordings; warns of each recording that cannot be repeated.
 
-    `places`: of the code of the patterns. ConfigError, of the last recording, if no recording can
-    be repeated.
+    `recordings`: the files of each recording. `places`: where the code of each pattern is.
+    `platform`: replaces the platform of the recordings. ConfigError, with the fault of the last
+    recording, if no recording can be repeated.
     """
     from swarmd.replay.replay import repeat
 

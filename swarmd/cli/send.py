@@ -46,8 +46,8 @@ def known_members(
 ) -> MembersView:
     """Query all members, and tell the user which robots are missing; returns the members.
 
-    `is_request_next`: half of the time is left for a request. `needs_status` False: a beacon is an
-    answer.
+    `is_request_next`: half of the time is left for a request. `needs_status` False: a robot has
+    also answered if its beacon was heard.
     """
     session = session_of(options, operator)
     return session.look(is_request_next=is_request_next, needs_status=needs_status)
@@ -121,7 +121,8 @@ def report(
 def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> None:
     """Print the outcome of a request: warnings, the answers of robots, and a summary line.
 
-    If robots refused the request for a mistake in it, the mistake follows. `notes`: further fields
+    If robots refused the request because of a mistake of the operator, a line with the mistake
+    follows. `notes`: further fields
     of the JSON document. OSError if standard output fails, such as a full disk.
     """
     _warn_of_view(outcome)

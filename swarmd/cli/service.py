@@ -85,7 +85,8 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     has_config = steps.within(CONFIG_FILE).exists()
     if not has_config:
         click.echo(f"next: there is no {steps.within(CONFIG_FILE)} yet: swarmd install BUNDLE")
-    # 3. Start the service, if systemd runs on this machine and the daemon has its file.
+    # 3. Start the service, if systemd runs on this machine, the daemon has its file, and the user
+    #    has not given --no-start. `otherwise` is empty, since systemctl is on this machine.
     if not has_systemctl or not steps.manages_services():
         click.echo("note: systemd does not run here; the service starts with the machine")
         return

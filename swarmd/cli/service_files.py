@@ -96,7 +96,7 @@ def keep_for_root(root: Path = Path("/")) -> None:
     The account of the service owns the folder of each identity, since the daemon writes renewed
     certificates into this folder. The account must not own the folder above the identities: it
     could put links into that folder, through which commands of root would change other files.
-    ConfigError if another user than root owns /etc/swarmd.
+    ConfigError if another user than root owns /etc/swarmd, or if one of the folders is a link.
     """
     if os.geteuid() != 0:
         return
@@ -116,12 +116,13 @@ def keep_for_root(root: Path = Path("/")) -> None:
 
 
 def give_to_service(root: Path = Path("/")) -> bool:
-    """Let the service's account read the daemon's file and use the identities of the machine.
+    """Let the service's account read the daemon's file, and own the identities of the machine.
 
-    Returns False, and changes nothing, without such an account below `root`, without the folder
-    /etc/swarmd, or if this process is not root. ConfigError as `keep_for_root`. An identity whose
+    `root`: the root folder of the file system. Returns False, and changes nothing, without such an
+    account, without the folder /etc/swarmd, or if this process is not root. An identity whose
     folder another user can write stays as it is, since that user may have put links to other files
-    into the folder.
+    into the folder. ConfigError if another user than root owns /etc/swarmd, or if one of the
+    folders is a link.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:

@@ -182,9 +182,10 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def _flushed() -> int:
-    """Write buffered output; the exit code: 0, CLOSED_PIPE, or 1 for another error (a full disk).
+    """Write buffered output, and return the exit code.
 
-    Output that cannot be written is discarded. Else Python would try again at the end of the
+    0 if all is written, CLOSED_PIPE if the reader has gone, 1 for another error such as a full
+    disk. Output that cannot be written is discarded. Else Python would try again at the end of the
     process, and fail with exit code 120.
     """
     code = 0
@@ -195,7 +196,7 @@ def _flushed() -> int:
             continue
         except OSError as error:
             code = CLOSED_PIPE if isinstance(error, BrokenPipeError) else 1
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            _discard_output(stream.fileno())
     return code
 
 
@@ -209,10 +210,10 @@ def run_cli(
     on stdout, the only document.
     """
     words = sys.argv[1:] if args is None else args
-    stdout = sys.stdout
+    stdout_at_start = sys.stdout
     is_completing = bool(os.environ.get(f"_{name.upper()}_COMPLETE"))
     if is_completing:  # the shell would show the text of stderr in the line that it completes
-        os.dup2(os.open(os.devnull, os.O_WRONLY), STDERR)
+        _discard_output(STDERR)
     elif fault := _not_text(words):
         return _fail(fault, 2, words)
     try:
@@ -230,13 +231,12 @@ def run_cli(
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
     except SystemExit:
-        # Click raises SystemExit(1) for a failure, too, but replaces `sys.stdout` only if the pipe
-        # is closed, such as by `| head`.
-        is_closed_pipe = sys.stdout is not stdout
+        # Click replaces `sys.stdout` if its pipe is closed, such as by `| head`, and only then.
+        is_closed_pipe = sys.stdout is not stdout_at_start
         if not is_closed_pipe:
             raise
-        sys.stdout = stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discards what waits
+        sys.stdout = stdout_at_start
+        _discard_output(sys.stdout.fileno())
         return CLOSED_PIPE
     except UnicodeEncodeError as error:
         fault = _file_name_fault(error.object)
@@ -248,6 +248,11 @@ def run_cli(
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
         return _fail(_system_fault(error), 1, words)
+
+
+def _discard_output(descriptor: int) -> None:
+    """Discard what is written to a file descriptor from now on, and what its buffer holds."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
 
 
 def _file_name_fault(text: str) -> str:
@@ -267,11 +272,12 @@ def _system_fault(error: OSError) -> str:
 
 
 def _not_text(words: Sequence[str]) -> str:
-    """The fault of the first word that is not UTF-8, in words; empty without such a word.
+    """The fault of the first word of a command line that is not UTF-8; empty without such a word.
 
-    Such a word may be a file name, which JSON, manifests and messages cannot contain. Empty also if
-    a word is `stop` or `estop`, since a stop must not fail for a wrong character. These verbs send
-    no file name, check the names of robots, and replace wrong characters in the reason.
+    Such a word may be a file name, which JSON, manifests and messages cannot contain. A
+    command line with the word `stop` or `estop` has no such fault, since a stop must not fail for a
+    wrong character. These verbs send no file name, check the names of robots, and replace wrong
+    characters in the reason.
     """
     # Python decodes a byte that is not UTF-8 to a lone surrogate, in this range.
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)

@@ -51,10 +51,10 @@ def view(
 ) -> None:
     """Show a living swarm: map, list, details and commands.
 
-    On this terminal, where `?` lists the keys; with --web on a page whose address is printed. With
-    FILE the page plays recordings instead: a merged recording, recordings of robots (.mcap), or a
-    folder of recordings, such as `record fetch` makes. With --foxglove a Foxglove on this computer
-    shows the swarm.
+    The swarm is shown on this terminal, where `?` lists the keys; with --web on a page whose
+    address is printed. With FILE the page plays recordings instead: a merged recording, recordings
+    of robots (.mcap), or a folder of recordings, such as `record fetch` makes. With --foxglove a
+    Foxglove on this computer shows the swarm.
     """
     if not web and (page.token or page.viewer_token or page.tls is not None):
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")

@@ -27,12 +27,14 @@ from swarmd.core.errors import ConfigError, NetworkError
 def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
-    The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a peer that
-    finds the robots by scouting (multicast queries), also robots that start later. Robots of a
-    secured swarm answer scouts only in profile dev, or with `discoverable: true`. Where robots
-    answer no scouts, and with --dial, the peer dials the robots that are known now. In profile
-    routed the session is a client of the routers. In a secured swarm the configuration names the
-    files of your identity, and has Zenoh's access rules for your name, except in profile routed.
+    The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a
+    peer that finds the robots by scouting (multicast queries), also robots that start later. With
+    --dial, or if the robots answer no scouts, the peer dials the robots that are known now. Robots
+    of a secured swarm answer scouts only in profile dev, or with `discoverable: true`. In profile
+    routed the session is a client of the routers.
+
+    In a secured swarm the configuration names the files of your identity. It also has Zenoh's
+    access rules for your name, except in profile routed.
     """
     from swarmd.network.carriers.session import foreign_options
 
@@ -41,12 +43,12 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         known_members(options, operator, needs_status=False)
         identity = operator.identity  # after the query, which may have brought a newer roster
         endpoints = operator.endpoints()  # by robot
-        dials_robots = settings.profile != "routed"  # else the program dials routers
-        if not endpoints and dials_robots:
+        is_to_robots = settings.profile != "routed"  # else the session is one to routers
+        if not endpoints and is_to_robots:
             raise unreachable(operator)
     if identity is not None:
-        if dials_robots:
-            endpoints = _without_ipv6(endpoints)
+        if is_to_robots:
+            endpoints = _without_ipv6(endpoints)  # with an identity the session uses TLS
         # The configuration names files of this folder, and may be read from another folder.
         identity = replace(identity, folder=identity.folder.absolute())
     # A session that scouts dials no endpoint.
@@ -55,10 +57,7 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     config = foreign_options(settings, dialled, identity, scouts=scouts)
     text = json.dumps(config, indent=2)
     if out is not None:
-        try:
-            out.write_text(f"{text}\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"--out {out}: {error.strerror}; expected a file to write") from error
+        _write(out, text)
     if options.is_json:
         content = {"swarm": settings.swarm, "robots": endpoints, "config": config}
         print_json("Zenoh", content)
@@ -66,6 +65,13 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         click.echo(text)
     else:
         click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")
+
+
+def _write(out: Path, text: str) -> None:
+    try:
+        out.write_text(f"{text}\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {out}: {error.strerror}; expected a file to write") from error
 
 
 def _without_ipv6(endpoints: Mapping[str, str]) -> dict[str, str]:

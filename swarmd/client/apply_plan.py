@@ -184,11 +184,12 @@ def _param_changes(
     labels: Mapping[str, tuple[str, ...]],
     goal: Mapping[str, Any] | None,
 ) -> Params:
-    """The parameters of a robot's running pattern whose value in the file differs.
+    """The changes of parameters that bring a robot's running pattern to the values in the file.
 
     The file may give a parameter under its goal, a robot and a label; the value under the goal
-    counts most. Empty if the robot does not run. Empty also if the plan has a new goal (`goal`),
-    since the new run begins with the parameters of that goal.
+    counts most. `labels`: the labels in the file by robot. `goal`: the new goal of the plan, if
+    any. Empty with a new goal, since the new run begins with the parameters of that goal. Empty
+    also if the robot does not run.
     """
     pattern = status.pattern
     if status.state is not State.RUNNING or pattern is None or goal is not None:

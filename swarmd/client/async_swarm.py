@@ -140,15 +140,16 @@ async def _from_thread(
             next_item = asyncio.ensure_future(items.get())
             item_or_end: set[asyncio.Future[Any]] = {next_item, thread_end}
             await asyncio.wait(item_or_end, return_when=asyncio.FIRST_COMPLETED)
-            has_ended = not next_item.done()
-            if has_ended:  # all items of the thread are in the queue
-                next_item.cancel()
-                while not items.empty():
-                    yield items.get_nowait()
-                thread_end.result()  # raises the error of the iterator
-                return
-            room.release()
-            yield next_item.result()
+            if next_item.done():
+                room.release()
+                yield next_item.result()
+                continue
+            # The thread has ended, and has put all its items into `items`.
+            next_item.cancel()
+            while not items.empty():
+                yield items.get_nowait()
+            thread_end.result()  # raises the error of the iterator
+            return
     finally:
         cancelled.set()
         next_item.cancel()  # else this task would wait for ever in the loop of a notebook

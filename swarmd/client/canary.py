@@ -27,9 +27,9 @@ def choose_canaries(
 ) -> tuple[str, ...]:
     """Choose the canaries (robots that run a pattern first) among the targets `names`.
 
-    `wanted`: a number of canaries, which are the first names, or the name of the only canary.
-    RequestError if the named robot is no target. ConfigError for a number below 1, and if no target
-    is left for the run after the canaries. `option`: the option's name, for errors.
+    `wanted`: the number of canaries, which are then the first of `names`; or the name of the only
+    canary. RequestError if the named robot is no target. ConfigError for a number below 1, and if
+    no target is left for the run after the canaries. `option`: the option's name, for errors.
     """
     all_names = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -177,6 +177,14 @@ def send_goal(
     )
 
 
+class _Start(NamedTuple):
+    """The moment at which all robots start."""
+
+    delay: float  # s from the call of `start_at`
+    here: float  # s on the clock of this machine
+    by_robot: Mapping[str, float]  # s on the clock of each robot whose clock has answered
+
+
 def start_at(
     targeted: TargetedView, goal: Goal, at: float
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
@@ -196,48 +204,38 @@ def start_at(
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
 
     offsets = read_clocks(operator, targeted.names)
-    start = boottime() + at
-    starts, skew = start_times(offsets, start)
-    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
-    all_epochs = targeted.view.epochs(targeted.names)
-    epochs = {name: epoch for name, epoch in all_epochs.items() if name in starts}
-    without_clock = tuple(sorted(set(targeted.names) - epochs.keys()))
+    here = boottime() + at
+    by_robot, skew = start_times(offsets, here)
+    without_clock = sorted(name for name in targeted.names if name not in by_robot)
     if without_clock:
         session.tell(f"not asked, since their clocks did not answer: {', '.join(without_clock)}")
-    if len(starts) > 1:  # a robot starts at its first tick after the moment: up to TICK later
+    if len(by_robot) > 1:  # a robot starts at its first tick after the moment: up to TICK later
         session.tell(
             f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
     session.check_awaited()
-    outcome = _send_start(targeted, goal, epochs, starts, at=at, start=start)
+    outcome = _send_start(targeted, goal, _Start(at, here, by_robot))
     errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
     return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
 
 
-def _send_start(
-    targeted: TargetedView,
-    goal: Goal,
-    epochs: Mapping[str, Epoch | None],
-    starts: Mapping[str, float],
-    *,
-    at: float,
-    start: float,
-) -> Outcome:
-    """Send the run of a goal that starts in `at` s, and wait until all robots have replied.
+def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
+    """Send the run of a goal to the robots of `start`, and wait until all robots have replied.
 
-    `starts`: the moment of the start in s on the clock of each robot. `start`: the same moment on
-    the clock of this machine. If the session is cancelled before `start`, robots that have accepted
-    the run are stopped, and SwarmError is raised.
+    If the session is cancelled before the start, robots that have accepted the run are stopped, and
+    SwarmError is raised.
     """
     session = targeted.session
-    is_withdrawn = False
+    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
+    epochs = targeted.view.epochs(name for name in targeted.names if name in start.by_robot)
+    is_withdrawn = False  # the last result of `is_cancelled_before_start`
 
     def is_cancelled_before_start() -> bool:
-        """True ends the wait for replies; `is_withdrawn` keeps the last result."""
+        """True ends the wait for replies."""
         nonlocal is_withdrawn
-        is_withdrawn = session.is_cancelled() and boottime() < start
+        is_withdrawn = session.is_cancelled() and boottime() < start.here
         return is_withdrawn
 
     try:
@@ -246,9 +244,9 @@ def _send_start(
             epochs,
             goal,
             timeout=targeted.time_left,
-            least=REQUEST_WAIT + at,  # robots reply when they start
+            least=REQUEST_WAIT + start.delay,  # robots reply when they start
             is_ended=is_cancelled_before_start,
-            at=starts,
+            at=start.by_robot,
         )
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, epochs)  # else the robots would start without their operator
@@ -287,11 +285,12 @@ def run_with_canary(
         return outcome, {}
     before = {name: view.members[name].status for name in canaries if name in view.members}
     faults = _canary_faults(session, canaries, seconds or CANARY_TIME, before)
+    others = tuple(name for name in targeted.names if name not in canaries)
     if faults:
-        _fail(operator, canaries, faults, len(targeted.names))
+        stopped = stop_names(operator, canaries)
+        raise _canary_failure(faults, stopped.missing, len(others))
 
     # A robot that was stopped or changed while the canaries ran has another epoch, and refuses.
-    others = tuple(name for name in targeted.names if name not in canaries)
     epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
     present_view = operator.members(timeout=session.timeout)
     # Newer than any goal that was issued meanwhile.
@@ -308,8 +307,8 @@ def _canary_faults(
 ) -> Mapping[str, str]:
     """Watch running canaries for `seconds`; the fault of each canary that does not run well.
 
-    `before`: the status of each canary before its run. After a cancellation each canary has a
-    fault. After Ctrl-C the canaries are stopped.
+    `before`: the status of each canary before its run. If the session is cancelled, each canary
+    gets the cancellation as its fault. After Ctrl-C the canaries are stopped.
     """
     from swarmd.client.canary import watch_canary
 
@@ -324,15 +323,18 @@ def _canary_faults(
     return faults
 
 
-def _fail(
-    operator: Operator, canaries: tuple[str, ...], faults: Mapping[str, str], targeted: int
-) -> NoReturn:
-    """Stop the canaries and raise RequestError; `targeted`: the number of all target robots."""
-    stopped = stop_names(operator, canaries)
+def _canary_failure(
+    faults: Mapping[str, str], missing: Collection[str], other_count: int
+) -> RequestError:
+    """The error after failed canaries were stopped.
+
+    `faults`: by canary. `missing`: canaries that have not acknowledged the stop. `other_count`: how
+    many targets are no canaries.
+    """
     reasons = "; ".join(f"{name}: {fault}" for name, fault in faults.items())
-    missing = ", ".join(stopped.missing)
-    stop_text = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
-    count = targeted - len(canaries)
-    rest = f"the other {count} robots" if count > 1 else "the other robot"
+    stop_text = "it was stopped"
+    if missing:
+        stop_text = f"{', '.join(missing)} DID NOT ACKNOWLEDGE THE STOP"
+    rest = f"the other {other_count} robots" if other_count > 1 else "the other robot"
     text = f"canary failed: {reasons}; {stop_text}; nothing was sent to {rest}"
-    raise RequestError(text, PARTIAL if missing else FAILED)
+    return RequestError(text, PARTIAL if missing else FAILED)

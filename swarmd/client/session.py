@@ -38,12 +38,12 @@ class Session:
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
 
-        Returns once all expected robots have answered, or after `timeout`. NetworkError if no
-        daemon was reached; the text names the swarms that were heard.
+        Returns once all expected robots have answered, or after the session's `timeout`.
+        `is_request_next`: the look ends after half of `timeout`, so that `time_left` is left for a
+        request. `needs_status` False: a robot has also answered if its beacon was heard.
 
-        `is_request_next`: the look ends after half of `timeout`, so that time is left for a request
-        (see `time_left`). SwarmError if the caller no longer waits for this request.
-        `needs_status` False: a beacon of a robot is an answer.
+        NetworkError if no daemon was reached; the text names the swarms that were heard. SwarmError
+        if a request is next, and its caller no longer waits.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:

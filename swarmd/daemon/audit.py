@@ -42,8 +42,7 @@ class Audit:
     """Makes a log line and an audit entry for each request, within limits of the rates.
 
     Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock`: the id
-    of the clock by which callers state times, which differs after each boot of the machine. `wall`
-    returns s since 1970.
+    of the clock of `now`, another id after each boot of the machine. `wall` returns s since 1970.
     """
 
     def __init__(
@@ -85,6 +84,8 @@ class Audit:
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
         is_applied = reply.code is Code.APPLIED
 
+        # `take` returns how many entries were left out since the last entry, None if the rate does
+        # not permit this entry.
         omitted_entries = entry_limits.take(is_applied, now)
         if omitted_entries is not None:
             entry = self._entry(what, operator, source, result, reply.text, now)

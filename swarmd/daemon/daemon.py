@@ -276,10 +276,12 @@ class Daemon:
         )
         self._viewer_feed = ViewerFeed(self._robot, self._network, state_display(driver))
         self._timer = TickTimer(self._loop, self._on_tick)
-        self._health = HealthMeter(
-            self._timer,
-            (lambda: self._network.dropped, lambda: self.sink.drops, self._dropped_frames),
+        drop_counts = (
+            lambda: self._network.dropped,
+            lambda: self.sink.drops,
+            self._dropped_frames,
         )
+        self._health = HealthMeter(self._timer, drop_counts)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Join the network and serve until `stop` is set; then command zero and close all parts.
@@ -629,7 +631,7 @@ class Daemon:
         disk before any reply is sent.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
-        if actions.is_quiet:  # nothing but a command
+        if actions.is_quiet:  # nothing but the command; the next deadline is as before
             return
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
@@ -655,10 +657,10 @@ class Daemon:
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
     def _reply(self, reply: Reply, *, is_stored: bool) -> None:
-        """Send a reply, at once or when the goals are on disk; `is_stored`: the latches are.
+        """Send a reply, at once or when the goals are on disk.
 
         A reply to a stop or reset says that a goal has ended. The reply waits for the disk, so that
-        the goal stays ended after a restart.
+        the goal stays ended after a restart. `is_stored`: the latches are on disk.
         """
         robot = self._robot
         # While the robot runs, no goal has ended. Under a latch the robot joins no goal.

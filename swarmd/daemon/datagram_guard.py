@@ -31,8 +31,8 @@ log = logging.getLogger(__name__)
 NOTICE_PERIOD = 60.0  # s between two lines about refused datagrams
 REPLAY_PERIOD = 10.0  # s between two lines about replayed stops
 REFUSAL_RATE = 20.0  # answers a second to replayed stops
-HINT_PERIOD = 5.0  # s between two hints that a newer roster exists, to keep links few
-HINT_AGAIN = 15.0  # s between two hints of one host, so that hints of all hosts are followed
+HINT_PERIOD = 5.0  # s between two hints of a newer roster that are followed, to keep links few
+HINT_AGAIN = 15.0  # s until a host's next hint is followed; meanwhile hints of other hosts are
 _STRANGE = (Flaw.UNSIGNED, Flaw.FORGED, Flaw.ROLE)
 
 
@@ -46,8 +46,8 @@ class DatagramGuard:
     """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
     A stop carries a counter that rises with each stop of its origin (an operator's installation).
-    By the greatest counter of each origin, `StopFreshness` refuses replayed stops. The file
-    `counters` keeps the greatest counters for the next start.
+    `StopFreshness` keeps the greatest counter of each origin, and refuses a stop that was replayed.
+    The file `counters` keeps the greatest counters for the next start.
     """
 
     def __init__(
@@ -64,8 +64,8 @@ class DatagramGuard:
         """Read the greatest counters of stops from the file `counters`.
 
         `lease`: s of silence after which a peer has failed. `on_event(text)`: a warning for the
-        operator. `on_newer_roster(robot, address, generation)`: a beacon, which the present keys
-        cannot verify, shows a newer roster.
+        operator. `on_newer_roster(robot, address, generation)` is called if a beacon shows a
+        newer roster; the present keys cannot verify this beacon.
         """
         self._identity = identity
         self._tag = tag
@@ -78,8 +78,8 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
-        # A hint is a beacon of a newer roster, which cannot be verified. `_asks` limits, by host,
-        # how often a hint leads to a query, since anyone can send hints.
+        # A hint is a beacon of a newer roster, which cannot be verified: anyone can send hints.
+        # `_asks` limits how often hints lead to `on_newer_roster`.
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
         self._noticed_at = -math.inf  # s; the last warning of refused datagrams
         self._replay_at = -math.inf  # s; the last warning of a replayed stop

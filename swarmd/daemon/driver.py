@@ -53,8 +53,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
     Raises SwarmError if the driver or its options are wrong, ConfigError if the base would have
     neither a command timeout nor a watchdog.
     """
-    driver = make_bare_driver(settings)
     base = base_options(settings.driver_options, f"driver {settings.driver}")
+    driver = make_bare_driver(settings)
     if effective_command_timeout(base, driver) != "none":
         return driver
     return _with_watchdog(driver, base, settings)
@@ -120,9 +120,9 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        `may_repeat` False: a real base gets no command that equals the last command. A simulated
-        base waits for a command after each scan, and gets equal commands, too, except the zero of
-        an idle or stopped robot.
+        `may_repeat` False: a command that equals the last command is not sent to a real base. A
+        simulated base waits for a command after each scan. So equal commands are sent to a
+        simulated base, unless the robot is idle or stopped, and commands zero.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped

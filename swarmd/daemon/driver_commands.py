@@ -126,11 +126,10 @@ class DriverCommands:
                     id=id, operator=operator, targets=targets, scope="robots", reason=reason
                 )
             case "reset":
-                latches = self._robot.latches.items()
                 latch_ids = tuple(
-                    latch
-                    for latch, held in latches
-                    if command.resets_others or held.issuer == operator
+                    latch_id
+                    for latch_id, latch in self._robot.latches.items()
+                    if command.resets_others or latch.issuer == operator
                 )
                 return verbs.ResetRequest(id=id, operator=operator, targets=targets, ids=latch_ids)
             case "run":

@@ -464,18 +464,19 @@ class Network:
             waited=waited,
         )
         for stop, sender in actions.stops:
-            answer = partial(self._ack, stop, sender, author)
-            self._owner.on_stop(_as_relayed(stop) if actions.is_repeated else stop, sender, answer)
+            # In a secured swarm a repeated stop may be an attacker's replay.
+            stop_to_obey = _as_relayed(stop) if actions.is_repeated else stop
+            self._owner.on_stop(stop_to_obey, sender, partial(self._ack, stop, sender, author))
         if self._guard is not None:
-            if actions.flaw is not None:
+            if actions.flaw is not None:  # the datagram was refused
                 self._guard.count(actions.flaw, source, boottime())
             else:
-                self._confirm(body, source)
+                self._confirm_member(body, source)
             self._refuse_replays(self._guard, actions, author)
         self._carry_out(actions, source, author)
 
-    def _confirm(self, body: Datagram, source: Address) -> None:
-        """Tell the carrier that `source` has proved to be a member, by its beacon."""
+    def _confirm_member(self, body: Datagram, source: Address) -> None:
+        """Tell the carrier that `source` is a member, if `body` is the beacon of a member."""
         is_of_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
         if is_of_member and self._carrier is not None:
             self._carrier.confirm(source)

@@ -60,7 +60,7 @@ class _CheckedTable(NamedTuple):
     """The result of the check of a pulled table."""
 
     trusted: list[Entry]  # new entries with a valid signature
-    new_count: int
+    new_count: int  # of entries, also without a valid signature
     has_false_signature: bool  # of an operator of the roster; the check ended there
 
 
@@ -191,22 +191,27 @@ class PatternIntake:
         version = Version.of(entry, source)
         with self._drops.refusing("control/push", partial(self._reply_to_error, id)):
             try:
-                refusal_and_text = await self._write(entry, code)
-                if refusal_and_text is not None:
-                    reply = self._refuse(id, entry, version, *refusal_and_text)
-                elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)
-                else:
-                    reply = None
+                reply = await self._written(id, entry, code, version, is_rerun=is_rerun)
             finally:
                 self._is_taking = False
-            # Nothing awaits between here and `_take_next`, so no other entry is taken in between.
+            # No await follows, so that no other entry is taken before `_take_next`.
             if reply is not None:
                 self._state.control.reply(reply)
             else:
                 # Sets `state.candidate`: the intake stays busy until the end of the trial.
                 self._try(id, entry, version, request)
         self._take_next()
+
+    async def _written(
+        self, id: str, entry: Entry, code: bytes, version: Version, *, is_rerun: bool
+    ) -> Reply | None:
+        """Check and write an entry; the reply, None if a trial of the code must reply."""
+        refusal_and_text = await self._write(entry, code)
+        if refusal_and_text is not None:
+            return self._refuse(id, entry, version, *refusal_and_text)
+        if entry.is_removal or (self._state.has(entry) and not is_rerun):
+            return await self._adopt(id, entry)
+        return None
 
     def _reply_to_error(self, id: str, code: Code, text: str) -> None:
         """Reply to a push that raised an error: REFUSED for a CodecError, else FAILED."""
@@ -476,24 +481,25 @@ class PatternPull:
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
         """Check a table of manifests that was pulled from `robot`, and take its signed entries.
 
-        `address`: of `robot`, from which a missing pattern is then pulled. `blob`: the encoded
-        table, one signed manifest an entry. After a forged entry nothing is pulled from `robot` for
-        FALSE_PERIOD.
+        `address`: the address of `robot`, from which a missing pattern is then pulled. `blob`: the
+        encoded table, in which each entry is a signed manifest. After a forged entry nothing is
+        pulled from `robot` for FALSE_PERIOD.
         """
         state = self._state
         known, operators = frozenset(state.table), state.operators()
 
-        def warn(code: Code, text: str) -> None:
+        def warn_of_error(_code: Code, text: str) -> None:
             log.warning("%s: %s", robot, text)
 
-        with self._drops.refusing(f"shared/{TABLE}", warn):
+        with self._drops.refusing(f"shared/{TABLE}", warn_of_error):
             try:
                 checked = await asyncio.to_thread(self._checked, blob, known, operators)
             finally:
-                self._checking = None
+                self._checking = None  # the next table may be checked
             if checked.has_false_signature:
                 self._asks.wait(robot, boottime() + FALSE_PERIOD)
-            if len(checked.trusted) < checked.new_count:
+            has_untrusted = len(checked.trusted) < checked.new_count
+            if has_untrusted:
                 log.warning(
                     "%s has patterns that no operator of the roster signed; they are left out",
                     robot,
@@ -505,8 +511,9 @@ class PatternPull:
     def _checked(
         self, blob: bytes, known: Collection[Entry], operators: Mapping[str, bytes] | None
     ) -> _CheckedTable:
-        """In a thread: verify the entries of a table, except `known` ones (4 ms a signature).
+        """In a thread: verify the new entries of a table, at 4 ms a signature.
 
+        `blob`: the encoded table. `known`: entries that are not verified again.
         `operators`: the public keys of the operators by name; None in a swarm without keys. An
         entry without a valid signature is left out. If such an entry names one of `operators`, the
         entry is forged, and the check ends.

@@ -423,7 +423,7 @@ class PushedRuns:
     def overlay(
         self, installed: Mapping[str, Origin], load: Load, is_trial: bool
     ) -> Mapping[str, Origin]:
-        """The origin of each pattern for a load by the pattern host, by name.
+        """The place of the code (`Origin`) of each pattern, by name, for a load by a pattern host.
 
         `installed`: the origins of the robot's own patterns, to which this method adds the pushed
         patterns. `is_trial`: the load tries the candidate, a version that was just pushed. Raises
@@ -433,19 +433,20 @@ class PushedRuns:
         candidate = self._state.candidate if is_trial else None
         for name, pushed in self._state.versions.items():
             version = pushed.current
-            if load.is_restart and not is_trial:  # as at the begin of the run
+            if load.is_restart and not is_trial:
+                # The run goes on with the version with which it began.
                 version = self._state.pinned.get(name, version)
             if version is not None:
                 is_added = self._add(origins, name, version, installed)
                 if is_added and not is_trial:
                     self._note_load(load, name, version)
             elif pushed.is_damaged:
-                is_needed = name == load.pattern and candidate is None
-                if is_needed:
+                is_candidate_loaded = candidate is not None  # in place of the damaged version
+                if name == load.pattern and not is_candidate_loaded:
                     raise ChangedCodeError(f"{pushed.fault}; push it again")
                 # An installed pattern of this name is other code than the pushed pattern.
                 origins.pop(name, None)
-        if candidate is not None:  # in place of the current version
+        if candidate is not None:
             self._add(origins, load.pattern, candidate.version, installed)
         return origins
 
@@ -487,7 +488,7 @@ class PushedRuns:
         return code.is_provisional and code.current.digest == loaded.digest
 
     def granted(self, event: HostEvent) -> HostEvent:
-        """The event to hand to the robot: `Loaded` of a pushed pattern loses its `scan_delay`.
+        """The event to hand to the robot: `event`, without the `scan_delay` of a pushed pattern.
 
         A `scan_delay` permits late scans without a hold. So only a pattern of the robot's owner (of
         a package or of `plugin_dir`) may state a `scan_delay`.

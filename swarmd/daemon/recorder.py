@@ -1,9 +1,9 @@
 """Records a robot by a process of its own, and hands recordings to operators.
 
 The recorder sends entries (inputs, decisions, events) to that process by a socket, and never blocks
-the loop. Entries are sent in batches, twice a second: if the process wakes at each tick, its code
-has left the CPU's caches each time, and the recording costs twice as much. If the disk is slower
-than the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
+the loop. Entries are sent in batches, twice a second. A process that wakes at each tick costs twice
+as much, since the code of the process has then left the CPU's caches. If the disk is slower than
+the robot, the socket fills; then a batch is dropped and counted. If the process ends, an event
 reports the end, and the robot continues.
 """
 
@@ -142,7 +142,8 @@ class Recorder:
         """Start a process that writes entries to files in `folder`; call it while `is_on` is False.
 
         `name`: the begin of the file names. `about`: texts on the robot, for the head of each file.
-        `limits`: of the sizes of files. OSError if the process cannot be started.
+        `limits`: the greatest size and duration of a file, and the greatest size of all files.
+        OSError if the process cannot be started.
         """
         recorder = self._open = _Process()
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
@@ -495,7 +496,7 @@ def _described(path: Path, *, is_open: bool, dropped: int) -> verbs.RecordingFil
     """The entry of a recording in the reply to an operator; None if the file was removed.
 
     `path`: the .mcap file. `is_open`: the file is being written. `dropped`: the count of entries
-    that the present recording lacks.
+    that an open file lacks.
     """
     try:
         size = path.stat().st_size

@@ -133,8 +133,8 @@ class RequestServer:
             else:
                 # `answer` is not used: the robot's answer is a later action, which reaches `reply`.
                 self._handlers[row.name] = lambda request, answer: on_request(request)
-        # By verb: the tasks that wait for an answer made in a thread.
-        self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
+        # By verb: the tasks that wait for an answer, which a thread makes.
+        self._answer_tasks: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
         self._pending: dict[str, _Pending] = {}  # by request id, without a reply so far
         self._replies: dict[str, Reply] = {}  # by request id, the last MAX_REPLIES replies
@@ -194,35 +194,35 @@ class RequestServer:
         """Carry out a stop or emergency stop that came as a datagram, if it targets this robot.
 
         `source`: the address of the sender. `answer` sends the ack. An operator repeats a stop with
-        one id: each copy is carried out and answered, and only the first copy is audited.
+        one id: each copy is carried out and answered, and `reply` audits only the first copy.
         """
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
             return
         request: verbs.StopRequest | verbs.EstopRequest
+        operator = stop.operator or "unknown"
         age = min(stop.age / 1000.0, MAX_SECONDS)  # from ms
+        is_relayed = stop.hops > 0
         if stop.verb == "stop":
-            request = verbs.StopRequest(
-                id=stop.id, operator=stop.operator or "unknown", targets=targets, age=age
-            )
+            request = verbs.StopRequest(id=stop.id, operator=operator, targets=targets, age=age)
         else:
             request = verbs.EstopRequest(
                 id=stop.id,
-                operator=stop.operator or "unknown",
+                operator=operator,
                 targets=targets,
                 scope=stop.scope,
                 reason=stop.reason,
-                is_relayed=stop.hops > 0,
+                is_relayed=is_relayed,
                 age=age,
             )
-        self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
+        self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=is_relayed)
         self._on_request(request)
 
     def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a request for this robot that came from the robot's own system.
 
         `source`: where the request came from, for the audit. `answer` sends the reply. Each copy of
-        a stop is carried out and answered, and only the first copy is audited.
+        a stop is carried out and answered, and `reply` audits only the first copy.
         """
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
         if not is_stop and len(self._pending) >= MAX_PENDING:
@@ -261,7 +261,7 @@ class RequestServer:
         if not callable(answer):
             query.reply(encode(answer))
             return
-        tasks = self._threads[verb]
+        tasks = self._answer_tasks[verb]
         if len(tasks) >= MAX_ANSWERS:
             query.drop()
             return
@@ -303,8 +303,9 @@ class RequestServer:
     def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
         """Reply to a request that could not be decoded, or whose handler failed; audit it.
 
-        `code`: REFUSED or FAILED. `text`: the error. Of the payload only the header is read, whose
-        fields may have wrong types. Dropped: a request without a header, or for other robots.
+        `code`: REFUSED or FAILED. `text`: the error. Only the header of the request is read, and
+        its fields may have wrong types. A request without a readable header is dropped, and so is a
+        request for other robots.
         """
         try:
             header = _header(query.payload)
@@ -320,10 +321,9 @@ class RequestServer:
         is_repeat = has_id and id in self._replies
         if has_id:
             self._end_pending(id, query)
-            # Repeats of the request get the kept reply. An id that still waits for its reply
-            # belongs to another request.
-            if not is_repeat and id not in self._pending:
-                keep_newest(self._replies, id, reply, MAX_REPLIES)
+            is_id_of_other = id in self._pending  # of another request, which waits for its reply
+            if not is_repeat and not is_id_of_other:
+                keep_newest(self._replies, id, reply, MAX_REPLIES)  # repeats get this reply
         with self._drops.refusing("control/reply"):
             query.reply(encode(reply))
         if not is_repeat:

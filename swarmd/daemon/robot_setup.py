@@ -24,7 +24,7 @@ def make_robot(
 ) -> Robot:
     """The robot of this daemon, at rest and without a run.
 
-    `instance`: marks this life (start to end) of the daemon, in hex. `seed`: of the robot's random
+    `instance`: the id of this daemon process, in hex. `seed`: the seed of the robot's random
     generator. `latches`, `goals`: emergency stops and goals that files kept from earlier lives.
     """
 
@@ -64,8 +64,9 @@ def recording_head(
 ) -> RecordingHead:
     """The head of a recording: all values from which a replay makes the same robot.
 
-    `robot`: the robot in its state at the begin of the recording. `instance`: marks this life of
-    the daemon. `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
+    `robot`: the robot in its state at the begin of the recording. `instance`: the id of this daemon
+    process. `seed`: the seed of the robot's random generator. `pushed`: the names of the pushed
+    patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     # The layers of parameters of each pattern; patterns without own parameters are left out.
