@@ -286,7 +286,7 @@ def _end_findings(
 
 
 def _disproved(robot: str, status: Status, report: Mapping[str, object]) -> dict[str, str]:
-    """The measured figure as text for each finding that it disproves; warns of all other findings.
+    """The figure, as text, that disproves a finding, by finding; warns of all other findings.
 
     The measured braking (m/s^2 or rad/s^2), less 2 standard deviations, disproves a finding on
     brakes if it exceeds 85 % (SOUND) of the braking in the platform file.

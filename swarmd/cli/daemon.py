@@ -116,7 +116,7 @@ def swarmd(
     seeds: tuple[str, ...],
     insecure: bool,
     die_with_parent: int | None,
-    **options: str | None,
+    **options: str | None,  # all other options, by name, such as `id`
 ) -> None:
     """Drive and protect one robot, and run one pattern in a child process.
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from swarmd.client.event_feed import EventFeed, EventLine
     from swarmd.client.session import Session
 
-PERIOD = 0.5
+PERIOD = 0.5  # s for which equal events of further robots are awaited
 NAME_WIDTH = 10
 
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from swarmd.security.identity import Identity
 
 DEFAULT_DAYS = 90.0
-_DAY = 86400.0
+_DAY = 86400.0  # s
 _swarm_option = click.option("--swarm", metavar="NAME", help="The swarm of the authority.")
 
 
@@ -206,10 +206,10 @@ def bundle(
 
 
 def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
-    """The file to write for each name: `target` itself for one name, else files in `target`.
+    """The file to write for each name.
 
-    `target` is a file if its name has a suffix and no folder has this name. Makes the folder of the
-    files. `target` None: the present folder.
+    For a single name: `target` itself, if `target` has a suffix and is no folder. Else a file in
+    the folder `target` (None: the present folder), which this function makes.
     """
     from swarmd.security.bundle import SUFFIX
 

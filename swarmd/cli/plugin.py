@@ -32,11 +32,10 @@ from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
 from swarmd.texts.values import printable
 
-# A trial on a robot may take 10 s, and loading again 3 s more.
-RELOAD_TIMEOUT = 15.0
+RELOAD_TIMEOUT = 15.0  # s: a trial on a robot may take 10 s, and loading again 3 s more
 CHECK_TIMEOUT = 30.0  # s for one point
 _MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}
-_NAME_WIDTH = 43
+_NAME_WIDTH = 43  # of a point of the contract
 
 
 @click.group(cls=VerbGroup)
@@ -171,11 +170,12 @@ def write_plugin(
 ) -> tuple[Path, ...]:
     """Write a pattern and its test from the templates in `templates/`.
 
-    Returns the paths of the pattern and the test, with `has_folder` also of the scenario and the
-    page. `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern
-    then runs that network. `has_folder`: also write a scenario and a page; all files are then in a
-    new folder `name`. UsageError for an unusable name or an existing file, ConfigError for a
-    `policy` without a network; nothing is written then.
+    Returns the paths of the pattern, its test, and with `has_folder` the scenario and the page.
+
+    `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern then
+    runs that network. `has_folder`: also write a scenario and a page, and all files into a new
+    folder `name`. UsageError for an unusable name or an existing file, ConfigError for a `policy`
+    without a network; nothing is written then.
     """
     if policy is not None and kind != "movement":
         raise click.UsageError(f"--kind {kind} means nothing beside --policy; leave it out")
@@ -194,13 +194,12 @@ def write_plugin(
             raise click.UsageError(f"{path} is there already; move it away or take another name")
     _check_free(name)
     templates = files("swarmd.cli") / "templates"
-    text_by_template = {
-        template: (templates / f"{template}.txt").read_text() for template in path_by_template
+    texts = {
+        path: (templates / f"{stem}.txt").read_text() for stem, path in path_by_template.items()
     }
     class_title = class_name(name)
-    if class_title in "".join(
-        text_by_template.values()
-    ):  # the templates use this word, such as Twist
+    is_used = class_title in "".join(texts.values())  # by the templates themselves, such as Twist
+    if is_used:
         class_title += "Pattern"
     fields = {  # of the templates, such as `$class_name`
         "name": name,
@@ -209,9 +208,9 @@ def write_plugin(
         "network": network,
     }
     plugin_folder.mkdir(parents=True, exist_ok=True)
-    for template, path in path_by_template.items():
+    for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:
-            file.write(Template(text_by_template[template]).substitute(fields))
+            file.write(Template(text).substitute(fields))
     return tuple(path_by_template.values())
 
 

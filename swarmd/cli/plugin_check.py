@@ -28,15 +28,15 @@ from swarmd.security.identity import SYSTEM_FOLDER, user_folder
 
 Record = dict[str, Any]
 DESCRIBE_TIMEOUT = 15.0
-"""Seconds for one pattern; the first brings numpy. A child that works has them of its processor."""
+"""Seconds for one pattern, for the first pattern with the import of numpy."""
 
 MISSION_TIMEOUT = 30.0
 """Seconds for a mission: the child imports every pattern that it names."""
 
 STACK_TIMEOUT = 3.0
-"""Seconds within which a child that hangs writes its stack; a busy machine delays it."""
+"""Seconds that a child that hangs may take to write its stack, also on a busy machine."""
 
-WORK_PERIOD = 0.5  # s between two looks at a child that works for longer than its limit
+WORK_PERIOD = 0.5  # s between two looks at the processor time of a child that is late
 
 NO_OUTPUT = "it prints nothing"
 NO_SIDE_EFFECTS = "it opens and starts nothing"

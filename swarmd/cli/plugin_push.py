@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome
     from swarmd.security.identity import Identity
 
-PIECE = 32768
-MAX_GENERATION = 2**32 - 1
+PIECE = 32768  # bytes of code in one request
+MAX_GENERATION = 2**32 - 1  # version number of a manifest
 PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
 CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
-LOOK_PERIOD = 0.5
+LOOK_PERIOD = 0.5  # s between two queries of the canaries
 MAX_NAME, MAX_VERSION = 63, 32  # characters in a manifest
 DIGEST_LENGTH = 12  # characters of the hash in a report of pushed patterns
 
@@ -317,8 +317,10 @@ class _Pusher:
         """
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
-        epochs, outcome = self._asked.view.epochs(robots), None
+        epochs = self._asked.view.epochs(robots)
+        outcome: Outcome | None = None
         timeout = self._asked.options.timeout
+        # A removal has no code, and is a single empty piece.
         for offset in range(0, max(len(code), 1), PIECE):
             sent = self._operator.request(
                 PushRequest,

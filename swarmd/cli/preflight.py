@@ -175,10 +175,11 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
 
 
 def _pattern_fault(row: Record, origin: Origin, *, is_in_plugin_dir: bool) -> str | None:
-    """The fault of a pattern; None if there is none, or if the platform lacks what it needs.
+    """The fault of a pattern; None without a fault.
 
-    `row`: the description of the pattern. `row["missing"]`: what the pattern needs and the platform
-    lacks. `row["refused"]`: why a robot refuses the pattern.
+    A pattern that does not fit this platform has no fault, nor has a pattern of a package that a
+    robot refuses. `row`: the description of the pattern. `row["missing"]`: what the pattern needs
+    and the platform lacks. `row["refused"]`: why a robot refuses the pattern.
     """
     if origin.rival:  # a second file or package with this name
         return f"exists twice: {origin.source} and {origin.rival}; rename one"

@@ -56,7 +56,7 @@ def replay(
         raise click.UsageError(f"the files are of {len(robots)} robots; give those of one")
     origins = pattern_names(plugin_dir)
     for name, origin in origins.items():
-        check_single(name, origin)
+        check_single(name, origin)  # PluginError for two patterns of one name
     other_platform = None if platform is None else load_platform(platform)
     results = _repeated(recordings, places_of(origins), other_platform)
     head, _ = results[0]  # robot and platform of a recording
@@ -81,8 +81,8 @@ def _repeated(
     """Repeat recordings; warns of each recording that cannot be repeated.
 
     `recordings`: the files of each recording. `places`: where the code of each pattern is.
-    `platform`: replaces the platform of the recordings. ConfigError, with the fault of the last
-    recording, if no recording can be repeated.
+    `platform` replaces the platform of the recordings; None: no change. ConfigError, with the fault
+    of the last recording, if no recording can be repeated.
     """
     from swarmd.replay.replay import repeat
 

@@ -31,7 +31,7 @@ from swarmd.texts.keys import UNSET_CLOCK, day
 
 NOT_ACTIVE = 3  # as systemctl status
 _TIMEOUT = 5.0  # s for systemctl and journalctl
-_DAY = 86400.0
+_DAY = 86400.0  # s
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")
 
 _root = click.option(

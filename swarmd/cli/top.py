@@ -39,7 +39,7 @@ HEADER = (
 )
 SORTS = {"c": "cpu", "m": "memory", "l": "loop", "d": "delay", "p": "drops", "a": "age",
          "s": "scan", "n": "name"}  # fmt: skip
-PERIOD = 1.0
+PERIOD = 1.0  # s between two tables
 
 Known = Mapping[str, tuple[Status, float]]
 """The statuses of robots, with their ages in s."""
@@ -53,7 +53,7 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
-    If the base of a robot is lost, STATE says so behind the state. CPU and MEM are those of the
+    STATE also shows that the base of a robot is lost. CPU and MEM are those of the
     daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the table is
     renewed until q, and the line above it names the robots whose base is lost. With -o json each
     robot gets a line every second, until Ctrl-C.

@@ -27,11 +27,11 @@ from swarmd.core.errors import ConfigError, NetworkError
 def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
-    The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a
-    peer that finds the robots by scouting (multicast queries), also robots that start later. With
-    --dial, or if the robots answer no scouts, the peer dials the robots that are known now. Robots
-    of a secured swarm answer scouts only in profile dev, or with `discoverable: true`. In profile
-    routed the session is a client of the routers.
+    The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a peer that
+    finds the robots by scouting (multicast queries), also robots that start later. With --dial, or
+    if the robots answer no scouts, the peer dials the robots that are known now. Robots of a
+    secured swarm answer scouts only in profile dev, or with `discoverable: true`. In profile routed
+    the session is a client of the routers.
 
     In a secured swarm the configuration names the files of your identity. It also has Zenoh's
     access rules for your name, except in profile routed.
@@ -43,11 +43,11 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         known_members(options, operator, needs_status=False)
         identity = operator.identity  # after the query, which may have brought a newer roster
         endpoints = operator.endpoints()  # by robot
-        is_to_robots = settings.profile != "routed"  # else the session is one to routers
-        if not endpoints and is_to_robots:
+        is_routed = settings.profile == "routed"  # the session dials routers, not robots
+        if not endpoints and not is_routed:
             raise unreachable(operator)
     if identity is not None:
-        if is_to_robots:
+        if not is_routed:
             endpoints = _without_ipv6(endpoints)  # with an identity the session uses TLS
         # The configuration names files of this folder, and may be read from another folder.
         identity = replace(identity, folder=identity.folder.absolute())

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from swarmd.client.session import Session
 
 CANARY_TIME = 10.0
-"""How long canaries must run well, in s, unless stated otherwise."""
+"""s for which canaries must run well by default."""
 MAX_DUTY_RISE = 0.3
-"""By how much the share of ticks in which protection acts may rise over the run before."""
+"""The greatest rise, over the run before, of the share of ticks in which protection acts."""
 MIN_DECISIONS = 60
-"""Ticks after which that share is judged: 3 s."""
+"""Ticks of a run, 3 s, before its share of ticks is judged."""
 MAX_STATUS_WAIT = 0.5  # s of one wait for a status
 
 
@@ -51,7 +51,8 @@ def fault_of(before: Status | None, first: Status, now: Status) -> str:
 
     - it runs or has finished,
     - its pattern host has not restarted since `first`,
-    - the share of ticks in which protection acts has not risen by more than MAX_DUTY_RISE.
+    - after MIN_DECISIONS ticks, the share of ticks in which protection acts exceeds the share in
+      `before` (0 without a run) by at most MAX_DUTY_RISE.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:

@@ -38,7 +38,7 @@ def send_stop(
         targets = _without_labels(session, targets)
 
     def tell_missing(missing: tuple[str, ...]) -> None:
-        """Tell the user which robots have not acknowledged."""
+        """Tell the user which robots have not acknowledged; none: no robot was heard so far."""
         view = operator.seen()
         lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
         session.tell(f"waiting for {'; '.join(lines)}")

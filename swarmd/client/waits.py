@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from swarmd.network.operator.members_view import MembersView
 
-TIME = 30.0
+TIME = 30.0  # s of a wait without a timeout
 PERIOD = 0.3  # s between looks
 
 

@@ -24,7 +24,7 @@ from swarmd.core.verbs import MAX_PART, VERBS, AnyRequest, AuditEntry, AuditQuer
 
 log = logging.getLogger(__name__)
 
-MAX_LINE = 300
+MAX_LINE = 300  # characters
 MAX_WHAT = 120  # characters of a request
 
 APPLIED_RATE, APPLIED_BURST = 2.0, 20.0
@@ -159,9 +159,9 @@ def _printable(text: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
-MAX_BYTES = 1 << 20
+MAX_BYTES = 1 << 20  # of one file
 FILES = 4
-MAX_PENDING = 256
+MAX_PENDING = 256  # entries that wait for the disk
 CLOSE_TIMEOUT = 1.0  # s that the end of the daemon waits for the disk
 READ_TIMEOUT = 0.5  # s that a question waits for entries that are being written
 

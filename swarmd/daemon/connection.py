@@ -40,9 +40,9 @@ log = logging.getLogger(__name__)
 
 MAX_PORT_TRIES = 5
 CLOSE_TIMEOUT = 1.0  # s
-REOPEN_PERIOD = 1.0
+REOPEN_PERIOD = 1.0  # s between two tries to open
 ANSWER_TIME = 0.1
-"""How long an answer has, in s, to be sent before the session closes; the asker repeats."""
+"""Seconds for answers to be sent before the session closes. An asker without an answer repeats."""
 
 
 class ConnectionOwner(Protocol):

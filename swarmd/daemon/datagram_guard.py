@@ -75,7 +75,7 @@ class DatagramGuard:
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
         self._trust = Trust.of(identity)
         self._written: Mapping[bytes, int] = self._file.read().counters  # on disk now
-        self._writing = threading.Lock()
+        self._writing = threading.Lock()  # guards the file, which a thread writes
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
         # A hint is a beacon of a newer roster, which cannot be verified: anyone can send hints.

@@ -27,7 +27,7 @@ from swarmd.settings.driver_options import (
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
-MAX_KIND_LENGTH = 64
+MAX_KIND_LENGTH = 64  # characters of the kind of a dropped input
 
 
 def make_bare_driver(settings: DaemonSettings) -> Driver:

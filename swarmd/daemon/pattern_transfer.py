@@ -50,7 +50,7 @@ from swarmd.robot.pushed_pattern import Version
 
 log = logging.getLogger(__name__)
 
-MAX_QUEUE = 4
+MAX_QUEUE = 4  # pushed patterns that wait for their check and trial
 MAX_UPLOADS = 2  # incomplete pushed patterns that are kept
 # Refusals that do not concern the code: the same push may succeed later.
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})

@@ -58,11 +58,11 @@ from swarmd.robot.robot import Robot
 from swarmd.settings.swarmfile import RecordingSection
 
 MAX_BATCH = 60_000
-"""Bytes of one batch, but for its last entry."""
+"""The most bytes of a batch with several entries, and of a part of the robot's memory."""
 MAX_MEMORY = 10 * MAX_BATCH
-"""Bytes of a robot's memory, as sent in parts."""
+"""The most bytes of a robot's memory that is recorded."""
 MAX_ENTRIES = 500
-"""Entries that are sent before the period is over."""
+"""Entries that are sent at once, before BATCH_PERIOD is over."""
 BATCH_PERIOD = 0.5
 """Seconds between two batches: a daemon that is killed loses the entries of that time."""
 DROPS_PERIOD = 10.0
@@ -76,7 +76,7 @@ _LASTING = frozenset(
 """Kinds of input that hold until the next one: a recording begins with the last of each."""
 log = logging.getLogger(__name__)
 
-MAX_FILES = 500
+MAX_FILES = 500  # the newest files, which the answer to an operator lists
 
 
 class _Process:

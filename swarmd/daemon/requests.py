@@ -35,16 +35,15 @@ if TYPE_CHECKING:
     from swarmd.daemon.roster_service import RosterService
     from swarmd.daemon.tools import FieldTools
 
-MAX_PENDING = 64
+MAX_PENDING = 64  # requests without a reply
 MAX_REPLIES = 64  # kept for repeated requests; the epoch refuses repeats of older requests
-MAX_ID = 63
-MAX_OPERATOR = 128
-MAX_TEXT = 300
+MAX_ID, MAX_OPERATOR, MAX_TEXT = 63, 128, 300  # characters
 UNREADABLE = "?"
 """The id in the refusal of a request without a readable id."""
 
 MAX_ANSWERS = 8
-"""Answers from threads to one verb at a time; further questions are dropped, and repeated."""
+"""Answers to one verb that threads make at a time. A further question is dropped; the operator
+repeats the question."""
 
 _DECODERS = {row.name: Decoder(row.asked) for row in verbs.VERBS.values()}
 _header = Decoder(verbs.RequestHeader, any_version=True)
