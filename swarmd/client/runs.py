@@ -199,11 +199,11 @@ def start_at(
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
-    session, operator, timeout = targeted.session, targeted.operator, targeted.time_left
+    session, timeout = targeted.session, targeted.time_left
     if timeout is not None and timeout <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
 
-    offsets = read_clocks(operator, targeted.names)
+    offsets = read_clocks(targeted.operator, targeted.names)
     here = boottime() + at
     by_robot, skew = start_times(offsets, here)
     without_clock = sorted(name for name in targeted.names if name not in by_robot)

@@ -113,10 +113,11 @@ class DriverCommands:
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
         """The request of a command, with the epoch of the robot when the command was issued."""
-        robot, id, operator = self._robot.id, secrets.token_hex(8), command.operator
+        id = secrets.token_hex(8)
+        operator = command.operator
         # Without an age, `_refusal_of` refuses a run or reset; a stop needs no age.
         age = command.age or 0.0  # s
-        targets: dict[str, Epoch | None] = {robot: self._epoch_at(now - age)}
+        targets: dict[str, Epoch | None] = {self._robot.id: self._epoch_at(now - age)}
         match command.verb:
             case "stop":
                 return verbs.StopRequest(id=id, operator=operator, targets=targets)
