@@ -49,8 +49,7 @@ ANSWER_TIME = 3.0
 def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
     """Add each NAME, or range such as 'tb3-[41-50]', and send the new roster to all robots.
 
-    A robot that takes a new roster stands. Then write the bundles of the new names with `keys
-    bundle`.
+    A robot that takes a new roster stands. Write the bundles of the new names with `keys bundle`.
     """
     authority = open_authority(options.swarm)
     new = [name for word in names for name in expand_names(word)]
@@ -287,8 +286,8 @@ def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> I
 
     A generation is a version of the roster. A datagram is signed with the keys of one generation,
     and a robot accepts only its own generation. The generations are those that the authority has
-    recorded for `robots`, and the present generation: a robot has the present generation unrecorded
-    if its answer was lost, or if it has a new bundle.
+    recorded for `robots`, and the present generation. A robot may have the present generation
+    without a record: the robot's answer was lost, or the robot has a new bundle.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)

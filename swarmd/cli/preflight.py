@@ -177,16 +177,17 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
 def _pattern_fault(row: Record, origin: Origin, *, is_in_plugin_dir: bool) -> str | None:
     """The fault of a pattern; None without a fault.
 
-    A pattern that does not fit this platform has no fault, nor has a pattern of a package that a
-    robot refuses. `row`: the description of the pattern. `row["missing"]`: what the pattern needs
-    and the platform lacks. `row["refused"]`: why a robot refuses the pattern.
+    A pattern that does not fit this platform has no fault. A pattern that a robot refuses has a
+    fault only in `plugin_dir`, where the owner has put the pattern to run it. `row`: the
+    description of the pattern. `row["missing"]`: what the pattern needs and the platform lacks.
+    `row["refused"]`: why a robot refuses the pattern.
     """
     if origin.rival:  # a second file or package with this name
         return f"exists twice: {origin.source} and {origin.rival}; rename one"
     if "error" in row:
         return str(row["error"])
     is_refused = bool(row["refused"]) and not row["missing"]
-    if is_refused and is_in_plugin_dir:  # the owner has put the pattern there to run it
+    if is_refused and is_in_plugin_dir:
         return str(row["refused"])
     return None
 
@@ -195,7 +196,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     """Yields findings about the patterns of this robot, with their parameters and touch zones.
 
     Each pattern with a fault gets a finding of its own (see `_pattern_fault`). A further finding
-    has the number of patterns that fit the platform, and the names of those that do not.
+    has the number of patterns that fit the platform, and the names of patterns that do not fit.
     """
     try:
         origins = pattern_names(settings.plugin_dir)

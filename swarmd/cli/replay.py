@@ -40,9 +40,9 @@ def replay(
     """Repeat a recorded run without a robot, and compare its commands with the recorded commands.
 
     FILE: a recording (.mcap), its parts in their order, or the folder of one robot. If the daemon
-    was restarted, the recordings of its processes are repeated one after the other.
-    `safe` compares what protection commanded, `requested` what the pattern asked for. The exit code
-    is 0 only if all commands are equal to the bit.
+    was restarted, the recordings of its processes are repeated one after the other. `safe` compares
+    what protection commanded, `requested` what the pattern asked for. The exit code is 0 only if
+    all commands are equal to the bit.
     """
     from swarmd.plugins import check_single, need, pattern_names, places_of
 

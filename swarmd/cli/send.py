@@ -122,8 +122,8 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
     """Print the outcome of a request: warnings, the answers of robots, and a summary line.
 
     If robots refused the request because of a mistake of the operator, a line with the mistake
-    follows. `notes`: further fields
-    of the JSON document. OSError if standard output fails, such as a full disk.
+    follows. `notes`: further fields of the JSON document. OSError if standard output fails, such as
+    a full disk.
     """
     _warn_of_view(outcome)
     mistake = _mistake(outcome)

@@ -274,9 +274,9 @@ def _system_fault(error: OSError) -> str:
 def _not_text(words: Sequence[str]) -> str:
     """The fault of the first word of a command line that is not UTF-8; empty without such a word.
 
-    Such a word may be a file name, which JSON, manifests and messages cannot contain. A
-    command line with the word `stop` or `estop` has no such fault, since a stop must not fail for a
-    wrong character. These verbs send no file name, check the names of robots, and replace wrong
+    Such a word may be a file name, which JSON, manifests and messages cannot contain. A command
+    line with the word `stop` or `estop` has no such fault, since a stop must not fail for a wrong
+    character. These verbs send no file name, check the names of robots, and replace wrong
     characters in the reason.
     """
     # Python decodes a byte that is not UTF-8 to a lone surrogate, in this range.

@@ -53,10 +53,10 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
-    STATE also shows that the base of a robot is lost. CPU and MEM are those of the
-    daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the table is
-    renewed until q, and the line above it names the robots whose base is lost. With -o json each
-    robot gets a line every second, until Ctrl-C.
+    STATE also shows that the base of a robot is lost. CPU and MEM are those of the daemon, P-CPU
+    and P-MEM those of its pattern host; 100% is one core. On a terminal the table is renewed until
+    q, and the line above the table names the robots whose base is lost. With -o json each robot
+    gets a line every second, until Ctrl-C.
     """
     if once:
         _print_once(options, targets, sort)

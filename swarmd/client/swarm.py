@@ -211,7 +211,7 @@ class Swarm:
         `robots`, `labels`, `exclude`: the targets; without these all robots. `seconds`: duration of
         the run; None: until a stop. `until`: conditions as in `swarmctl run --until`; the first
         condition that is met ends the run. `at`: the time from now at which all robots start at one
-        moment. `canary`: the name, or the number, of robots that run first, for `canary_time` s
+        moment. `canary`: the robot, or the number of robots, that run first, for `canary_time` s
         (default 10); the other robots follow if the canaries run well. `lease`: robots stop `lease`
         s after this connection was closed, or after its program has ended. `on_join` "run": robots
         that join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
@@ -373,7 +373,8 @@ class Swarm:
         `conditions`: `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`,
         as in `swarmctl wait --for`. `robots`, `labels`, `exclude`: the robots; without these all
         robots. Returns the names of the robots that meet the conditions. Raises RequestError with
-        exit code 5 after the timeout; its text names each robot that does not meet them.
+        exit code 5 after the timeout; its text names each robot that does not meet the
+        conditions.
         """
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited

@@ -25,7 +25,8 @@ def make_robot(
     """The robot of this daemon, at rest and without a run.
 
     `instance`: the id of this daemon process, in hex. `seed`: the seed of the robot's random
-    generator. `latches`, `goals`: emergency stops and goals that files kept from earlier lives.
+    generator. `latches`, `goals`: emergency stops and goals that the files of an earlier daemon
+    process hold.
     """
 
     def layers(pattern: str) -> Layers:
