@@ -23,6 +23,7 @@ from swarmd.network.operator.outcome import Outcome, joined
 
 if TYPE_CHECKING:
     from swarmd.client.apply_plan import Plan
+    from swarmd.core.messages import Epoch
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
     from swarmd.settings.swarmfile import SwarmFile
@@ -70,7 +71,9 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
             need_consent("apply lets robots move and", "they may move", "Apply? Robots will move.")
         outcomes = _carry_out(options, operator, view, plan)
         if options.is_json:
-            replies = {name: one.code for each in outcomes for name, one in each.replies.items()}
+            replies = {
+                name: reply.code for outcome in outcomes for name, reply in outcome.replies.items()
+            }
             missing = joined(outcomes).missing
             print_json("Apply", {**_as_json(plan), "replies": replies, "missing": missing})
         elif outcomes:
@@ -96,24 +99,15 @@ def _carry_out(
     of each robot, and a robot refuses any other epoch. The robots are therefore queried again after
     each step. Returns an outcome per request.
     """
-    outcomes: list[Outcome] = []
     if plan.is_empty:
-        return outcomes
-    # The goal request quotes the epochs of the first query, so that a robot that somebody stopped
-    # or changed since then refuses the goal. Only the changes of labels by this plan do not count:
-    # the reply to a label request has the raised epoch, which replaces the epoch of that robot.
-    run_epochs = view.epochs(plan.targets)
+        return []
 
     def queried_again() -> MembersView:
         return operator.members(timeout=options.timeout)
 
-    if plan.labels:
-        for labels, robots in _grouped(plan.labels, tuple).items():
-            outcome = operator.request(LabelRequest, view.epochs(robots), labels=labels)
-            for robot, reply in outcome.replies.items():
-                if robot in run_epochs and reply.epoch:
-                    run_epochs[robot] = reply.epoch
-            outcomes.append(outcome)
+    outcomes = _send_labels(operator, view, plan)
+    run_epochs = _run_epochs(view, plan, outcomes)
+    if outcomes:
         view = queried_again()
     if plan.goal is not None:
         outcomes.append(send_goal(operator, run_epochs, next_goal(operator, view, **plan.goal)))
@@ -122,28 +116,61 @@ def _carry_out(
         # `timeout` None: the usual time for replies, as for the requests before.
         outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
         view = queried_again()
-    # Parameters are compared anew, since a run that has just begun may have them already. Robots
-    # with equal changes share a request.
+    return outcomes + _send_remaining_params(operator, view)
+
+
+def _run_epochs(
+    view: MembersView, plan: Plan, label_outcomes: list[Outcome]
+) -> dict[str, Epoch | None]:
+    """The epochs to quote with the new goal of `plan`, by robot.
+
+    The epochs are those of `view`, the query before the labels were sent: a robot that somebody
+    stopped or changed since that query refuses the goal. A robot that took new labels has raised
+    its epoch by these labels, and the epoch in its reply counts.
+    """
+    epochs = view.epochs(plan.targets)
+    for outcome in label_outcomes:
+        for name, reply in outcome.replies.items():
+            if name in epochs and reply.epoch:
+                epochs[name] = reply.epoch
+    return epochs
+
+
+def _send_labels(operator: Operator, view: MembersView, plan: Plan) -> list[Outcome]:
+    """Send the new labels of `plan`; robots with equal labels share a request."""
+    return [
+        operator.request(LabelRequest, view.epochs(robots), labels=labels)
+        for labels, robots in _grouped(plan.labels, tuple).items()
+    ]
+
+
+def _send_remaining_params(operator: Operator, view: MembersView) -> list[Outcome]:
+    """Send the parameters in which robots still differ from the swarm file.
+
+    `view`: a query after all other changes, since a run that has just begun may have the parameters
+    already. Robots with equal changes share a request.
+    """
     params_by_robot = _plan(operator, view).params
     by_params = _grouped(params_by_robot, lambda params: tuple(sorted(params.items())))
-    for items, robots in by_params.items():
-        epochs = view.epochs(robots)
-        outcomes.append(operator.request(ParamRequest, epochs, params=dict(items)))
-    return outcomes
+    return [
+        operator.request(ParamRequest, view.epochs(robots), params=dict(items))
+        for items, robots in by_params.items()
+    ]
 
 
 def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:
-    found: dict[Any, list[str]] = defaultdict(list)
-    for name, wanted in by_robot.items():
-        found[key(wanted)].append(name)
-    return found
+    """The names of the robots by the key of their value, for equal requests to several robots."""
+    names_by_key: dict[Any, list[str]] = defaultdict(list)
+    for name, value in by_robot.items():
+        names_by_key[key(value)].append(name)
+    return names_by_key
 
 
 def _end(plan: Plan, outcomes: list[Outcome]) -> None:
-    codes = {one.exit_code for one in outcomes}
+    """End with the exit code of the outcomes; PARTIAL if they differ or a robot is unknown."""
+    codes = {outcome.exit_code for outcome in outcomes}
     if codes - {APPLIED}:
-        only = codes.pop() if len(codes) == 1 else PARTIAL
-        click.get_current_context().exit(only)
+        click.get_current_context().exit(codes.pop() if len(codes) == 1 else PARTIAL)
     click.get_current_context().exit(PARTIAL if plan.unknown else APPLIED)
 
 

@@ -36,8 +36,8 @@ def context() -> None:
     """Keep sets of network options by name (contexts); every verb uses the options of one context.
 
     Options of the command line count most, then the environment ($SWARM, $SWARM_CONFIG), then the
-    context. A context of one swarm is ignored if line or environment name another swarm.
-    $SWARM_CONTEXT replaces the context in use.
+    context. A context that names a swarm is ignored if the command line or the environment names
+    another swarm. $SWARM_CONTEXT replaces the context in use.
     """
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from swarmd.client.event_feed import EventFeed, EventLine
     from swarmd.client.session import Session
 
-PERIOD = 0.5
+PERIOD = 0.5  # s for which equal events of further robots are awaited
 NAME_WIDTH = 10
 
 
@@ -39,28 +39,28 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     from swarmd.client.event_feed import EventFeed
     from swarmd.client.events import events_of
 
-    # `since`: the longest age of an event in s.
-    feed = EventFeed(float("inf") if since is None else since)
+    longest_age = float("inf") if since is None else since  # s
+    feed = EventFeed(longest_age)
     with options.operator() as operator:
         if follow:
             session = session_of(options, operator)
             followed_targets = session.named_now(targets)  # labels replaced by names
-            with signals_end():
-                # Does not return: a signal ends the program.
+            with signals_end():  # a signal ends the program
                 _follow(session, feed, followed_targets, is_json=options.is_json)
-        view = known_members(options, operator)
-        robots = robots_of(view, targets)
-        lines = events_of(feed, view, robots)
-        if options.is_json:
-            records = [_record(line) for line in lines]
-            missing = [name for name in view.missing if name in robots]
-            print_json("Events", {"events": records, "missing": missing})
         else:
-            _print(lines)
-            if not lines:
-                period = "" if since is None else f" of the last {seconds(since)}"
-                warn(f"no event{period} is known; each robot keeps its last {MAX_EVENTS}")
-        click.get_current_context().exit(exit_code_of(view, robots))
+            view = known_members(options, operator)
+            robots = robots_of(view, targets)
+            lines = events_of(feed, view, robots)
+            if options.is_json:
+                records = [_record(line) for line in lines]
+                missing = [name for name in view.missing if name in robots]
+                print_json("Events", {"events": records, "missing": missing})
+            else:
+                _print(lines)
+                if not lines:
+                    period = "" if since is None else f" of the last {seconds(since)}"
+                    warn(f"no event{period} is known; each robot keeps its last {MAX_EVENTS}")
+            click.get_current_context().exit(exit_code_of(view, robots))
 
 
 def _follow(session: Session, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:

@@ -6,7 +6,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, Failure, common_options
-from swarmd.cli.send import asking
+from swarmd.cli.send import Asked, asking
 from swarmd.cli.targets import takes_targets
 from swarmd.client.changes import change_labels
 from swarmd.client.targets import Targets, labels_of
@@ -62,19 +62,27 @@ def label(
     is offered that goal, and `swarmctl resume` runs it.
     """
     changes = [*(f"+{name}" for name in added), *(f"-{name}" for name in removed)]
-    has_changes = bool(changes)
-    if reset == has_changes:  # both, or neither
+    is_neither_or_both = bool(changes) == reset
+    if is_neither_or_both:
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
     if changes:
-        read_changes(changes)  # only checks: UsageError for a word that is no label
+        read_changes(changes)  # only checks: ConfigError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
-        # `asked.targeted`: the targets with the epochs that the robots have just reported.
-        if reset:  # to the labels of the swarm file; `report` ends the command
-            asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))
-        # A request replaces all labels of a robot, so the labels that stay must be known.
-        known_labels = labels_of(asked.view)
-        unknown_robots = [name for name in asked.names if name not in known_labels]
-        if unknown_robots:
-            names = ", ".join(unknown_robots)
-            raise Failure(f"the labels of {names} are not known; nothing was sent", TIMEOUT)
-        asked.report(change_labels(asked.targeted, added, removed))
+        if reset:  # `labels` None: those of the swarm file
+            outcome = joined([asked.targeted.request(LabelRequest, labels=None)])
+        else:
+            _check_labels_known(asked)
+            outcome = change_labels(asked.targeted, added, removed)
+        asked.report(outcome)
+
+
+def _check_labels_known(asked: Asked) -> None:
+    """Failure if the present labels of a target are not known.
+
+    A request replaces all labels of a robot, so the labels that stay must be known.
+    """
+    known_labels = labels_of(asked.view)
+    unknown_robots = [name for name in asked.names if name not in known_labels]
+    if unknown_robots:
+        names = ", ".join(unknown_robots)
+        raise Failure(f"the labels of {names} are not known; nothing was sent", TIMEOUT)

@@ -32,11 +32,10 @@ from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
 from swarmd.texts.values import printable
 
-# A trial on a robot may take 10 s, and loading again 3 s more.
-RELOAD_TIMEOUT = 15.0
+RELOAD_TIMEOUT = 15.0  # s: a trial on a robot may take 10 s, and loading again 3 s more
 CHECK_TIMEOUT = 30.0  # s for one point
 _MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}
-_NAME_WIDTH = 43
+_NAME_WIDTH = 43  # of a point of the contract
 
 
 @click.group(cls=VerbGroup)
@@ -76,9 +75,8 @@ def new(
     has_folder: bool,
 ) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    # With `has_folder`, `write_plugin` also returns a scenario and a page.
     paths = write_plugin(name, folder, kind, policy, has_folder=has_folder)
-    pattern_file, test_file = paths[:2]
+    pattern_file, test_file, *scenario_and_page = paths
     # The next commands, each with a remark.
     python = shlex.quote(sys.executable)
     install_pytest = "" if find_spec("pytest") else f"{python} -m pip install pytest && "
@@ -89,7 +87,7 @@ def new(
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if has_folder:
-        scenario = paths[2]
+        scenario, _page = scenario_and_page
         run = f"swarmctl exp run {scenario} --seeds 20 --out runs/{name}"
         next_steps.append((run, "twenty runs of its scenario"))
     if options.is_json:
@@ -97,7 +95,8 @@ def new(
         content = {"name": name, "files": [str(path) for path in paths], "next": commands}
         print_json("Plugin", content)
         return
-    click.echo(f"wrote {', '.join(map(str, paths[:-1]))} and {paths[-1]}; next:\n")
+    *first_paths, last_path = map(str, paths)
+    click.echo(f"wrote {', '.join(first_paths)} and {last_path}; next:\n")
     width = max(len(command) for command, _ in next_steps)
     for command, remark in next_steps:
         click.echo(f"  {command.ljust(width)}  # {remark}")
@@ -169,10 +168,12 @@ plugin.add_command(remove)
 def write_plugin(
     name: str, folder: Path, kind: str, policy: Path | None = None, *, has_folder: bool = False
 ) -> tuple[Path, ...]:
-    """Write a pattern and its test from the templates in `templates/`; returns their paths.
+    """Write a pattern and its test from the templates in `templates/`.
+
+    Returns the paths of the pattern, its test, and with `has_folder` the scenario and the page.
 
     `kind`: the template of the pattern. `policy`: a file with a neural network; the pattern then
-    runs that network. `has_folder`: also write a scenario and a page; all files are then in a new
+    runs that network. `has_folder`: also write a scenario and a page, and all files into a new
     folder `name`. UsageError for an unusable name or an existing file, ConfigError for a `policy`
     without a network; nothing is written then.
     """
@@ -181,25 +182,26 @@ def write_plugin(
     network = "" if policy is None else _network_text(policy)
     template = kind if policy is None else "policy"
     _check_name(name)
-    # 1. The files by the name of their template, pattern and test first. The template of the
-    #    pattern, such as `movement`, has a second template with its test, `test_movement`.
     plugin_folder = folder / name if has_folder else folder
     pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
-    paths = {template: pattern_file, f"test_{template}": plugin_folder / f"test_{name}.py"}
+    test_file = plugin_folder / f"test_{name}.py"
+    path_by_template = {template: pattern_file, f"test_{template}": test_file}
     if has_folder:
-        paths |= {"scenario": plugin_folder / "scenario.yaml", "page": plugin_folder / "page.md"}
-    for path in paths.values():
+        path_by_template["scenario"] = plugin_folder / "scenario.yaml"
+        path_by_template["page"] = plugin_folder / "page.md"
+    for path in path_by_template.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
-    _check_free(name)  # UsageError if a module or an installed pattern has this name
+    _check_free(name)
     templates = files("swarmd.cli") / "templates"
-    texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
-    # 2. The class of the pattern. A name that the templates use otherwise (Twist) gets a suffix.
+    texts = {
+        path: (templates / f"{stem}.txt").read_text() for stem, path in path_by_template.items()
+    }
     class_title = class_name(name)
-    if class_title in "".join(texts.values()):
+    is_used = class_title in "".join(texts.values())  # by the templates themselves, such as Twist
+    if is_used:
         class_title += "Pattern"
-    # 3. Fill in the fields of the templates, such as `$class_name`.
-    fields = {
+    fields = {  # of the templates, such as `$class_name`
         "name": name,
         "module": pattern_file.stem,
         "class_name": class_title,
@@ -209,7 +211,7 @@ def write_plugin(
     for path, text in texts.items():
         with path.open("x", encoding="utf-8") as file:
             file.write(Template(text).substitute(fields))
-    return tuple(texts)
+    return tuple(path_by_template.values())
 
 
 def _network_text(policy: Path) -> str:

@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any, Literal
+from typing import IO, Any, Literal, NamedTuple
 
 from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.core.processes import how_it_ended
@@ -28,15 +28,15 @@ from swarmd.security.identity import SYSTEM_FOLDER, user_folder
 
 Record = dict[str, Any]
 DESCRIBE_TIMEOUT = 15.0
-"""Seconds for one pattern; the first brings numpy. A child that works has them of its processor."""
+"""Seconds for one pattern, for the first pattern with the import of numpy."""
 
 MISSION_TIMEOUT = 30.0
 """Seconds for a mission: the child imports every pattern that it names."""
 
 STACK_TIMEOUT = 3.0
-"""Seconds within which a child that hangs writes its stack; a busy machine delays it."""
+"""Seconds that a child that hangs may take to write its stack, also on a busy machine."""
 
-WORK_PERIOD = 0.5  # s between two looks at a child that works for longer than its limit
+WORK_PERIOD = 0.5  # s between two looks at the processor time of a child that is late
 
 NO_OUTPUT = "it prints nothing"
 NO_SIDE_EFFECTS = "it opens and starts nothing"
@@ -61,7 +61,7 @@ class Point:
 def describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: str, timeout: float = DESCRIBE_TIMEOUT
 ) -> list[Record]:
-    """A description (JSON object) of each of the named patterns; without names, of all patterns.
+    """Describes the patterns `names`, or all patterns without names, each by a JSON object.
 
     A pattern that cannot be loaded within `timeout` s has a description with `error`. PluginError
     if the child process that imports the patterns fails.
@@ -151,24 +151,21 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         while needs_child:
             needs_child = False
             words = ["check", str(path), "--done", *checked_names]
-            # The rows of the child. The key `result`, or `lost`, has the name of a point.
             for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
-                elif "result" in row and row["result"] not in checked_names:
-                    checked_names.append(row["result"])
-                    yield _point(row["result"], row, known_faults)
-                    if row.get("is_hang"):  # the child itself noticed a hang, and ends
-                        yield Point(SKIPPED, "skipped", "correct the failed point first")
-                elif "lost" in row:  # the child ended, or hangs, while it checked this point
-                    is_first = not checked_names
-                    checked_names.append(row["lost"])
-                    fault = {"fault": f"the process that checks it {row['how']}"}
-                    yield _point(row["lost"], fault, known_faults)
-                    if row["hangs"]:
-                        yield Point(SKIPPED, "skipped", "correct the failed point first")
-                    # A file whose import fails, or code that hangs, leaves no other point to check.
-                    needs_child = not is_first and not row["hangs"]
+                # Each further child checks again the points before the tests, such as the import.
+                if row.get("result") in checked_names:
+                    continue
+                check = _check_of(row)
+                if check is None:
+                    continue
+                is_import = not checked_names  # the first point imports the file
+                checked_names.append(check.name)
+                yield _point(check.name, check.fields, known_faults)
+                if check.hangs:
+                    yield Point(SKIPPED, "skipped", "correct the failed point first")
+                needs_child = check.has_ended_child and not is_import
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
     # Two points about the whole check.
@@ -176,8 +173,27 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         yield Point(name, "fault" if faults else "ok", _first_of(faults))
 
 
+class _Check(NamedTuple):
+    """The check of a point, by a row of `_inspect`."""
+
+    name: str  # of the point
+    fields: Record  # `fault` and `on`, or `text` without a fault
+    hangs: bool
+    has_ended_child: bool  # the plugin's code ended the child
+
+
+def _check_of(row: Record) -> _Check | None:
+    """The check that ends with `row`; None for a row of another kind."""
+    if "lost" in row:  # the child ended, or hangs
+        fields, hangs = {"fault": f"the process that checks it {row['how']}"}, row["hangs"]
+        return _Check(row["lost"], fields, hangs, has_ended_child=not hangs)
+    if "result" in row:  # the child goes on, also after a hang that it noticed itself
+        return _Check(row["result"], row, row.get("is_hang", False), has_ended_child=False)
+    return None
+
+
 def _point(name: str, row: Record, faults: set[str]) -> Point:
-    """The point, `repeated` if its fault equals an earlier one up to numbers."""
+    """The point, `repeated` if an earlier point has the same fault, its numbers aside."""
     fault = row.get("fault")
     if fault is None:
         return Point(name, "ok", str(row.get("text", "")))
@@ -204,32 +220,30 @@ def _inspect(
 ) -> Iterator[Record]:
     """Yields the rows (JSON objects) of a child process that imports plugin code.
 
-    The child works on items: the points of a check, or the patterns to describe. `words`: the
-    arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
-    plugin's code. `log`: takes standard error.
+    The child works on items: the points of a check, or the patterns to describe. An item begins
+    with a row that has the key `begin`, which is not yielded, and ends with a row that has the key
+    `result`. If the child ends or hangs in an item, this function adds a last row, which has the
+    fields of the row `begin`, and
 
-    1. If the child ends or hangs in an item, this function adds a last row. The row has the fields
-       of the item's row `begin`, and the keys `lost` (the name of the item), `how` (the end in
-       words, with the line of code) and `hangs`.
-    2. PluginError if the child reports an error outside an item, or ends or hangs before its first
-       item.
+    - `lost`: the name of the item,
+    - `how`: how the child ended, in words, with the line of code,
+    - `hangs`: True if the child hangs.
+
+    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row.
+    `folder`: the folder of the plugin's code. `log` takes the child's standard error. PluginError
+    if the child reports an error outside an item, or ends or hangs before its first item.
     """
     with _started(words, log) as child:
         assert child.stdout is not None
-        # 1. Read the lines of the child, and yield the rows of items. A row `begin` opens an item,
-        #    and a row `result` closes the item. The key `error` in a row `result` is a fault of the
-        #    item, in any other row a fault of the child. A line that is no JSON gives an empty row:
-        #    a line of a stack trace. The first such line that names a file in `folder` tells the
-        #    place in the code.
         open_item: Record | None = None
         code_place = ""
         hangs = False
         try:
             for line in _lines(child.stdout, timeout, child.pid):
                 row = _record_of(line)
-                if "end" in row:
+                if "end" in row:  # all items are done
                     return
-                if "error" in row and "result" not in row:
+                if "error" in row and "result" not in row:  # the error concerns no item
                     raise PluginError(row["error"])
                 if "begin" in row:
                     open_item = row
@@ -237,24 +251,32 @@ def _inspect(
                     if "result" in row:
                         open_item = None
                     yield row
-                else:
+                else:  # a line of a stack, which the child prints before it ends
                     code_place = code_place or _place_of(line, folder)
             hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
-        # 2. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack.
-        #    Before its first item a child has no handler of SIGUSR1: the signal would end it.
-        if hangs and open_item is not None:
-            child.send_signal(signal.SIGUSR1)
-            with contextlib.suppress(TimeoutError):
-                for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
-                    code_place = code_place or _place_of(line, folder)
-                    if code_place:
-                        break
         how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
+        if hangs:
+            # From its first item on, the child prints its stack on SIGUSR1.
+            code_place = code_place or _place_of_hang(child, folder)
         yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
+
+
+def _place_of_hang(child: subprocess.Popen[bytes], folder: Path | None) -> str:
+    """The place in the code of `folder` at which a child hangs; empty if not known.
+
+    On SIGUSR1 the child prints its stack.
+    """
+    assert child.stdout is not None
+    child.send_signal(signal.SIGUSR1)
+    with contextlib.suppress(TimeoutError):
+        for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
+            if place := _place_of(line, folder):
+                return place
+    return ""
 
 
 @contextlib.contextmanager
@@ -282,8 +304,8 @@ def _started(words: Sequence[str], log: IO[bytes] | None) -> Iterator[subprocess
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
     """Yields whole lines until the end of the stream; TimeoutError without a line for `timeout` s.
 
-    A process that works, and has used less than `timeout` s of processor time, gets more time,
-    since a busy machine or a cold disk may delay it.
+    A busy machine or a cold disk may delay a process. So a process that works, and has used less
+    than `timeout` s of processor time since its last line, gets more time.
     """
     buffer = b""
     deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout

@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import click
 from msgspec.structs import replace as with_fields
@@ -44,11 +44,11 @@ if TYPE_CHECKING:
     from swarmd.network.operator.outcome import Outcome
     from swarmd.security.identity import Identity
 
-PIECE = 32768
-MAX_GENERATION = 2**32 - 1
+PIECE = 32768  # bytes of code in one request
+MAX_GENERATION = 2**32 - 1  # version number of a manifest
 PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
 CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
-LOOK_PERIOD = 0.5
+LOOK_PERIOD = 0.5  # s between two queries of the canaries
 MAX_NAME, MAX_VERSION = 63, 32  # characters in a manifest
 DIGEST_LENGTH = 12  # characters of the hash in a report of pushed patterns
 
@@ -94,11 +94,10 @@ def push(
     """Send the pattern in FILE, a .py or a wheel of pure Python, to TARGETS; starts no run.
 
     At most 1 MiB. With keys, your identity signs the pattern. Each robot tries the code in a
-    process of its own, then a run takes it. The code is provisional until it has run for 60 s
-    without a fault; after a fault the robot stands and returns to the version before. Robots that
-    join later and match TARGETS get the pattern from other robots.
+    process of its own, and the next run of the pattern uses the code. The code is provisional until
+    it has run for 60 s without a fault; after a fault the robot stands and returns to the version
+    before. Robots that join later and match TARGETS get the pattern from other robots.
     """
-    # 1. Check the file and the right to push, before anything is sent.
     read_canary(canary)
     source = read_source(file)
     settings, _, identity = options.network()
@@ -107,26 +106,24 @@ def push(
             "without keys robots take code in profile dev only; see `swarmctl keys --help`"
         )
     with asking(options, targets, needs_status=False) as asked:
-        # `push_targets`: globs and labels as typed, which robots that join later may match.
-        robots, push_targets = asked.names, goal_targets(targets, asked.names)
+        robots = asked.names
+        # Globs and labels as typed, which robots that join later may match.
+        push_targets = goal_targets(targets, robots)
         canaries = () if canary is None else canaries_of(canary, robots)
         pusher = _Pusher(asked, source, version, replace, rerun)
         generation = pusher.next_generation()
-        # 2. Without canaries: push to all robots. `report` ends the command.
-        if not canaries:
-            asked.report(pusher.push(push_targets, robots, generation))
-        # 3. Push to the canaries alone, and wait until they have tried the code (`canary_time` s at
-        #    most). If a canary refuses the code or fails, the command ends.
-        remaining = tuple(robot for robot in robots if robot not in canaries)
-        warn(f"canary: {', '.join(canaries)}")
-        outcome = pusher.push(canaries, canaries, generation)
-        if len(outcome.applied) < len(canaries):
-            _end_early(outcome, remaining)
-        result = _await_canary(asked, source, canaries, remaining, canary_time)
-        # 4. Push to all robots. This manifest has other targets than the manifest of the canaries,
-        #    and replaces that manifest by its greater generation.
-        warn(f"canary: {result}; now {', '.join(remaining)}")
-        asked.report(pusher.push(push_targets, robots, generation + 1))
+        if canaries:
+            remaining = tuple(robot for robot in robots if robot not in canaries)
+            warn(f"canary: {', '.join(canaries)}")
+            outcome = pusher.push(generation, targets=canaries, robots=canaries)
+            if len(outcome.applied) < len(canaries):
+                _warn_of_faults(outcome)
+                raise _canary_failure(f"canary: {outcome.line}", remaining)
+            result = _await_canary(asked, source, canaries, remaining, canary_time)
+            warn(f"canary: {result}; now {', '.join(remaining)}")
+            # The manifest of the canaries has other targets. A greater generation replaces it.
+            generation += 1
+        asked.report(pusher.push(generation, targets=push_targets, robots=robots))
 
 
 @click.command("remove")
@@ -140,7 +137,8 @@ def remove(options: CommonOptions, name: str, targets: Targets) -> None:
     with asking(options, targets, needs_status=False) as asked:
         pusher = _Pusher(asked, None, name=name)
         generation = pusher.next_generation()
-        asked.report(pusher.push(goal_targets(targets, asked.names), asked.names, generation))
+        push_targets = goal_targets(targets, asked.names)
+        asked.report(pusher.push(generation, targets=push_targets, robots=asked.names))
 
 
 @click.command("list")
@@ -309,12 +307,20 @@ class _Pusher:
             )
         return generation
 
-    def push(self, targets: Collection[str], names: Collection[str], generation: int) -> Outcome:
-        """Push to robots in pieces; a robot that refuses a piece gets no further piece."""
+    def push(
+        self, generation: int, *, targets: Collection[str], robots: Collection[str]
+    ) -> Outcome:
+        """Push to `robots` in pieces; a robot that refuses a piece gets no further piece.
+
+        `targets`: the robots that may have the pattern, by names, globs and labels; the manifest
+        names the targets, also for robots that join later.
+        """
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
-        epochs, outcome = self._asked.view.epochs(names), None
+        epochs = self._asked.view.epochs(robots)
+        outcome: Outcome | None = None
         timeout = self._asked.options.timeout
+        # A removal has no code, and is a single empty piece.
         for offset in range(0, max(len(code), 1), PIECE):
             sent = self._operator.request(
                 PushRequest,
@@ -347,17 +353,15 @@ class _Pusher:
         issuer = operator.name[:MAX_NAME] if identity is None else identity.name
         manifest = PatternManifest(
             swarm=operator.settings.swarm,
-            name=self._name,  # of a removal; a push has the name in its source
+            name=self._name if source is None else source.name,
             generation=generation,
             issuer=issuer,
             targets=targets,
-            kind="removed",
+            kind="removed" if source is None else source.kind,
         )
         if source is not None:
             manifest = with_fields(
                 manifest,
-                name=source.name,
-                kind=source.kind,
                 version=(self._version or source.version)[:MAX_VERSION],
                 digest=hashlib.sha256(source.code).digest(),
                 size=len(source.code),
@@ -413,42 +417,46 @@ def _await_canary(
         view = operator.members(timeout=options.timeout)
         replies = pushed_patterns_of(options, operator, view, canaries)
         provisional_on: list[str] = []
-        is_tried_now = False
         for robot in canaries:
             report = _named(replies.get(robot), source.name)
             if report is None or report.digest != digest:
-                if report is not None and report.text:  # why the new code failed
-                    fault = f"returned: {report.text}"
-                elif robot in replies:
-                    fault = "has another version"
-                else:
-                    fault = "does not answer"
-                raise _untouched(f"canary {robot} {fault}", rest)
+                fault = _canary_fault(report, has_answered=robot in replies)
+                raise _canary_failure(f"canary {robot} {fault}", rest)
             if report.standing == "provisional":
                 provisional_on.append(robot)
-                member = view.members.get(robot)
-                status = None if member is None else member.status
-                runs_it = status is not None and status.pattern == source.name
-                is_tried_now = is_tried_now or runs_it
         if not provisional_on:
             return "holds it"
-        if not is_tried_now:
+        if not any(_runs(view, robot, source.name) for robot in provisional_on):
             return f"loaded, and not tried by a run on {', '.join(provisional_on)}"
         if time.monotonic() >= deadline:
             return f"not held yet after {limit:.0f} s, and without a fault"
         time.sleep(LOOK_PERIOD)
 
 
-def _end_early(outcome: Outcome, rest: Collection[str]) -> NoReturn:
+def _canary_fault(report: PushedPatternReport | None, *, has_answered: bool) -> str:
+    """Why a canary does not have the new code; `report`: of the pattern, on this canary."""
+    if report is not None and report.text:  # why the new code failed
+        return f"returned: {report.text}"
+    return "has another version" if has_answered else "does not answer"
+
+
+def _runs(view: MembersView, robot: str, pattern: str) -> bool:
+    member = view.members.get(robot)
+    status = None if member is None else member.status
+    return status is not None and status.pattern == pattern
+
+
+def _warn_of_faults(outcome: Outcome) -> None:
+    """Warn of each robot that refused a push, failed or did not answer."""
     for name, reply in outcome.replies.items():
         if reply.code is not Code.APPLIED:
             warn(f"{name}: {reply.code}: {reply.text}")
     for name in outcome.missing:
         warn(f"{name}: no answer")
-    raise _untouched(f"canary: {outcome.line}", rest)
 
 
-def _untouched(why: str, rest: Collection[str]) -> Failure:
+def _canary_failure(why: str, rest: Collection[str]) -> Failure:
+    """The failure after which the robots of `rest` keep their code."""
     return Failure(f"{why}; nothing was sent to {', '.join(rest)}", PARTIAL)
 
 

@@ -24,6 +24,7 @@ from swarmd.texts.values import NOTHING, megabytes, seconds
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
     from swarmd.network.operator.operator import Operator
+    from swarmd.recording.fetch import Ask, Copy
 
 
 @click.group(cls=VerbGroup)
@@ -106,32 +107,18 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
     A fetch that was interrupted continues where it ended. Robots record on while their files are
     copied; the copy of a file that is being written ends in `.partial`.
     """
-    from swarmd.recording.fetch import fetch as copy_file
-    from swarmd.recording.fetch import note_clock
-
     with options.operator() as operator:
         replies, failed_robots = _recordings(options, operator, targets)
-        ask = partial(_ask, options, operator)  # sends a query to a robot; None without an answer
+        ask = partial(_ask, options, operator)
         rows = []  # (robot, path, size, state of the copy)
         for robot, reply in replies.items():
-            try:
-                note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
-                for file in reply.files:
-                    progress = partial(_tell, robot, file.name)
-                    copy = copy_file(ask, robot, file, folder, progress)
-                    # "so far": the robot still writes the file.
-                    state = copy.fault or ("whole" if copy.is_whole else "so far")
-                    rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
-                    if copy.fault and robot not in failed_robots:
-                        failed_robots.append(robot)
-            except NetworkError as error:  # the files of this robot that remain are left out
-                warn(str(error))
-                if robot not in failed_robots:
-                    failed_robots.append(robot)
-            except OSError as error:
-                raise click.ClickException(
-                    f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
-                ) from error
+            copies, is_complete = _copied(ask, robot, reply, folder)
+            for copy in copies:
+                # "so far": the robot still writes the file.
+                state = copy.fault or ("whole" if copy.is_whole else "so far")
+                rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
+            if not is_complete:
+                failed_robots.append(robot)
         if sys.stderr.isatty():
             rewrite("")  # clears the line of progress
         if options.is_json:
@@ -142,6 +129,27 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         else:
             print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
         _end(replies.keys(), failed_robots)
+
+
+def _copied(ask: Ask, robot: str, reply: RecordingsReply, folder: Path) -> tuple[list[Copy], bool]:
+    """Copy the recordings of a robot into `folder`; the copies, and True if no file is missing."""
+    from swarmd.recording.fetch import fetch as copy_file
+    from swarmd.recording.fetch import note_clock
+
+    copies: list[Copy] = []
+    try:
+        note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
+        for file in reply.files:
+            progress = partial(_tell, robot, file.name)
+            copies.append(copy_file(ask, robot, file, folder, progress))
+    except NetworkError as error:  # the remaining files are left out
+        warn(str(error))
+        return copies, False
+    except OSError as error:
+        raise click.ClickException(
+            f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
+        ) from error
+    return copies, not any(copy.fault for copy in copies)
 
 
 record.add_command(merge)

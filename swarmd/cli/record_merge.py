@@ -44,6 +44,7 @@ def merge(
     from swarmd.recording.merge import place, rows, survey, write_merged
 
     parent_options = click.get_current_context().find_object(CommonOptions) or CommonOptions()
+    # `-o` may be given twice: with the file to write, and with json for the printed table.
     is_json = "json" in outputs or parent_options.is_json
     target = _target(outputs)
     # 1. Read all recordings once: topics, times, and exchanges between clocks.

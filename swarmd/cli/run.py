@@ -105,17 +105,18 @@ def run(
         canary_time=canary_time,
     )
     new_run.check(_option)  # faults name a field as its option of the command line
-    with asking(options, targets, needs_status=canary is not None) as asked, ExitStack() as opened:
+    with asking(options, targets, needs_status=canary is not None) as asked:
         # The goal keeps globs and labels, for robots that join later. `asked.targeted` has the
-        # robots that must answer now. `opened` closes what the run keeps open, such as a lease.
+        # robots that must answer now.
         run_targets = goal_targets(targets, asked.names)
         if lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
-            # A run with a lease lasts while this command runs, so the call does not return.
             run_while_here(asked, new_run, run_targets)
-        started = carry_out(new_run, asked.targeted, run_targets, opened, _option)
-        asked.report(started.outcome, started.notes)
+        else:
+            nothing_opened = ExitStack()  # only a lease is kept open
+            started = carry_out(new_run, asked.targeted, run_targets, nothing_opened, _option)
+            asked.report(started.outcome, started.notes)
 
 
 def _option(name: str) -> str:

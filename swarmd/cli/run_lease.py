@@ -23,7 +23,8 @@ SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waite
 def run_while_here(asked: Asked, run: Run, targets: tuple[str, ...]) -> NoReturn:
     """Run a pattern with a lease until all robots have ended the run, or until a signal stops them.
 
-    A lease ends the run of a robot that does not hear this program. `targets`: of the run's goal.
+    A lease ends the run of a robot that does not hear this program. `targets`: those of the run's
+    goal.
     """
     lease, ended = run.lease or 0.0, None
     with signals_end(), ExitStack() as opened:

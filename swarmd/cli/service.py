@@ -31,7 +31,7 @@ from swarmd.texts.keys import UNSET_CLOCK, day
 
 NOT_ACTIVE = 3  # as systemctl status
 _TIMEOUT = 5.0  # s for systemctl and journalctl
-_DAY = 86400.0
+_DAY = 86400.0  # s
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")
 
 _root = click.option(
@@ -85,7 +85,8 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     has_config = steps.within(CONFIG_FILE).exists()
     if not has_config:
         click.echo(f"next: there is no {steps.within(CONFIG_FILE)} yet: swarmd install BUNDLE")
-    # 3. Start the service, if systemd runs on this machine and the daemon has its file.
+    # 3. Start the service, if systemd runs on this machine, the daemon has its file, and the user
+    #    has not given --no-start. `otherwise` is empty, since systemctl is on this machine.
     if not has_systemctl or not steps.manages_services():
         click.echo("note: systemd does not run here; the service starts with the machine")
         return
@@ -215,18 +216,20 @@ def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
     identity = settings.identity
     if identity is None:
         return [settings_row, ("identity", "absent: the swarm is insecure")]
-    # The certificate's end, as a date if the clock of this machine is not set yet.
-    expires, now = identity.info.expires, time.time()
-    days_left = (expires - now) / _DAY
-    if now < FIRST_WALL:
-        validity = f"until {day(expires)} ({UNSET_CLOCK})"
-    elif days_left >= 0:
-        validity = f"ends in {days_left:.0f} days"
-    else:
-        validity = "has ended by this machine's clock"
+    validity = _validity(identity.info.expires, time.time())
     generation = identity.roster.generation
     text = f"{identity.folder}: certificate {validity}, roster of generation {generation}"
     return [settings_row, ("identity", text)]
+
+
+def _validity(expires: float, now: float) -> str:
+    """When a certificate ends, in words; as a date if the clock of this machine is not set yet."""
+    if now < FIRST_WALL:
+        return f"until {day(expires)} ({UNSET_CLOCK})"
+    days_left = (expires - now) / _DAY
+    return (
+        f"ends in {days_left:.0f} days" if days_left >= 0 else "has ended by this machine's clock"
+    )
 
 
 def _asked(steps: Steps, *words: str) -> str:

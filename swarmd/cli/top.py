@@ -6,7 +6,7 @@ import os
 import select
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -39,7 +39,7 @@ HEADER = (
 )
 SORTS = {"c": "cpu", "m": "memory", "l": "loop", "d": "delay", "p": "drops", "a": "age",
          "s": "scan", "n": "name"}  # fmt: skip
-PERIOD = 1.0
+PERIOD = 1.0  # s between two tables
 
 Known = Mapping[str, tuple[Status, float]]
 """The statuses of robots, with their ages in s."""
@@ -53,27 +53,36 @@ Known = Mapping[str, tuple[Status, float]]
 def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
     """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
 
-    If the base of a robot is lost, STATE says so behind the state. CPU and MEM are those of the
-    daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On a terminal the table is
-    renewed until q, and the line above it names the robots whose base is lost. With -o json each
-    robot gets a line every second, until Ctrl-C.
+    STATE also shows that the base of a robot is lost. CPU and MEM are those of the daemon, P-CPU
+    and P-MEM those of its pattern host; 100% is one core. On a terminal the table is renewed until
+    q, and the line above the table names the robots whose base is lost. With -o json each robot
+    gets a line every second, until Ctrl-C.
     """
-    # 1. A single table.
     if once:
-        with options.operator() as operator:
-            view = known_members(options, operator)
-            robots = robots_of(view, targets)
-            statuses = {  # with their ages in s
-                name: (member.status, member.age)
-                for name, member in view.members.items()
-                if member.status is not None
-            }
-            if options.is_json:
-                print_json("Load", {"robots": list(records(view, robots, statuses))})
-            else:
-                print_table(HEADER, rows(view, robots, statuses, sort))
-            click.get_current_context().exit(exit_code_of(view, robots))  # raises
-    # 2. A table that is renewed, or lines of JSON, from all that robots publish.
+        _print_once(options, targets, sort)
+    else:
+        _follow(options, targets, sort)
+
+
+def _print_once(options: CommonOptions, targets: Targets, sort: str) -> NoReturn:
+    """Query all members, print the figures of the targets, and end with the exit code."""
+    with options.operator() as operator:
+        view = known_members(options, operator)
+        robots = robots_of(view, targets)
+        statuses = {
+            name: (member.status, member.age)
+            for name, member in view.members.items()
+            if member.status is not None
+        }
+        if options.is_json:
+            print_json("Load", {"robots": list(records(view, robots, statuses))})
+        else:
+            print_table(HEADER, rows(view, robots, statuses, sort))
+        click.get_current_context().exit(exit_code_of(view, robots))
+
+
+def _follow(options: CommonOptions, targets: Targets, sort: str) -> None:
+    """Show what robots publish, as a table until `q`, or as lines of JSON until a signal."""
     if not options.is_json:
         need_terminal("top", "add --once or -o json")
     from swarmd.client.swarm_watch import SwarmWatch
@@ -165,8 +174,10 @@ def _usage(prefix: str, usage: ProcessUsage | None) -> dict[str, Any]:
 def _is_present(view: MembersView, name: str, known: Known) -> bool:
     """True if the robot's figures are recent."""
     member = view.members.get(name)
-    is_gone = member is None or member.presence is not Presence.ALIVE
-    return name in known and not is_gone and known[name][1] <= STATUS_SILENCE
+    if member is None or member.presence is not Presence.ALIVE or name not in known:
+        return False
+    _status, age = known[name]
+    return age <= STATUS_SILENCE
 
 
 def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> N
 
     goal: each robot does what its goal wants. count=5: at least five robots are alive and meet all
     other conditions. Robots of the roster and named robots are waited for even if they are not
-    heard yet. The exit code is 5 if the time ends before.
+    heard yet. The exit code is 5 if the time ends before all conditions are met.
     """
     conditions = read_awaited(wanted)
     with options.operator() as operator:

@@ -55,8 +55,8 @@ _OPTIONS = (
 class WebOptions:
     """The address of a page, its tokens and its certificate; an empty token counts as absent.
 
-    `tls`: files of certificate and key; an empty tuple: those of the identity; None: no TLS.
-    `is_read_only`: no page may send commands.
+    `tls`: the files of certificate and key; None: no TLS. Empty for `--tls` without files: `of`
+    then takes the files of the identity. `is_read_only`: no page may send commands.
     """
 
     bind: str

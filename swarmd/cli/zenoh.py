@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,43 +28,36 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """Print the configuration of a Zenoh session to the robots.
 
     The configuration is JSON, a subset of the JSON5 that Zenoh reads. The session is a peer that
-    finds the robots by scouting (multicast queries), also robots that start later. Robots of a
-    secured swarm answer scouts only in profile dev, or with `discoverable: true`. Where robots
-    answer no scouts, and with --dial, the peer dials the robots that are known now. In profile
-    routed the session is a client of the routers. In a secured swarm the configuration names the
-    files of your identity, and has Zenoh's access rules for your name, except in profile routed.
+    finds the robots by scouting (multicast queries), also robots that start later. With --dial, or
+    if the robots answer no scouts, the peer dials the robots that are known now. Robots of a
+    secured swarm answer scouts only in profile dev, or with `discoverable: true`. In profile routed
+    the session is a client of the routers.
+
+    In a secured swarm the configuration names the files of your identity. It also has Zenoh's
+    access rules for your name, except in profile routed.
     """
     from swarmd.network.carriers.session import foreign_options
 
-    # 1. The robots, with the endpoint of each.
     with options.operator() as operator:
         settings = operator.settings
         known_members(options, operator, needs_status=False)
         identity = operator.identity  # after the query, which may have brought a newer roster
-        endpoints = operator.endpoints()
-        if not endpoints and settings.profile != "routed":
+        endpoints = operator.endpoints()  # by robot
+        is_routed = settings.profile == "routed"  # the session dials routers, not robots
+        if not endpoints and not is_routed:
             raise unreachable(operator)
-    # 2. In a secured swarm: leave out robots that only have an IPv6 address. (In profile routed the
-    #    program dials routers, not robots.)
     if identity is not None:
-        by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
-        if by_ipv6 and settings.profile != "routed":
-            warn(f"{', '.join(by_ipv6)}: left out: Zenoh dials no IPv6 address by TLS")
-            endpoints = {name: url for name, url in endpoints.items() if name not in by_ipv6}
-            if not endpoints:
-                raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
+        if not is_routed:
+            endpoints = _without_ipv6(endpoints)  # with an identity the session uses TLS
         # The configuration names files of this folder, and may be read from another folder.
         identity = replace(identity, folder=identity.folder.absolute())
-    # 3. The configuration: a session that scouts dials no endpoint.
+    # A session that scouts dials no endpoint.
     scouts = not dial and settings.answers_scouts(is_secured=identity is not None)
     dialled = [] if scouts else sorted(set(endpoints.values()))
     config = foreign_options(settings, dialled, identity, scouts=scouts)
     text = json.dumps(config, indent=2)
     if out is not None:
-        try:
-            out.write_text(f"{text}\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"--out {out}: {error.strerror}; expected a file to write") from error
+        _write(out, text)
     if options.is_json:
         content = {"swarm": settings.swarm, "robots": endpoints, "config": config}
         print_json("Zenoh", content)
@@ -71,3 +65,21 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         click.echo(text)
     else:
         click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")
+
+
+def _write(out: Path, text: str) -> None:
+    try:
+        out.write_text(f"{text}\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"--out {out}: {error.strerror}; expected a file to write") from error
+
+
+def _without_ipv6(endpoints: Mapping[str, str]) -> dict[str, str]:
+    """The endpoints, by robot, that Zenoh can dial by TLS; NetworkError if none is left."""
+    by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
+    if by_ipv6:
+        warn(f"{', '.join(by_ipv6)}: left out: Zenoh dials no IPv6 address by TLS")
+    left = {name: url for name, url in endpoints.items() if name not in by_ipv6}
+    if by_ipv6 and not left:
+        raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
+    return left

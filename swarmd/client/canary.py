@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from swarmd.client.session import Session
 
 CANARY_TIME = 10.0
-"""How long canaries must run well, in s, unless stated otherwise."""
+"""s for which canaries must run well by default."""
 MAX_DUTY_RISE = 0.3
-"""By how much the share of ticks in which protection acts may rise over the run before."""
+"""The greatest rise, over the run before, of the share of ticks in which protection acts."""
 MIN_DECISIONS = 60
-"""Ticks after which that share is judged: 3 s."""
+"""Ticks of a run, 3 s, before its share of ticks is judged."""
 MAX_STATUS_WAIT = 0.5  # s of one wait for a status
 
 
@@ -27,9 +27,9 @@ def choose_canaries(
 ) -> tuple[str, ...]:
     """Choose the canaries (robots that run a pattern first) among the targets `names`.
 
-    `wanted`: a number of canaries, which are the first names, or the name of the only canary.
-    RequestError if the named robot is no target. ConfigError for a number below 1, and if no target
-    is left for the run after the canaries. `option`: the option's name, for errors.
+    `wanted`: the number of canaries, which are then the first of `names`; or the name of the only
+    canary. RequestError if the named robot is no target. ConfigError for a number below 1, and if
+    no target is left for the run after the canaries. `option`: the option's name, for errors.
     """
     all_names = tuple(names)
     is_wrong = isinstance(wanted, bool) or not isinstance(wanted, int | str)
@@ -47,8 +47,12 @@ def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
     `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
-    newest status in the run. A canary runs well if it runs or has finished, its pattern host has
-    not restarted since `first`, and protection acts in hardly more ticks than in `before`.
+    newest status in the run. A canary runs well if
+
+    - it runs or has finished,
+    - its pattern host has not restarted since `first`,
+    - after MIN_DECISIONS ticks, the share of ticks in which protection acts exceeds the share in
+      `before` (0 without a run) by at most MAX_DUTY_RISE.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -86,7 +90,10 @@ def watch_canary(
     first_status: dict[str, Status] = {}
     faults: dict[str, str] = {}
     with statuses_of(session.operator) as status_queue:
-        while not (faults or session.is_cancelled()) and (time_left := watch_end - boottime()) > 0:
+        while not faults and not session.is_cancelled():
+            time_left = watch_end - boottime()
+            if time_left <= 0:
+                break
             # 1. Judge the next status.
             status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
             if status is not None and status.robot in last_heard:

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
 
-MAX_NAMES = 1024
+MAX_NAMES = 1024  # of robots, and of labels
 MAX_SWARMS = 32
 """Swarms whose names are kept: those of the latest looks."""
 MAX_AGE = 60.0
-"""Names older than this, in s, are looked up anew."""
+"""s after which the names are looked up anew."""
 EMPTY_AGE = 5.0
-"""The same, in s, after a look that found no robot."""
+"""s after which the names are looked up anew if no robot was found."""
 LOOK_TIME = 0.25
 """How long such a look takes at most, in s: the shell waits for it."""
 

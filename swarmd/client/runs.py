@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -22,10 +22,10 @@ from swarmd.network.operator.request_sender import REQUEST_WAIT
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
-    from swarmd.client.session import TargetedView
+    from swarmd.client.session import Session, TargetedView
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
-    from swarmd.core.messages import Epoch
+    from swarmd.core.messages import Epoch, Status
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
@@ -122,10 +122,9 @@ def carry_out(
 ) -> StartedRun:
     """Start a run, whose options `Run.check` has checked, on the robots of `targeted`.
 
-    `targets`: the targets of the goal, which may be globs and labels. A run with a lease stops
-    unless its lease is renewed: a thread renews the lease until `opened` is closed. `option`
-    returns the name of an option as the user writes it. Raises ConfigError, RequestError and
-    SwarmError as `choose_canaries`, `start_at` and `run_with_canary` do.
+    `targets`: the targets of the goal, which may be globs and labels. `opened`: until the end of
+    this stack a thread renews the lease of the run. `option` returns the name of an option as the
+    user writes it. Raises the errors of `choose_canaries`, `start_at` and `run_with_canary`.
     """
     canaries: tuple[str, ...] = ()
     if run.canary is not None:
@@ -178,70 +177,87 @@ def send_goal(
     )
 
 
+class _Start(NamedTuple):
+    """The moment at which all robots start."""
+
+    delay: float  # s from the call of `start_at`
+    here: float  # s on the clock of this machine
+    by_robot: Mapping[str, float]  # s on the clock of each robot whose clock has answered
+
+
 def start_at(
     targeted: TargetedView, goal: Goal, at: float
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
     """Send the run of a goal, so that all robots start at one moment, in `at` s.
 
-    Each robot gets the start on its own clock, from a measured clock offset. Returns the outcome,
-    and notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
-    A robot whose clock does not answer gets no request, and counts as missing. Raises ConfigError
-    if the timeout ends before the start. Raises SwarmError if the session is cancelled before the
-    start; robots that have accepted the run are then stopped.
+    Each robot gets the moment of the start on its own clock, whose offset is measured. A robot
+    whose clock does not answer gets no request, and counts as missing. Returns the outcome, and
+    notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
+
+    Raises ConfigError if the timeout ends before the start. Raises SwarmError if the session is
+    cancelled before the start; robots that have accepted the run are then stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
-    session, operator, timeout = targeted.session, targeted.operator, targeted.time_left
+    session, timeout = targeted.session, targeted.time_left
     if timeout is not None and timeout <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
 
-    # 1. The start on the clock of each robot.
-    offsets = read_clocks(operator, targeted.names)
-    start = boottime() + at
-    starts, skew = start_times(offsets, start)
-    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
-    all_epochs = targeted.view.epochs(targeted.names)
-    epochs = {name: epoch for name, epoch in all_epochs.items() if name in starts}
-    without_clock = tuple(sorted(set(targeted.names) - epochs.keys()))
+    offsets = read_clocks(targeted.operator, targeted.names)
+    here = boottime() + at
+    by_robot, skew = start_times(offsets, here)
+    without_clock = sorted(name for name in targeted.names if name not in by_robot)
     if without_clock:
         session.tell(f"not asked, since their clocks did not answer: {', '.join(without_clock)}")
-    if len(starts) > 1:  # a robot starts at its first tick after the moment: up to TICK later
+    if len(by_robot) > 1:  # a robot starts at its first tick after the moment: up to TICK later
         session.tell(
             f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
     session.check_awaited()
+    outcome = _send_start(targeted, goal, _Start(at, here, by_robot))
+    errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
+    notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
+    return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
 
-    # 2. Send the request. A robot replies when it starts, or at once if it refuses. So until the
-    # start only robots that refuse have replied.
-    is_withdrawn = False
+
+def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
+    """Send the run of a goal to the robots of `start`, and wait until all robots have replied.
+
+    If the session is cancelled before the start, robots that have accepted the run are stopped, and
+    SwarmError is raised.
+    """
+    session = targeted.session
+    # A robot that has changed since the look (by its epoch, a count of changes) refuses the run.
+    epochs = targeted.view.epochs(name for name in targeted.names if name in start.by_robot)
+    is_withdrawn = False  # the last result of `is_cancelled_before_start`
 
     def is_cancelled_before_start() -> bool:
+        """True ends the wait for replies."""
         nonlocal is_withdrawn
-        is_withdrawn = session.is_cancelled() and boottime() < start
+        is_withdrawn = session.is_cancelled() and boottime() < start.here
         return is_withdrawn
 
     try:
         outcome = send_goal(
-            operator,
+            targeted.operator,
             epochs,
             goal,
-            timeout=timeout,
-            least=REQUEST_WAIT + at,
+            timeout=targeted.time_left,
+            least=REQUEST_WAIT + start.delay,  # robots reply when they start
             is_ended=is_cancelled_before_start,
-            at=starts,
+            at=start.by_robot,
         )
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, epochs)  # else the robots would start without their operator
         raise
 
-    # 3. After a cancellation stop the robots that have not refused: they would start at `at`.
-    not_refused = epochs.keys() - outcome.replies.keys()
-    if is_withdrawn and not_refused:
-        raise SwarmError(stop_on_interrupt(session, not_refused, "start cancelled"))
-    errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
-    notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
-    return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
+    # A robot replies when it starts, or at once if it refuses. So each reply before the start is a
+    # refusal, and a robot without a reply would start.
+    would_start = epochs.keys() - outcome.replies.keys()
+    if is_withdrawn and would_start:
+        raise SwarmError(stop_on_interrupt(session, would_start, "start cancelled"))
+    return outcome
 
 
 def run_with_canary(
@@ -249,59 +265,76 @@ def run_with_canary(
 ) -> tuple[Outcome, Mapping[str, list[str]]]:
     """Run a goal on canaries for `seconds`, then on all robots of `targeted`.
 
-    `seconds` None: CANARY_TIME. The canaries first get a goal that targets only the canaries, so
-    that this goal ends no run of another robot. Returns the outcome, and the names of the canaries
-    and of the other robots. If a canary does not start, the canaries are stopped, and the outcome
-    of their start is returned without names. If a canary fails later, all canaries are stopped, and
-    RequestError is raised.
+    `seconds` None: CANARY_TIME. Returns the outcome, and the names of the canaries and of the other
+    robots. If a canary does not start, the canaries are stopped, and the outcome of their start is
+    returned without names. If a canary fails later, all canaries are stopped, and RequestError is
+    raised.
     """
-    from swarmd.client.canary import CANARY_TIME, watch_canary
+    from swarmd.client.canary import CANARY_TIME
 
-    seconds = seconds or CANARY_TIME
-    session, operator, view = targeted.session, targeted.operator, targeted.view
-
-    # 1. Start the canaries.
+    session, operator = targeted.session, targeted.operator
+    view = targeted.view
+    # This goal targets only the canaries, so that it ends no run of another robot.
     canary_goal = signed_again(operator, goal, targets=canaries)
-    epochs_before = view.epochs(canaries)
-    outcome = send_goal(operator, epochs_before, canary_goal, timeout=targeted.time_left)
+    canary_epochs = view.epochs(canaries)
+    outcome = send_goal(operator, canary_epochs, canary_goal, timeout=targeted.time_left)
     if len(outcome.applied) < len(canaries):
         stop_names(operator, canaries)
         names = ", ".join(canaries)
         session.tell(f"canary: {names} did not start; nothing was sent to the others")
         return outcome, {}
-
-    # 2. Watch the canaries.
-    session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
     before = {name: view.members[name].status for name in canaries if name in view.members}
+    faults = _canary_faults(session, canaries, seconds or CANARY_TIME, before)
+    others = tuple(name for name in targeted.names if name not in canaries)
+    if faults:
+        stopped = stop_names(operator, canaries)
+        raise _canary_failure(faults, stopped.missing, len(others))
+
+    # A robot that was stopped or changed while the canaries ran has another epoch, and refuses.
+    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
+    present_view = operator.members(timeout=session.timeout)
+    # Newer than any goal that was issued meanwhile.
+    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
+    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
+    return outcome, {"canary": list(canaries), "others": list(others)}
+
+
+def _canary_faults(
+    session: Session,
+    canaries: tuple[str, ...],
+    seconds: float,
+    before: Mapping[str, Status | None],
+) -> Mapping[str, str]:
+    """Watch running canaries for `seconds`; the fault of each canary that does not run well.
+
+    `before`: the status of each canary before its run. If the session is cancelled, each canary
+    gets the cancellation as its fault. After Ctrl-C the canaries are stopped.
+    """
+    from swarmd.client.canary import watch_canary
+
+    session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
     try:
         faults = watch_canary(session, canaries, seconds, before)
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, canaries)
         raise
     if session.is_cancelled():
-        faults = dict.fromkeys(canaries, "the run was cancelled")
-    if faults:
-        _fail(operator, canaries, faults, len(targeted.names))
-
-    # 3. Run the goal on all robots, newer than any goal that was issued meanwhile. A robot that was
-    # stopped or changed while the canaries ran refuses the request by its epoch.
-    others = tuple(name for name in targeted.names if name not in canaries)
-    present_view = operator.members(timeout=session.timeout)
-    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
-    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
-    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
-    return outcome, {"canary": list(canaries), "others": list(others)}
+        return dict.fromkeys(canaries, "the run was cancelled")
+    return faults
 
 
-def _fail(
-    operator: Operator, canaries: tuple[str, ...], faults: Mapping[str, str], targeted: int
-) -> NoReturn:
-    """Stop the canaries and raise RequestError; `targeted`: the number of all target robots."""
-    stopped = stop_names(operator, canaries)
+def _canary_failure(
+    faults: Mapping[str, str], missing: Collection[str], other_count: int
+) -> RequestError:
+    """The error after failed canaries were stopped.
+
+    `faults`: by canary. `missing`: canaries that have not acknowledged the stop. `other_count`: how
+    many targets are no canaries.
+    """
     reasons = "; ".join(f"{name}: {fault}" for name, fault in faults.items())
-    missing = ", ".join(stopped.missing)
-    stop_text = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
-    count = targeted - len(canaries)
-    rest = f"the other {count} robots" if count > 1 else "the other robot"
+    stop_text = "it was stopped"
+    if missing:
+        stop_text = f"{', '.join(missing)} DID NOT ACKNOWLEDGE THE STOP"
+    rest = f"the other {other_count} robots" if other_count > 1 else "the other robot"
     text = f"canary failed: {reasons}; {stop_text}; nothing was sent to {rest}"
-    raise RequestError(text, PARTIAL if missing else FAILED)
+    return RequestError(text, PARTIAL if missing else FAILED)

@@ -38,10 +38,12 @@ class Session:
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
 
-        Returns once all expected robots have answered, or after `timeout`. With `is_request_next`
-        half of `timeout` is left for a request (see `time_left`), and SwarmError is raised if the
-        caller no longer waits: the request would come too late. NetworkError, which names the
-        swarms that were found, if no daemon was reached.
+        Returns once all expected robots have answered, or after the session's `timeout`.
+        `is_request_next`: the look ends after half of `timeout`, so that `time_left` is left for a
+        request. `needs_status` False: a robot has also answered if its beacon was heard.
+
+        NetworkError if no daemon was reached; the text names the swarms that were heard. SwarmError
+        if a request is next, and its caller no longer waits.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:

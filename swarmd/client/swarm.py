@@ -211,7 +211,7 @@ class Swarm:
         `robots`, `labels`, `exclude`: the targets; without these all robots. `seconds`: duration of
         the run; None: until a stop. `until`: conditions as in `swarmctl run --until`; the first
         condition that is met ends the run. `at`: the time from now at which all robots start at one
-        moment. `canary`: the name, or the number, of robots that run first, for `canary_time` s
+        moment. `canary`: the robot, or the number of robots, that run first, for `canary_time` s
         (default 10); the other robots follow if the canaries run well. `lease`: robots stop `lease`
         s after this connection was closed, or after its program has ended. `on_join` "run": robots
         that join within `valid` s run the goal, too. `timeout`: the longest wait for answers.
@@ -233,15 +233,15 @@ class Swarm:
         run.check()
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
-            # The session of a run with a lease stays open for the time of the run, to renew the
-            # lease. So it is not counted among the requests under way, whose number is limited.
+            # With a lease this session stays open during the run, to renew the lease. Such a
+            # session must not count as one of the 8 requests that may be under way.
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
-            # The check of a canary compares its statuses before the run and during the run.
+            # A canary is judged by its status before the run, too.
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
-                # The lease is renewed until the connection is closed, not only in this method.
+                # The pool closes `opened` with the connection; until then the lease is renewed.
                 self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
 
@@ -373,7 +373,8 @@ class Swarm:
         `conditions`: `state=STATE`, `pattern=PATTERN`, `presence=PRESENCE`, `goal`, `count=NUMBER`,
         as in `swarmctl wait --for`. `robots`, `labels`, `exclude`: the robots; without these all
         robots. Returns the names of the robots that meet the conditions. Raises RequestError with
-        exit code 5 after the timeout; its text names each robot that does not meet them.
+        exit code 5 after the timeout; its text names each robot that does not meet the
+        conditions.
         """
         from swarmd.client.waits import wait_for
         from swarmd.texts.awaited import read_awaited

@@ -13,8 +13,8 @@ from swarmd.core.messages import STATUS_SILENCE, Status
 from swarmd.network.operator.members_view import Contact, MembersView
 from swarmd.network.operator.operator import Operator
 
-LOOK_PERIOD = 1.0
-LOOK_TIME = 1.0
+LOOK_PERIOD = 1.0  # s between the begins of two looks
+LOOK_TIME = 1.0  # s of a look, at most
 LOOKING = "swarmd-looking"
 """The name of the daemon threads that look for members."""
 _HEARD = (Contact.ANSWERED, Contact.NO_ANSWER)

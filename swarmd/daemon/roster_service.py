@@ -94,9 +94,9 @@ class RosterService:
     ) -> tuple[Refusal | None, str]:
         """Take a roster if it is valid and newer.
 
-        Returns (None, what has changed), or (refusal, the reason). If the identity's folder cannot
-        be written, the refusal is NOT_WRITTEN, and the robot uses the roster until a restart. If
-        this folder cannot be read, nothing changes.
+        Returns a refusal and its reason; or None and what has changed. The refusal is NOT_WRITTEN
+        if the identity's folder cannot be written: the robot then uses the roster, but only until a
+        restart. The refusal is NOT_WRITTEN, too, if this folder cannot be read: nothing changes.
         """
         async with self._one_at_a_time:
             if self.identity is None:

@@ -71,8 +71,8 @@ CACHE_TIME = 2.0  # s for which measured facts of the machine are reused
 class FieldTools:
     """Answers questions about the condition of a robot, its daemon and its network.
 
-    `instance`: marks this life of the daemon, in hex. `version`: of the package. `audit`: the audit
-    log. `storage_fault`: why a restart would lose latches; empty without a fault.
+    `instance`: the id of this daemon process, in hex. `version`: the version of swarmd. `audit`:
+    the audit log. `storage_fault`: why a restart would lose latches; empty without a fault.
     """
 
     def __init__(
@@ -97,10 +97,10 @@ class FieldTools:
         self._capture = LogCapture(self._ring)
         self._published = 0  # number of the last log record that was published
         self._publish_at = 0.0  # s; the next batch of records is due
-        self._pinged = 0  # the index of the robot to ping next
+        self._next_ping = 0  # the index of the robot to ping next
         self._measuring = threading.Lock()  # guards the facts, which a thread measures
         self._measured_at = -math.inf  # s; when `_facts` were measured
-        # Measured by `_doctor` at the first question, before any use.
+        # Measured by `_measured_facts` at the first question.
         self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
         self.storage_fault = ""  # set by the daemon
         folder = settings.state_dir / settings.network.swarm / settings.id
@@ -189,9 +189,9 @@ class FieldTools:
         links = sorted(self._network.links(), key=lambda link: link[1].age)
         if query.measures and links:
             names = [robot for robot, _, _ in sorted(links)]
-            first = self._pinged % len(names)
+            first = self._next_ping % len(names)
             self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
-            self._pinged = first + MAX_PINGS
+            self._next_ping = first + MAX_PINGS
         reports = tuple(
             verbs.LinkReport(robot, link.received, link.lost, link.age, link.round_trip, ways)
             for robot, link, ways in links[:MAX_LINKS]
@@ -211,21 +211,13 @@ class FieldTools:
         return partial(self._doctor, heard)
 
     def _doctor(self, heard: dict[str, int]) -> verbs.DoctorReply:
-        """Measure machine and network, in a thread; facts may be CACHE_TIME s old.
+        """The condition of the robot, its machine and its network; called in a thread.
 
         `heard`: for each way of datagrams, such as `multicast`, the number of robots that are heard
         by this way; `any`: by any way.
         """
         settings, keys = self._settings, self._keys()
-        with self._measuring:
-            if boottime() - self._measured_at > CACHE_TIME:
-                # The loader of settings always sets a folder; the type permits None.
-                recordings = Path(settings.recording.folder or "recordings")
-                folders = (("state", settings.state_dir), ("recordings", recordings))
-                network = measure_network(settings.network.interface_name)
-                self._facts = (measure_machine(folders), network)
-                self._measured_at = boottime()
-            machine, network = self._facts
+        machine, network = self._measured_facts()
         return verbs.DoctorReply(
             robot=settings.id,
             version=self._version,
@@ -239,3 +231,16 @@ class FieldTools:
             storage=self.storage_fault,
             sandbox=self._sandbox(),
         )
+
+    def _measured_facts(self) -> tuple[verbs.MachineFacts, verbs.NetworkFacts]:
+        """Measure machine and network, unless the last facts are at most CACHE_TIME s old."""
+        settings = self._settings
+        with self._measuring:
+            if boottime() - self._measured_at > CACHE_TIME:
+                # The loader of settings always sets a folder; the type permits None.
+                recordings = Path(settings.recording.folder or "recordings")
+                folders = (("state", settings.state_dir), ("recordings", recordings))
+                network = measure_network(settings.network.interface_name)
+                self._facts = (measure_machine(folders), network)
+                self._measured_at = boottime()
+            return self._facts
