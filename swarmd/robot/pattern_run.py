@@ -206,11 +206,11 @@ class PatternRun:
     @cython.cfunc
     @cython.exceptval(check=False)
     def lifecycle_due_at(self) -> cython.double:
-        """The next deadline of load and run in s, the next step excepted; inf without a deadline.
+        """The next deadline of the host's answer and of the run in s; inf without a deadline.
 
-        During a load: -inf, since a load is checked at each tick. The deadline `restart_at` is left
-        out: until then the robot has the hold `pattern_restarting`, and under a hold the caller
-        checks all deadlines at each tick.
+        -inf during a load, which the caller checks at each tick. Two deadlines do not count:
+        `step_due_at` has the next step, and `restart_at` lies in the hold `pattern_restarting`,
+        under which the caller checks all deadlines at each tick.
         """
         running = self.running
         if self.loading is not None:
