@@ -81,12 +81,13 @@ class LinkFlood:
     def look(self, files: int, links: Callable[[], int], now: float) -> bool:
         """Compare the number of open files with the limit; True if a flood has just been detected.
 
-        Then `is_closed` is True for some time: the caller must let only known hosts connect, and
-        open a new session, which ends the connections that wait. `files`: the number of open files.
-        `links`, called only if many files are open, returns the number of links of the session.
+        `files`: the number of open files. `links` returns the number of links of the session; it is
+        called only if many files are open. After a flood was detected, `is_closed` is True for some
+        time. The caller must let only known hosts connect, and open a new session, which ends the
+        connections that wait.
         """
         self._look_at = now + LOOK_PERIOD
-        self.waiting = files - self._files  # so far with the links of the session
+        self.waiting = files - self._files  # an upper bound: the links of the session are included
         if self.waiting > MAX_WAITING:
             self.waiting -= links()
         if self.waiting <= MAX_WAITING or now < self._renew_at:

@@ -361,9 +361,9 @@ class Membership:
     def reports(self, now: float) -> tuple[MemberReport, ...]:
         """The member list for other robots: the robots heard here, then the indirect members.
 
-        An indirect member is a robot that only other robots hear. `age` in a report: ms since the
-        last beacon of a robot that is alive, or since the robot left or failed. `hops` in a report:
-        the robots that have handed on the report so far.
+        An indirect member is a robot that only other robots hear. The report on a robot that is
+        alive has the ms since its last beacon as `age`, any other report the ms since the robot
+        left or failed. `hops`: how many robots have handed on the report.
         """
         reports = []
         for robot, entry in sorted(self._robots.items()):

@@ -106,9 +106,9 @@ def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Out
 class Acks:
     """Collects the replies to one request; acks of a stop count as replies.
 
-    Replies with one robot id and different instances come from two daemons with this id. The worse
-    reply counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts
-    as failed until an ack says that its base rests.
+    Two daemons may have the same robot id; the instances in their replies differ. The worse reply
+    counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts as
+    failed until an ack says that its base rests.
     """
 
     def __init__(self, request_id: str) -> None:
@@ -189,11 +189,11 @@ class Acks:
     ) -> Outcome:
         """The outcome of the request so far.
 
-        `expected`: the robots that must reply; such a robot without a reply counts as missing. A
-        robot that replied without being expected counts as targeted. `silent`: robots that count as
-        missing even if one of their instances has replied, since two daemons hold the id and both
-        must reply. `seconds`: the duration of the request. `reached`: the number of robots that
-        were heard. `unlisted`: robots whose member list did not come.
+        `expected`: the robots that must reply; without a reply they count as missing. A robot that
+        replied without being expected counts as targeted. `silent`: robots that count as missing in
+        any case, such as an id of two daemons of which only one has replied. `seconds`: the
+        duration of the request. `reached`: the number of robots that were heard. `unlisted`: robots
+        whose member list did not come.
         """
         worst_replies: dict[str, Reply] = {}
         for robot in sorted(self._replies.keys() - set(silent)):
