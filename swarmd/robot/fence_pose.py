@@ -91,23 +91,13 @@ class FencePose:
             self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
             return
         odometry = self._odometry_at(at, odometry_at)
-        if odometry is None:
-            return
-        error, yaw_error = errors
-        # `_way` and `_turned` are those of now; their values at the time `at` are not kept. The
-        # motion during the delay of the pose is therefore missing in later differences, and with it
-        # ODOMETRY_SHARE of that motion in the bound of the error.
-        way, turned = self._way, self._turned
-        fix = _Fix(
-            shared=pose,
-            odometry=odometry,
-            error=error,
-            yaw_error=yaw_error,
-            at=at,
-            way=way,
-            turned=turned,
-        )
-        self._take(fix)
+        if odometry is not None:
+            error, yaw_error = errors
+            # The way at the time `at` is not kept: the present way is greater by the motion during
+            # the delay of the pose. Later errors of odometry are too small by ODOMETRY_SHARE of
+            # that motion.
+            way, turned = self._way, self._turned
+            self._take(_Fix(pose, odometry, error, yaw_error, at, way, turned))
 
     def _odometry_at(self, at: float, newest_at: float) -> Pose | None:
         """The pose by odometry at the time `at`; None if no kept reading is that old.

@@ -154,34 +154,18 @@ class Peers:
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
         """Take in the measured range (m) and bearing (rad) of neighbours that the lidar may miss.
 
-        Each such neighbour becomes a disc in the base frame. The disc contains the body of the
+        Each such neighbour becomes a disc in the base frame, which contains the body of the
         neighbour and the errors of range and bearing. Skips a neighbour without range or bearing,
-        and numbers that are not finite or too large. Returns True if any such disc is stored, also
-        from an earlier call.
+        and numbers that are not finite or too large. Returns True if any disc is stored, also from
+        an earlier call.
         """
         if not self._radii:
             return False
         for neighbor in neighbors:
-            body_radius = self._radii.get(neighbor.id)  # None: the lidar sees this neighbour
-            distance, bearing = neighbor.distance, neighbor.bearing
-            if body_radius is None or distance is None or bearing is None:
-                continue
-            if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):
-                continue
-            if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
-                continue
-            measured_at = now - max(neighbor.age, 0.0)
-            # Errors in m along the line of sight, and across it (the arc of the bearing's error).
-            radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
-            error = math.hypot(radial_error, ANGLE_ERROR * distance)
-            disc = _PeerDisc(
-                x=distance * math.cos(bearing),
-                y=distance * math.sin(bearing),
-                radius=body_radius + error,
-                at=measured_at,
-                until=measured_at + TOLD_TIMEOUT,
-            )
-            _keep_newer(self._sensed, neighbor.id, disc)
+            body_radius = self._radii.get(neighbor.id)  # of a neighbour whose place is used
+            disc = None if body_radius is None else _disc_of(neighbor, body_radius, now)
+            if disc is not None:
+                _keep_newer(self._sensed, neighbor.id, disc)
         self._update_places_until()
         return bool(self._sensed)
 
@@ -273,8 +257,8 @@ class Peers:
         """True if a peer makes this robot stand.
 
         This robot stands for a peer that is faster than protection assumes, and for a peer that the
-        lidar misses while no place of that peer is known. It never stands for a peer whose platform
-        the operator accepted (`accepts`).
+        lidar misses while no place of that peer is known. This robot never stands for a peer whose
+        platform the operator accepted (`accepts`).
         """
         return self._holds_always or now > self._places_until
 
@@ -304,6 +288,28 @@ class Peers:
             else f
             for f in self._findings
         )
+
+
+def _disc_of(neighbor: Neighbor, body_radius: float, now: float) -> _PeerDisc | None:
+    """The disc around a neighbour by range and bearing; None without usable numbers."""
+    distance, bearing = neighbor.distance, neighbor.bearing
+    if distance is None or bearing is None:
+        return None
+    if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):
+        return None
+    if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
+        return None
+    measured_at = now - max(neighbor.age, 0.0)
+    # Errors in m along the line of sight, and across it (the arc of the bearing's error).
+    radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
+    error = math.hypot(radial_error, ANGLE_ERROR * distance)
+    return _PeerDisc(
+        x=distance * math.cos(bearing),
+        y=distance * math.sin(bearing),
+        radius=body_radius + error,
+        at=measured_at,
+        until=measured_at + TOLD_TIMEOUT,
+    )
 
 
 def _is_usable(place: PeerPlace, own_pose: _OwnPose, now: float) -> bool:

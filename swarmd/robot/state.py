@@ -181,16 +181,20 @@ class Lifecycle:
         goals: GoalRecord | None,
         now: float,
     ) -> None:
+        """Begin idle, or estopped if a latch on disk holds the robot.
+
+        `latches`, `goals`: the records on disk of earlier daemon processes, None without a file.
+        """
         self.identity = identity
         self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
-        self.latches = Latches(latches)  # emergency stops from the disk and since then
+        self.latches = Latches(latches)  # the emergency stops that hold the robot
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()  # limits the messages of the pattern
         self.revision = 0  # part of the epoch: each change makes earlier requests stale
         self.changed_by = "no one yet"  # the cause of the last change of `revision`, as text
-        self.duplicate: str | None = None  # the daemon instance that uses the same robot id
+        self.duplicate: str | None = None  # another daemon process that uses this robot's id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
         self.report: Mapping[str, Scalar] = {}  # the last report of the pattern
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
