@@ -166,8 +166,8 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
 class Solicit(_Datagram, frozen=True, kw_only=True):
     """Asks robots to answer at once with a beacon, and with the lists that `wants_...` names.
 
-    The answer repeats `echo`. So the asker knows the round trip, and in a secured swarm that the
-    answer is no replay.
+    The answer repeats `echo`. By the echo the asker measures the round trip, and detects replayed
+    answers in a secured swarm.
     """
 
     echo: Number
@@ -272,11 +272,11 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Renews the lease of a run: without renewal for the time of the lease the robots stop.
+    """Renews the lease of a run. A run whose lease is not renewed in time ends.
 
-    The operator sends a `RunLease` at least each third of this time. `id`: of the goal. `count`
-    rises with each `RunLease`: a robot ignores a count that is not greater than the last count, so
-    that a replayed datagram cannot keep a run going.
+    The operator sends a `RunLease` at least each third of the time of the lease. `id`: of the goal
+    that is run. `count` rises with each `RunLease`. A robot ignores a count that is not greater
+    than the last count, so that a replayed datagram cannot keep a run going.
     """
 
     id: Name

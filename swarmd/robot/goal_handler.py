@@ -42,9 +42,9 @@ class GoalHandler:
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
         """Take in a goal that a peer holds.
 
-        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all other
-        peers are known, too, so that the robot may join a run (run without a request of an
-        operator).
+        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all peers
+        are known now, so that the robot may join its own goal. To join is to run a goal without a
+        request of an operator.
         """
         goals, now = self._goals, effects.now
         relation = goals.judge(goal)

@@ -3,8 +3,8 @@
 A kernel (see `core/kernels.py`), compiled into one library with ticker.py. Times are in s on the
 robot's clock. A deadline that is not set is inf.
 
-1. A requested command expires three periods after the start of the step that returned it, and
-   never before MIN_EXPIRY.
+1. A requested command expires three periods after the start of the step that returned it, or after
+   MIN_EXPIRY if that is longer.
 2. A step is due after a period, or with a new scan. The host computes one step at a time: a step
    that becomes due during another step stays due.
 3. After a fault the pattern is restarted after FIRST_BACKOFF. Each further fault within

@@ -172,8 +172,8 @@ class Peers:
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
         """Take in the own pose in a shared frame; returns the time of the pose in s.
 
-        `twist`: the measured twist, None without fresh odometry. Returns None, and ignores the
-        pose, if the pose is invalid or its stamp is not newer than the last stamp.
+        `twist`: the measured twist, None without fresh odometry. A pose that is invalid, or whose
+        stamp is not newer than the last stamp, is ignored: the method then returns None.
         """
         if not pose.is_valid:
             return None

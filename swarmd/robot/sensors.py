@@ -245,8 +245,8 @@ class Sensors(InputAges):
         """Keep a message from `sender` for the next step of the own pattern.
 
         False (rejected) if the sender is neither a neighbour nor a program (`is_program`). `size`:
-        bytes of the encoded value, or 0 if unknown. The function then encodes the value to measure
-        the size, and raises CodecError for a value that is too large.
+        bytes of the encoded value. If `size` is 0 (unknown), the method encodes the value to
+        measure the size, and raises CodecError for a value that is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)

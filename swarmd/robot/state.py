@@ -311,9 +311,9 @@ class Lifecycle:
     def _begin_run(self, event: host_messages.Loaded, effects: Effects) -> None:
         """Enter state running with the pattern that the host has loaded.
 
-        A restart after a failure continues the failed run; any other load begins a new run. Both
-        get a new permit: what protection may do and allow for this pattern, such as a touch zone,
-        or scans that are later than the platform permits (`scan_delay`).
+        A restart after a failure continues the failed run; any other load begins a new run. In both
+        cases the pattern gets a new permit. A permit lists what protection may allow this pattern,
+        such as a touch zone, or scans that are later than the platform permits (`scan_delay`).
         """
         now = effects.now
         loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
@@ -634,8 +634,8 @@ class Lifecycle:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
         Requests that quote an earlier epoch are refused from now on. An idle robot without a load
-        or trial stays idle: there is nothing to end. (A busy computer stalls most while the daemon
-        starts.)
+        or trial stays idle: there is nothing to end, and stalls are frequent while the daemon
+        starts on a busy computer.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"

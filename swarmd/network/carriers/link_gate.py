@@ -139,10 +139,11 @@ def open_files() -> int:
 def watch_links(
     session: zenoh.Session, roster: Roster, loop: AbstractEventLoop, on_event: Callable[[str], None]
 ) -> None:
-    """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
+    """Call `on_event` on the loop with a line for each link to a name that is not on the roster.
 
-    Such a name was revoked: its certificate is valid, but the access rules drop all its messages.
-    Zenoh drops them silently, so that attempts would go unnoticed. The rate of lines is limited.
+    Such a name was revoked: its certificate is valid, but the access rules permit none of its
+    messages. Zenoh drops these messages silently: without the line an attempt would go unnoticed.
+    The rate of lines is limited.
     """
     rate = TokenBucket(LINE_RATE, LINE_BURST)
 

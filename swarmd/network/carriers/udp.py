@@ -343,9 +343,9 @@ class UdpCarrier:
     ) -> int:
         """Append the datagrams of a listener to `received`; returns their cost.
 
-        A datagram costs _COST units, or _DROP_COST if it is dropped, which takes less time. Reading
-        ends once the cost has reached `budget`. Then `_is_full` is set, since more datagrams may
-        wait in the socket.
+        A datagram that is taken costs _COST units, a dropped datagram only _DROP_COST. Reading ends
+        once the socket is empty, or once the cost has reached `budget`. In the second case more
+        datagrams may wait in the socket, and `_is_full` is set.
         """
         cost = 0
         longest_wait = now - self._emptied_at  # a datagram waits at most this time

@@ -2,7 +2,8 @@
 
 Datagrams come in with verified signatures. A signature shows the role of the signer. A datagram is
 accepted if its signer's role may send this kind, the robot in the datagram is on the roster, and
-the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. Fresh are:
+the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. A datagram is
+fresh if it is
 
 - a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon, which may be
   replayed, is asked for a new beacon,

@@ -117,8 +117,8 @@ class Discovery:
     def wants_members(self, now: float) -> bool:
         """True if the next solicit must ask for member lists; then notes `now` as asked.
 
-        Lists are long. So this asks for lists at the start, soon again while a robot that is heard
-        has not sent its list, and every LISTS_PERIOD after that.
+        Lists are long. So a solicit asks for lists only at the start, soon again while a robot that
+        is heard has not sent its list, and every LISTS_PERIOD once all lists have come.
         """
         has_all_lists = bool(self.heard) and not self.unlisted
         period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)

@@ -335,13 +335,13 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `kind` and `fields`: the request; all repeats have one id. `targets`: of each robot the
-        epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
-        since refuses the request. None: no check. Returns once all robots have replied or
-        `is_ended` returns True, and after `timeout` s at the latest. `timeout` None: `least` s,
-        longer by the round trip and the loss of datagrams. A robot that is unreachable or gone
-        counts as missing, and the request does not wait for it. Raises ConfigError if the role of
-        the own identity does not permit the request: robots would refuse the request silently.
+        `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
+        epoch (a count of its changes) that the operator has seen, or None. A robot refuses the
+        request if its epoch has changed since; with None it does not compare the epoch. Returns
+        once all robots have replied or `is_ended` returns True, and after `timeout` s at the
+        latest. `timeout` None: `least` s, longer by the round trip and the loss of datagrams. A
+        robot that is unreachable or gone counts as missing at once. Raises ConfigError if the role
+        of the own identity does not permit the request, which robots would not answer.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -363,9 +363,9 @@ class Operator:
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
         """Query `control/<name>` of a robot, which moves nothing; returns the answer's bytes.
 
-        None without an answer within `timeout` s, for which the query is repeated. Call `members`
-        first, which finds the robots. Raises ConfigError if the role of the own identity does not
-        permit the query.
+        The query is repeated for `timeout` s; None if no answer comes. Call `members` first: it
+        finds the robots. Raises ConfigError if the role of the own identity does not permit the
+        query.
         """
         return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
 

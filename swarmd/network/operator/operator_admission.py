@@ -76,12 +76,13 @@ class OperatorAdmission:
         """Check a robot's datagram; returns the datagram, or None if it is refused.
 
         `payload`: the bytes of the datagram with its signature. `source`: the address of the
-        sender. A member list comes back without robots that the roster lacks. Refused are
+        sender. A member list comes back without robots that the roster lacks. Refused datagrams:
 
         1. a datagram with a wrong signature, or signed with the keys of another roster,
         2. an ack without a valid proof of the robot that acks,
         3. a beacon or member list that may be replayed,
-        4. an answer that its robot did not sign for this operator.
+        4. an answer that its robot did not sign for this operator,
+        5. a datagram of any other kind.
         """
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
@@ -148,7 +149,8 @@ class OperatorAdmission:
         """Note a beacon that is signed with the keys of an older or newer generation of the roster.
 
         Older: `outdated` gets the robot. Newer: `on_newer_roster` is called, at most once within
-        HINT_PERIOD for robots of the own roster, and at most once for all other names.
+        HINT_PERIOD for all robots of the own roster, and once for all other names. So datagrams
+        with invented names suppress no call for a robot of the roster.
         """
         if not isinstance(body, Beacon):
             return

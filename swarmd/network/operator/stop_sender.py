@@ -78,10 +78,10 @@ class StopSender:
         """Send a stop, and repeat it until all targets have acked and rest; returns the outcome.
 
         `pending`: the stop, with its targets and the acks that other threads put there.
-        `discovery`: the robots that are found meanwhile. `until`: s at which sending ends at the
-        latest; None: by `pending.is_over`, or with `until_all` never. Sending also ends once
-        `is_ended` returns True. With `until_all`, `on_progress` gets the robots without an ack when
-        these change, and a KeyboardInterrupt ends sending like `is_ended`.
+        `discovery`: the robots that are found meanwhile. Sending also ends once `is_ended` returns
+        True, and at the time `until` (s). `until` None: once `pending.is_over`, but with
+        `until_all` there is no time limit. With `until_all`, `on_progress` gets the robots that
+        have not stopped when these change, and a KeyboardInterrupt ends sending like `is_ended`.
         """
         with self._arrivals.lock:
             self._pending = pending

@@ -74,9 +74,9 @@ class _Relayed:
     def take_ages(self, copy: Stop, now: float) -> None:
         """Update `issued` and `repeated` by a copy of the stop that came at `now`.
 
-        Copies that came by several ways have different ages, and the greatest age counts. A forged
-        great age would do harm, since a stop that looks older than the present run does not end
-        this run: later copies move `issued` back by at most MAX_AGE_SHIFT.
+        Copies that came by several ways have different ages, and the greatest age counts. But later
+        copies move `issued` back by at most MAX_AGE_SHIFT. With a forged great age the stop would
+        look older than the present run, and would not end this run.
         """
         issued = now - copy.age / 1000.0
         self.issued = max(min(self.issued, issued), self.first_issued - MAX_AGE_SHIFT)
