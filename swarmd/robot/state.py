@@ -323,24 +323,7 @@ class Lifecycle:
             self.log(f"{loading.pattern} restarted", now)
         else:
             self._on_new_run(loading, event.note, effects)
-        self._give_permit(loading.pattern, event, now)
-
-    def _give_permit(self, pattern: str, event: host_messages.Loaded, now: float) -> None:
-        """Set the permit of the running pattern, which ends with this load of the pattern.
-
-        The pattern wants a touch zone (`event.touches`): a part of the outline that may touch
-        objects. The permit contains as much of the zone as the operator granted this pattern.
-        """
-        running = self.pattern_run.running
-        assert running is not None
-        granted = self.identity.settings.touch.get(pattern)
-        zone, zone_text = effective_zone(pattern, event.touches, granted)
-        running.permit = _permit(event.params, zone, event.scan_delay)
-        if zone_text:
-            self.log(f"{pattern} {zone_text}", now)
-        if event.scan_delay > 0.0:
-            delay_text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
-            self.log(f"{pattern} {delay_text}", now)
+        _give_permit(self, loading.pattern, event, now)
 
     def _on_new_run(self, loading: Loading, note: str, effects: Effects) -> None:
         """Tell the goals of the new run, and answer its request; `note`: remark of the host."""
@@ -676,28 +659,7 @@ class Lifecycle:
             self.goals.on_end(text)
             self.goals.bar(now)  # the robot joins no goal that was set before
             return
-        self._end_for_low_battery(settings, text, effects)
-
-    def _end_for_low_battery(
-        self, settings: LowBatterySettings, text: str, effects: Effects
-    ) -> None:
-        """End run and load; a robot that ran then runs the pattern of `on_low_battery`.
-
-        A run with a lease has no such successor: the operator of a lease wants a robot that stands
-        once the operator is not heard.
-        """
-        ended_run = self.pattern_run.running
-        had_lease = self.goals.lease_ends is not None
-        self.raise_revision("a low battery")
-        self._end(Trigger.STOP, Reason.LOW_BATTERY, text, effects)
-        if ended_run is not None and settings.pattern is not None and not had_lease:
-            self.start_run(
-                settings.pattern,
-                settings.params,
-                effects,
-                wish=Wish(ended_run.wish.at, "its low battery", is_own=True),
-                seconds=settings.seconds,
-            )
+        _end_for_low_battery(self, settings, text, effects)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """After a change of the daemon's network: end the run, make earlier epochs stale."""
@@ -741,7 +703,7 @@ class Lifecycle:
             return None
         lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
         if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
-            self._end_lease(own_goal.goal, effects)
+            _end_lease(self, own_goal.goal, effects)
             return None
         return self._present_hold(hold, effects, hold_text)
 
@@ -768,13 +730,6 @@ class Lifecycle:
             self.params_request = None
             text = "the pattern did not answer"
             self.fail(effects, pending.request, Refusal.PATTERN_FAILED, text)
-
-    def _end_lease(self, goal: Goal, effects: Effects) -> None:
-        """Stop the run of `goal`, since its operator was not heard for the time of the lease."""
-        # Earlier requests become stale: their operators do not know of this end.
-        self.raise_revision(f"the end of the run lease of {goal.issuer}")
-        text = f"{goal.issuer} was not heard for {goal.lease:g} s"
-        self.stop(Reason.LEASE_ENDED, text, effects)
 
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits for this host gets a fresh host."""
@@ -805,6 +760,56 @@ class Lifecycle:
             self._end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold
+
+
+def _give_permit(
+    lifecycle: Lifecycle, pattern: str, event: host_messages.Loaded, now: float
+) -> None:
+    """Set the permit of the running pattern, which ends with this load of the pattern.
+
+    A pattern may want a touch zone (`event.touches`): a part of the outline that may touch objects.
+    The permit contains as much of this zone as the operator granted the pattern.
+    """
+    running = lifecycle.pattern_run.running
+    assert running is not None
+    granted = lifecycle.identity.settings.touch.get(pattern)
+    zone, zone_text = effective_zone(pattern, event.touches, granted)
+    running.permit = _permit(event.params, zone, event.scan_delay)
+    if zone_text:
+        lifecycle.log(f"{pattern} {zone_text}", now)
+    if event.scan_delay > 0.0:
+        delay_text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
+        lifecycle.log(f"{pattern} {delay_text}", now)
+
+
+def _end_for_low_battery(
+    lifecycle: Lifecycle, settings: LowBatterySettings, text: str, effects: Effects
+) -> None:
+    """End run and load; a robot that ran then runs the pattern of `on_low_battery`.
+
+    A run with a lease has no such successor: the operator of a lease wants a robot that stands
+    once the operator is not heard.
+    """
+    ended_run = lifecycle.pattern_run.running
+    had_lease = lifecycle.goals.lease_ends is not None
+    lifecycle.raise_revision("a low battery")
+    lifecycle.stop(Reason.LOW_BATTERY, text, effects)
+    if ended_run is not None and settings.pattern is not None and not had_lease:
+        lifecycle.start_run(
+            settings.pattern,
+            settings.params,
+            effects,
+            wish=Wish(ended_run.wish.at, "its low battery", is_own=True),
+            seconds=settings.seconds,
+        )
+
+
+def _end_lease(lifecycle: Lifecycle, goal: Goal, effects: Effects) -> None:
+    """Stop the run of `goal`, since its operator was not heard for the time of the lease."""
+    # Earlier requests become stale: their operators do not know of this end.
+    lifecycle.raise_revision(f"the end of the run lease of {goal.issuer}")
+    text = f"{goal.issuer} was not heard for {goal.lease:g} s"
+    lifecycle.stop(Reason.LEASE_ENDED, text, effects)
 
 
 def _permit(
