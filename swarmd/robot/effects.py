@@ -28,8 +28,8 @@ class Effects:
     """The effects of one event at `now`, gathered until the robot makes `Actions` of them.
 
     `is_routine`: the event cannot have changed the lifecycle, so its deadlines need no new check:
-    a tick, a scan, or the answer to a step that ends no run. `is_latched`: the latches have
-    changed. The fields from `trial` on mean the same as in `Actions`.
+    a tick, a scan, or the answer to a step that ends no run. `is_latched`: the emergency stops that
+    hold the robot have changed. The fields from `trial` on mean the same as in `Actions`.
     """
 
     now = cython.declare(cython.double, visibility="readonly")

@@ -218,7 +218,9 @@ class Ticker:
     def _must_publish(self, now: cython.double) -> cython.bint:
         """True if a status is due, which then counts as published."""
         is_period_over: cython.bint = now >= self._published_at + _STATUS_PERIOD - ROUNDING
-        return (self._is_status_due or is_period_over) and self._take_due_status(now)
+        if self._is_status_due or is_period_over:
+            return self._take_due_status(now)
+        return False
 
     @cython.cfunc
     def _actions(self, effects: Effects, decision, host_command, has_status: cython.bint):

@@ -336,10 +336,10 @@ class Operator:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
         `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
-        epoch (a count of its changes) that the operator has seen, or None. A robot refuses the
-        request if its epoch has changed since; with None it does not compare the epoch. Returns
-        once all robots have replied or `is_ended` returns True, and after `timeout` s at the
-        latest. `timeout` None: `least` s, longer by the round trip and the loss of datagrams. A
+        epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
+        since then refuses the request. With None instead of an epoch the robot does not compare.
+        Returns once all robots have replied or `is_ended` returns True, and after `timeout` s at
+        the latest. `timeout` None: `least` s, longer by the round trip and the loss of datagrams. A
         robot that is unreachable or gone counts as missing at once. Raises ConfigError if the role
         of the own identity does not permit the request, which robots would not answer.
         """

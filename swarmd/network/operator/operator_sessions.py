@@ -166,9 +166,9 @@ class OperatorSessions:
     ) -> tuple[_Addresses, _Addresses]:
         """The robots that can be dialled, and of these the robots that must be dialled now.
 
-        A robot must be dialled if it is new, if its address is new, or if it has not answered for
-        some time. `only`: consider only these robots, which have no link; their earlier answers do
-        not count. None: consider all robots.
+        A robot must be dialled if the robot is new, has a new address, or has not answered for some
+        time. `only`: consider only these robots, which have no link. Their earlier answers do not
+        count. None: consider all robots.
         """
         with self._arrivals.lock:
             reachable = discovery.to_dial(now)
