@@ -87,12 +87,12 @@ class RequestSender:
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
         while missing and (time_left := started + timeout - now) > 0:
-            receivers = newly_linked = self._sessions.linked(links, unlinked)
+            newly_linked = self._sessions.linked(links, unlinked)
             unlinked -= newly_linked
             is_repeat_due = now >= repeat_at
+            receivers = set(missing) - unlinked if is_repeat_due else newly_linked
             if is_repeat_due:
                 repeat_at = now + REPEAT_PERIOD
-                receivers = set(missing) - unlinked
             # With the age at its arrival, so that a robot can refuse the request as too old.
             present_request = aged(request, now - started + view.round_trip)
             is_for_all = len(receivers) == len(asked)
