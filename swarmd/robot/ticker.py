@@ -214,8 +214,7 @@ class Ticker:
         return _Step(run.running.generation, inputs)
 
     @cython.cfunc
-    @cython.exceptval(-1)
-    def _must_publish(self, now: cython.double) -> cython.bint:
+    def _must_publish(self, now: cython.double):
         """True if a status is due, which then counts as published."""
         is_period_over: cython.bint = now >= self._published_at + _STATUS_PERIOD - ROUNDING
         if self._is_status_due or is_period_over:
