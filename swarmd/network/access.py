@@ -123,21 +123,14 @@ def asker_access(roster: Roster, name: str) -> Access:
             " `swarmctl keys add`"
         )
     rules = _Rules()
-    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
-    if role is not Role.ROBOT:
-        rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
-        rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
-        for flow in (_IN, _OUT):  # both ends look for the tokens of the other end
-            rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
-    if role is Role.OPERATOR:
-        own_messages = build(roster.swarm, name, MESSAGE, ANY, ANY)
-        rules.allow(roster.robots, _OUT, ["put"], [own_messages])
-        rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
-    # A robot that pulls needs no state: `allow` adds no rule for an empty list of keys.
-    states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
-    pulled = build(roster.swarm, ANY, SHARED, ANY, name)
-    rules.allow(roster.robots, _OUT, ["query"], [*_request_keys(roster, name), pulled, *states])
-    rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
+    queried = [*_request_keys(roster, name), build(roster.swarm, ANY, SHARED, ANY, name)]
+    if role is Role.ROBOT:
+        rules.allow(roster.robots, _OUT, ["query"], queried)
+    else:
+        _allow_messages_and_tokens(rules, roster, name)
+        states = build(roster.swarm, ANY, "state", ANY)
+        rules.allow(roster.robots, _OUT, ["query"], [*queried, states])
+        rules.allow(roster.robots, _OUT, ["declare_subscriber"], [states])
     # What each robot may send back under its own name. Only one rule for each robot: Zenoh takes
     # 0.1 ms for a rule whenever a link opens.
     for robot in roster.robots:
@@ -150,13 +143,30 @@ def asker_access(roster: Roster, name: str) -> Access:
     return rules.access()
 
 
+def _allow_messages_and_tokens(rules: _Rules, roster: Roster, name: str) -> None:
+    """Let an operator or viewer subscribe to messages at robots, and see liveliness tokens.
+
+    An operator may also send messages to robots, under its own name.
+    """
+    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
+    rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
+    rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
+    for flow in (_IN, _OUT):  # both ends look for the tokens of the other end
+        rules.allow(roster.robots, flow, _LIVELINESS, [token(roster.swarm, ANY)])
+    if roster.role_of(name) is Role.OPERATOR:
+        own_messages = build(roster.swarm, name, MESSAGE, ANY, ANY)
+        rules.allow(roster.robots, _OUT, ["put"], [own_messages])
+        # The robots subscribe to messages of operators.
+        rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
+
+
 def router_access(roster: Roster, router: str) -> Access:
     """Zenoh's `access_control` for a router of profile routed.
 
-    The ingress rules decide what each name of the roster may send, query and subscribe to. A router
-    sends to a link only replies, and keys to which the far end was allowed to subscribe. Therefore
-    the egress rules permit all keys of the swarm. `router`: the name in the certificates of all
-    routers of the swarm.
+    `router`: the name in the certificates of all routers of the swarm. The ingress rules decide
+    what each name of the roster may send, query and subscribe to. The egress rules permit all keys
+    of the swarm: a router sends to a link only replies, and messages on keys to which the far end
+    was allowed to subscribe.
     """
     all_keys = [f"{ROOT}/{roster.swarm}/**"]
     names = (*roster.robots, *roster.operators, *roster.viewers)

@@ -193,8 +193,8 @@ class MemberReport(_Datagram, frozen=True, kw_only=True):
 class MemberList(_Datagram, frozen=True, kw_only=True):
     """A part of a robot's list of the other members; `part` counts from 0 to `parts` - 1.
 
-    `members`: the members in this part. `roster`: of the names that the settings of the robot
-    expect, the names in this part. The members of all parts come before the names.
+    `members`: the members in this part. `roster`: names of robots that the settings of `robot`
+    expect, as far as they are in this part. Over all parts, the names follow the members.
     """
 
     robot: RobotId

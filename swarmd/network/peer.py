@@ -250,9 +250,10 @@ class Peer:
         """Take a datagram; returns the datagrams to send, and what the daemon must carry out.
 
         `source`: the address of the sender. `summary`: this robot's state, latches and goal.
-        `is_any`: the datagram is for any swarm. `author`: its signer in a secured swarm, None
-        without a valid signature. `waited`: s from arrival until now, for example while the process
-        was frozen. If the datagram is refused, `PeerActions.flaw` says why.
+        `is_any`: a `Solicit` or `Swarm` for any swarm, which is never signed. `author`: the signer
+        in a secured swarm, None without a valid signature. `waited`: s from arrival until now, for
+        example while the process was frozen. If the datagram is refused, `PeerActions.flaw` says
+        why.
         """
         actions = PeerActions()
         if isinstance(body, Stop) and waited > 0.0:
@@ -589,19 +590,20 @@ class Peer:
     ) -> None:
         """Answer a solicit with this robot's beacon, and with the lists that the solicit asks for.
 
-        `is_robot`: a robot has signed the solicit, in a secured swarm. `_answers` limits the rate
-        of answers: beyond the limit no answer is sent.
+        `is_robot`: a robot has signed the solicit; False in a swarm without keys. `_answers` limits
+        the rate of answers: beyond the limit no answer is sent.
         """
         is_for_this = solicit.robot in (None, self.robot)
         if not is_for_this or not self._answers.may_answer(source, 1, now):
             return
 
-        # While this robot claims its id, it answers only another claimer of the id, which asks
-        # whether this instance is alive.
+        # While this robot claims its id, it answers a single kind of solicit: in a secured swarm
+        # another claimer of the id asks by name whether this instance is alive.
         if self._claim is not None:
-            if solicit.robot is not None and is_robot:
-                rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
-                actions.sends.append((rival, source))
+            is_by_claimer = is_robot and solicit.robot == self.robot
+            if is_by_claimer:
+                beacon = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
+                actions.sends.append((beacon, source))
             return
 
         # In a secured swarm the asker refuses messages of this instance up to the number `said`,

@@ -54,8 +54,9 @@ class Effects:
 
         1. KillHost and Load decide which pattern the host holds: they replace any earlier command.
            A Load after a KillHost asks for a fresh host.
-        2. SetParams and Step are for the pattern that the host holds now. An earlier KillHost or
-           Load removes this pattern. So SetParams and Step replace no earlier command.
+        2. SetParams and Step replace no earlier command: they are for the pattern that the host
+           holds now, and an earlier KillHost or Load has removed this pattern. Of SetParams and
+           Step the first counts.
         """
         if isinstance(command, (SetParams, Step)) and self.host is not None:
             return

@@ -133,11 +133,12 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Replace the own goal by the greater `goal`; end the run, and a load of a lesser goal.
+        """Replace the own goal by the greater `goal`; end the present run and load.
 
-        The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
-        None if unknown. `may_join`: the robot may run `goal` without a request of an operator, if
-        its state permits that. A load of a greater goal than `goal` continues.
+        Only the load of `goal` itself, or of a goal greater than `goal`, continues. The own goal is
+        the greatest goal that targets this robot. `age`: s since the goal was set, None if unknown.
+        `may_join`: the robot may run `goal` without a request of an operator, if the state of the
+        robot permits that.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
@@ -145,19 +146,21 @@ class GoalHandler:
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        keeps_load = _is_for_greater_goal(loading, goal)
-        ends_load = loading is not None and not keeps_load
+        loads_greater_goal = _is_for_greater_goal(loading, goal)
+        ends_load = loading is not None and not loads_greater_goal
         ends_run_or_load = lifecycle.is_running or ends_load
         was_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if ends_run_or_load:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
-            lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
+            text = f"by {goal.text}"
+            lifecycle.stop(Reason.SUPERSEDED, text, effects, keeps_load=loads_greater_goal)
             goals.superseded = goal.text
-        # A stopped, estopped or faulted robot without a load waits for an operator.
+        # A stopped, estopped or faulted robot without a run or load waits for an operator.
         waits_for_operator = not (was_idle or ends_run_or_load)
-        is_barred = waits_for_operator or keeps_load or lifecycle.battery.is_low
-        goals.adopt(goal, age, now, may_join=may_join and not is_barred)
+        if waits_for_operator or loads_greater_goal or lifecycle.battery.is_low:
+            may_join = False
+        goals.adopt(goal, age, now, may_join=may_join)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.
@@ -193,16 +196,16 @@ class GoalHandler:
     def _raise_revision_to_join(self, goal: Goal) -> None:
         """Make earlier requests stale, except a late request for `goal` itself.
 
-        `has_goal_by_peer` accepts such a request at the revision `revision_after` of the peer's
-        goal. That revision follows the rise, unless something else has raised the revision since
-        `goal` came.
+        If a peer handed over `goal`, and nothing else has raised the revision since, then
+        `has_goal_by_peer` goes on to accept a late request for `goal`.
         """
         lifecycle, peer_goal = self._lifecycle, self._peer_goal
         revision_before = lifecycle.revision
         lifecycle.raise_revision(goal.text)
         if peer_goal is None or peer_goal.goal != goal:
             return
-        if peer_goal.revision_after == revision_before:
+        is_only_rise = peer_goal.revision_after == revision_before
+        if is_only_rise:
             self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
 
     def _start(

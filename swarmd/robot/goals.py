@@ -16,8 +16,8 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
 6. A stop or emergency stop of all robots makes a goal without a pattern, one generation greater
    than the held goal, so that no robot joins the held goal later. Two exceptions:
    a. The held goal was set after the stop: no goal is made.
-   b. The age of the held goal is unknown, and this goal arrived after the stop: the goal may have
-      been set before or after the stop. The stop is undecided until a peer reports the age.
+   b. The age of the held goal is unknown, and the held goal arrived after the stop. The held goal
+      may have been set before or after the stop. Until a peer reports its age, no goal is made.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Goals:
     def __init__(
         self, robot: str, labels: tuple[str, ...], record: GoalRecord | None, now: float
     ) -> None:
-        """Take the goals from disk; the own goal is offered, or joined if the record permits it."""
+        """Take the goals from disk. The own goal is offered, or has ended, as the record says."""
         record = record or GoalRecord()
         self._robot = robot  # the name of this robot
         self._file_labels = labels
@@ -96,7 +96,8 @@ class Goals:
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
-        self._stopped_content = b""  # of a held goal that `_bar_greatest_goal` barred
+        # The bytes of a held goal that a stop has barred (`_bar_greatest_goal`); empty without.
+        self._stopped_content = b""
         self.is_changed = False  # since the record was last written to disk
         # The number of the load that failed for lack of the pattern; None without such a load, and
         # after a later load, run or label.
@@ -187,10 +188,11 @@ class Goals:
         return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
 
     def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
-        """Hold `goal` if it exceeds the held goal; offer `goal` if it exceeds the own goal.
+        """Replace the held goal by `goal` if `goal` is greater, and so the own goal.
 
-        An offered goal waits for a request `resume`. `age`: s since the goal was set, None if
-        unknown. `may_join`: the robot may also run the goal without a request.
+        The own goal is replaced only by a goal that targets this robot. A new own goal is offered:
+        the goal waits for a request `resume`. `may_join`: the robot may also run the new own goal
+        without a request. `age`: s since the goal was set, None if unknown.
         """
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
@@ -287,10 +289,11 @@ class Goals:
             del self._undecided[next(iter(self._undecided))]
 
     def _bar_greatest_goal(self, held: HeldGoal) -> None:
-        """Forget the age of the held goal, so that no robot joins it.
+        """Forget the age of the held goal, so that this robot does not join it after a stop.
 
-        No unsigned goal can exceed this goal, which has the greatest possible generation. The age
-        that a peer reports later is ignored, too (`_stopped_content`).
+        Used if the goal of a stop cannot exceed the held goal: the goal of a stop is not signed,
+        and an unsigned goal has at most the generation MAX_UNSIGNED. From now on `learn_age`
+        ignores the age that a peer reports for the held goal (`_stopped_content`).
         """
         self._stopped_content = held.content
         self.held = held._replace(issued=None)
@@ -347,8 +350,8 @@ class Goals:
         """Note that a run begins; `goal`: the goal of the run, None without a goal.
 
         `what`: the name of the pattern, for the status. `age`: s since the run was requested.
-        `is_resumed`: the request of this run did not set the goal, so this run does not renew the
-        lease. Such a run resumes or joins the goal, or follows a reload of the pattern.
+        `is_resumed`: the run resumes or joins a goal that was set before, or follows a reload of
+        the pattern. Such a run does not renew the lease.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was requested after the stops that are still undecided

@@ -41,7 +41,7 @@ class InputAges:
     - `_hazards_until`: a hazard holds the robot until this time.
     - `_peers_due`: after this time the place of a peer is too old, which holds the robot.
     - `_fence_due`: after this time the pose for the fence is too old, which holds the robot.
-    - `_teller`: the `Peers` object while it knows the place of a peer, which is an obstacle then.
+    - `_teller`: the `Peers` object while the place of any peer is known; such places are obstacles.
     - `_ring`: the `RangeRing` of a robot with such sensors.
     - `_fence`: the `FencePose` of a robot with a fence.
 
@@ -220,8 +220,8 @@ class InputAges:
         """The age in s since arrival beyond which a scan is stale.
 
         This age is the platform's limit `stale_after` less the measured delay of scans, since the
-        rays of a delayed scan are older than its arrival. If the running pattern permits the delay,
-        at most the platform's bound `max_scan_delay` is subtracted.
+        rays of a delayed scan are older than its arrival. If the running pattern permits a delay
+        above the platform's bound `max_scan_delay`, only `max_scan_delay` is subtracted.
         """
         delay: cython.double = self._added
         is_permitted: cython.bint = delay <= self.permitted_delay

@@ -145,8 +145,9 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
 class _Writer:
     """Serialises the state of one robot.
 
-    `_place` adds the node of a value with its parts, and the node of an object without parts.
-    `memory` adds the parts of objects, since objects may refer to one another in a circle.
+    `_place` adds the node of a value together with its parts. The node of an object gets its parts
+    later, in `memory`: objects may refer to one another in a circle, so that no order of nodes has
+    all parts before their object.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -267,10 +268,11 @@ class _Writer:
 
 
 class _Maker(NamedTuple):
-    """The function `make(parts)` for the nodes of one kind.
+    """How to make the Python object of a node from the node's parts; for one kind of nodes.
 
-    For a kind of values `make` returns the value. For a kind of objects `make` returns the empty
-    object, and a function that sets the fields of this object.
+    If `is_of_objects` is False, `make(parts)` returns a value. If it is True, `make(parts)` returns
+    an object without fields, and the function that sets its fields. The fields are set once all
+    objects exist, since objects may refer to one another in a circle.
     """
 
     is_of_objects: bool

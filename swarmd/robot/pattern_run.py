@@ -208,9 +208,9 @@ class PatternRun:
     def lifecycle_due_at(self) -> cython.double:
         """The next deadline of the host's answer and of the run in s; inf without a deadline.
 
-        -inf during a load, which the caller checks at each tick. Two deadlines do not count:
-        `step_due_at` has the next step, and `restart_at` lies in the hold `pattern_restarting`,
-        under which the caller checks all deadlines at each tick.
+        During a load -inf: the caller then checks all deadlines at each tick. `step_due_at` has the
+        deadline of the next step. `restart_at` is left out: until the restart the robot is in the
+        hold `pattern_restarting`, and in a hold the caller checks all deadlines at each tick.
         """
         running = self.running
         if self.loading is not None:

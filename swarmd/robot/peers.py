@@ -138,9 +138,9 @@ class Peers:
     def _use_places_of(self, missed: Collection[str]) -> None:
         """Choose the peers whose measured or reported places are obstacles (`_radii`).
 
-        `missed`: the peers that the lidar may miss. Their places are always obstacles. A lidar with
-        a blind zone near the sensor may lose any peer in that zone. So there the places of the
-        other peers (`_seen_beyond`) are obstacles inside the zone.
+        `missed`: the peers that the lidar may miss. Their places are always obstacles. If the lidar
+        has a blind zone near the sensor, the place of any other peer (`_seen_beyond`) is an
+        obstacle while this place is inside the zone.
         """
         radii = {robot: body.radius for robot, body in self._bodies.items() if body is not None}
         self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}

@@ -11,8 +11,8 @@ these wishes:
 =====================================  ==========================================================
 stop issued after all wishes           run and load end
 stop issued before all wishes          refused (`overtaken`): run and load continue
-stop issued after the wish of the run  refused (`overtaken`): the run ends, the load continues
-and before the wish of the load
+stop issued after the wish of the run  the run ends, the load continues; the reply is a refusal
+and before the wish of the load        (`overtaken`), since the robot will run again
 no run and no load, new stop           a trial of new code ends; an idle robot becomes stopped
 no run and no load, stop issued        applied without a change: a trial or reset may have been
 before an obeyed stop or a reset       requested after this stop
@@ -66,13 +66,11 @@ class _StopTime(NamedTuple):
     is_copy: bool
 
     def is_before(self, wish: Wish) -> bool:
-        """True if the run of `wish` was requested after the stop, which must not end this run.
-
-        For a copy also at equal times: the first copy ended each run that was requested until then,
-        so the run was requested after the first copy. The first copy itself counts as newer than a
-        wish of the same time: in doubt the robot stops.
-        """
-        return self.issued_at <= wish.at if self.is_copy else self.issued_at < wish.at
+        """True if the run of `wish` was requested after the stop, which must not end this run."""
+        if self.is_copy:
+            # At equal times, too: the first copy has ended all runs that were requested before it.
+            return self.issued_at <= wish.at
+        return self.issued_at < wish.at  # at equal times the robot stops, in doubt
 
 
 class RequestHandler:
@@ -161,10 +159,11 @@ class RequestHandler:
     def _refuse_stop(
         self, request: verbs.StopRequest, stop: _StopTime, next_wish: Wish, effects: Effects
     ) -> None:
-        """Refuse a stop that is older than `next_wish`: of the load, without a load of the run.
+        """Refuse a stop that was issued before `next_wish`, which the stop must not end.
 
-        A run beside a load has a wish of its own. If the stop is newer than that wish, the run
-        ends, and the load continues.
+        `next_wish`: the wish of the load; without a load the wish of the run. Beside a load, the
+        present run has an earlier wish of its own. A stop issued after that wish ends the run, and
+        the load continues.
         """
         lifecycle, running = self._lifecycle, self._lifecycle.pattern_run.running
         if running is not None and not stop.is_before(running.wish):
@@ -311,11 +310,11 @@ class RequestHandler:
         return self._lifecycle.goals.refusal_of(request)
 
     def on_reset(self, request: verbs.ResetRequest, effects: Effects) -> None:
-        """Clear the named latches, the named findings and a fault; the robot becomes idle.
+        """Clear the named latches, the named findings and a fault; a stopped robot becomes idle.
 
         A latch is an emergency stop that holds the robot until a reset names the latch. A finding
         is a doubt of the assumption monitor, such as brakes that are weaker than declared. A reset
-        never starts motion.
+        never starts motion, and does not end a run.
         """
         lifecycle = self._lifecycle
         findings = [text for text in self._protection.findings if text in request.findings]
@@ -326,7 +325,7 @@ class RequestHandler:
         if lifecycle.latches.held:  # latches that the request does not name
             text = f"still estopped {lifecycle.latches.text}; look again and reset once more"
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
-        elif lifecycle.is_running:
+        elif lifecycle.is_running:  # without findings to end, which `_refusal_to_reset` refuses
             lifecycle.goals.bar(effects.now)  # the robot joins no goal that was set before now
             lifecycle.applied(effects, request, "running: nothing to reset")
         elif lifecycle.state_machine.state is State.IDLE and not self._is_joining:
@@ -336,7 +335,9 @@ class RequestHandler:
             self._end_findings(findings, request, effects)
             lifecycle.reset(request.reason or f"by {request.operator}", effects)
             lifecycle.applied(effects, request, "idle")
-            self._obeyed_until = self._epoch_raised_at = self.reset_at = effects.now
+            self._epoch_raised_at = effects.now
+            # A copy of an earlier stop counts as obeyed, and does not undo the reset.
+            self._obeyed_until = self.reset_at = effects.now
 
     def _refusal_to_reset(self, findings: list[str]) -> tuple[Refusal, str] | None:
         """Why a reset that ends `findings` is refused before it changes anything, else None."""

@@ -99,7 +99,7 @@ class Sensors(InputAges):
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._fence = None if fence is None else FencePose(fence, POSE_TIMEOUT)
-        if self._fence is not None:
+        if self._fence is not None:  # without a fence `_fence_due` stays inf
             self._fence_due = self._fence.until
         # Messages of other robots' patterns, kept until the next step of the own pattern.
         self._inbox: deque[_ReceivedMessage] = deque()
@@ -299,8 +299,8 @@ class Sensors(InputAges):
     def scan_age(self, now: float) -> float | None:
         """The age of the last valid scan in s; None before the first scan.
 
-        The age counts from the arrival of the scan. Rays of earlier scans fill a wide sector
-        without valid rays: then the age counts from the time at which this sector was known last.
+        The age counts from the arrival of the scan. If a wide sector of the scan has no valid rays,
+        earlier scans fill this sector, and the age counts from the last scan that measured it.
         """
         return None if self._scan_at == -math.inf else now - self._scan_at
 

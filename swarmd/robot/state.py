@@ -471,15 +471,16 @@ class Lifecycle:
         *,
         keeps_load: bool = False,
     ) -> None:
-        """End the run and the load, if any, and fire a trigger; no pattern is stepped afterwards.
+        """End the run and the load, if any, and fire a trigger; the run is not stepped any more.
 
-        A load that an operator requested continues with `keeps_load`, and after a trigger of
-        `_ENDS_RUN_ALONE` (such as the end of the run's time). A request that waits for a load, a
-        trial or parameters that end here is refused as `overtaken`.
+        Exception: a load that an operator requested continues if `keeps_load` is True, and after a
+        trigger of `_ENDS_RUN_ALONE`, such as the end of the run's time. A request whose load, trial
+        or change of parameters ends here is refused as `overtaken`.
         """
         loading = self.pattern_run.loading
         is_requested = loading is not None and loading.request is not None
-        if is_requested and (keeps_load or trigger in _ENDS_RUN_ALONE):
+        continues_load = keeps_load or trigger in _ENDS_RUN_ALONE
+        if is_requested and continues_load:
             self.pattern_run.end_running()
         else:
             self._end_run_and_load(reason, detail, effects)
@@ -765,7 +766,7 @@ class Lifecycle:
 def _give_permit(
     lifecycle: Lifecycle, pattern: str, event: host_messages.Loaded, now: float
 ) -> None:
-    """Set the permit of the running pattern, which ends with this load of the pattern.
+    """Set the permit of the running pattern, until the pattern is loaded again.
 
     A pattern may want a touch zone (`event.touches`): a part of the outline that may touch objects.
     The permit contains as much of this zone as the operator granted the pattern.
@@ -785,10 +786,10 @@ def _give_permit(
 def _end_for_low_battery(
     lifecycle: Lifecycle, settings: LowBatterySettings, text: str, effects: Effects
 ) -> None:
-    """End run and load; a robot that ran then runs the pattern of `on_low_battery`.
+    """End run and load. In place of the run, start the pattern of the setting `on_low_battery`.
 
-    A run with a lease has no such successor: the operator of a lease wants a robot that stands
-    once the operator is not heard.
+    That pattern is not started if there was no run, or if the run had a lease: the operator of a
+    lease wants a robot that stands once the operator is not heard.
     """
     ended_run = lifecycle.pattern_run.running
     had_lease = lifecycle.goals.lease_ends is not None

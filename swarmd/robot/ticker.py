@@ -66,12 +66,13 @@ class DutyCycle:
 class Ticker:
     """Handles the inputs of one robot: each input changes the robot, then becomes `Actions`.
 
-    A quiet tick only decides (computes the safe command), since no deadline has passed. Two times
-    save checks; the first tick after an event computes both anew:
+    A quiet tick only decides (computes the safe command), since no deadline has passed. Two
+    attributes have the times until which checks can be left out. The first tick after an event
+    computes both anew.
 
-    - `_quiet_until`: all ticks before this time are quiet. Each event sets it to -inf.
+    - `_quiet_until`: all ticks before this time are quiet. An event sets this time to -inf.
     - `_due_at`: before this time `Lifecycle.advance` without a hold has nothing to do. An event
-      that may change the lifecycle sets it to -inf.
+      that may change the lifecycle sets this time to -inf.
 
     Odometry, neighbours, readings and messages change no deadline: these events set neither time.
     """

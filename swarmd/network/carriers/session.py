@@ -66,9 +66,9 @@ def open_session(
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
     reads the addresses of interfaces once per process, and uses a late address only if the options
-    name the address: for scouting, by which Zenoh programs find the session, and (only without an
-    `identity`) as an endpoint, which these programs then dial. Raises NetworkError in one line if
-    the session cannot be opened.
+    name the address. Zenoh programs find the session by scouting on late addresses. Without an
+    `identity` the session also listens there. Raises NetworkError in one line if the session cannot
+    be opened.
     """
     options = session_options(settings, identity)
     if late:

@@ -292,7 +292,7 @@ class UdpCarrier:
         """Read the datagrams that have arrived, at most BATCH; never waits.
 
         A listener is a socket that receives datagrams of one way, such as multicast. Each call
-        begins with another listener, and a listener gets at most half of the remaining budget: a
+        begins with another listener, and a listener uses at most half of what remains of BATCH: a
         flood at one socket does not shut out the datagrams of another socket.
         """
         received: list[Received] = []
@@ -370,9 +370,10 @@ class UdpCarrier:
         """The source of a datagram; None if the datagram is dropped.
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
-        beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
-        of this swarm shows by which way its robot is heard. In a secured swarm the beacon may be
-        forged: the way is noted only in `_unconfirmed`, until the caller calls `confirm`.
+        beyond the flood limits, and the second copy of a datagram that came by two ways. The way of
+        a beacon of this swarm is noted for the user (`ways`), and decides how datagrams are sent to
+        the source. In a secured swarm a beacon may be forged: its way decides only once the caller
+        has called `confirm`.
         """
         host, port = name[0], name[1]
         self._reads += 1
@@ -385,13 +386,13 @@ class UdpCarrier:
         if not self._limits.admits(source, payload[KIND_OFFSET], now, self._weight):
             return None
         is_beacon = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
-        if is_beacon:  # also a second copy shows that its way works
-            heard_by = _Way.MULTICAST if way is _Way.COPY else way
-            self.ways.on_heard(source, heard_by.value, now)
+        if is_beacon:  # of both copies, since each copy shows that its way works
+            shown_way = _Way.MULTICAST if way is _Way.COPY else way
+            self.ways.on_heard(source, shown_way.value, now)
         if self._is_second_copy(payload, source, way, now):
             return None
         if is_beacon and self._is_secured:
-            keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)
+            keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)  # until `confirm`
         elif is_beacon:
             self._note_robot(source, way, now)
         return source
@@ -691,8 +692,8 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 def _count_lost(sock: socket.socket) -> int | None:
     """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
-    None while the queue of the socket has room: the kernel counts datagrams that the packet filter
-    has refused, too, so that only the count of a nearly full queue shows an overload. None also for
+    The kernel also counts datagrams that the packet filter has refused. So the count shows an
+    overload only while the queue of the socket is nearly full: else None is returned. None also for
     a kernel without this count.
     """
     try:

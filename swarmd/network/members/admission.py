@@ -110,7 +110,9 @@ class Admission:
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
-            case Solicit() | ClockQuery() | Swarm():
+            case Swarm():
+                return Flaw.ROLE  # no role may sign a `Swarm`
+            case Solicit() | ClockQuery():
                 return body  # a repeated question costs an answer, which is limited
             case Ack() | ClockReply():
                 return body  # the caller drops an answer for which this robot does not wait
@@ -140,7 +142,7 @@ class Admission:
                 return True
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
-        """The beacon, or its flaw: no robot of the roster, or perhaps replayed.
+        """The beacon, or its flaw: its robot is not on the roster, or it may be replayed.
 
         The beacon of a robot that claims its id need not be fresh: the owner of the id answers the
         claim, and other robots ignore the beacon. While this robot claims the same id, the beacon

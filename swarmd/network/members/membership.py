@@ -169,17 +169,18 @@ class Membership:
     def take(
         self, beacon: Beacon, address: Address, now: float, *, is_answer: bool = False
     ) -> Change:
-        """Take a beacon of a robot that owns its id; returns what the beacon has changed.
+        """Take a beacon; returns what the beacon has changed.
 
         A *life* is the time from start to end of one daemon, marked by its random `instance`. A
         *farewell* is the last beacon of a life (Flag.LEFT). `is_answer`: the robot sent a farewell,
         was then asked whether it is alive, and answers by this beacon. Returns IGNORED for
 
-        - a beacon of this robot, or of a robot that still claims its id,
+        - a beacon in the name of this robot,
+        - a beacon of a robot that still claims its id,
         - the farewell of an unknown life,
         - a beacon of a new robot, while MAX_MEMBERS robots are known and none may be replaced,
-        - a delayed beacon, or the farewell of a life that has sent beacons after an earlier
-          farewell (`Life.take`).
+        - a delayed beacon of a known life (`Life.take`),
+        - a farewell of a known life whose earlier farewell was false (`Life.take`).
         """
         if beacon.robot == self._own or beacon.flags & Flag.JOINING:
             return Change.IGNORED

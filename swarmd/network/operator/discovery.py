@@ -2,10 +2,10 @@
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
-(`status_table.py`), and rosters. A look is complete once every expected robot has answered, and the
-answers agree on the members, or nothing new has come for `quiet_time`. A look in which a robot does
-not answer ends after a time that follows from the measured round trip and loss of datagrams
-(`ends_at`).
+(`status_table.py`), and rosters. A look is complete once every expected robot has answered, and one
+of two conditions holds: the answers agree on the members, or nothing new has come for `quiet_time`.
+A look in which a robot does not answer ends after a time that follows from the measured round trip
+and loss of datagrams (`ends_at`).
 """
 
 from __future__ import annotations
@@ -344,14 +344,16 @@ class Discovery:
     def ends_at(self, now: float, lacking: Iterable[str]) -> float:
         """The time in s until which the look waits for answers of the robots in `lacking`.
 
-        The latest of these ends counts. All waits grow with the round trip:
+        An attacker may invent robots: a robot that does not prolong the look (`_prolongs`) counts
+        for none of these ends. The latest end counts. All waits grow with the round trip:
 
-        1. `quiet_time` after the last news.
+        1. `quiet_time` after the last news of a robot.
         2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found, since
            robots are dialled together. This wait grows with the loss of datagrams, too.
-        3. For a robot that only other robots report as alive: UNREACHABLE_WAIT after it became
-           known.
-        4. For any other robot: GONE_WAIT after it became known.
+        3. For a robot in `lacking` that only other robots report as alive: UNREACHABLE_WAIT after
+           it became known.
+        4. For any other robot in `lacking`: GONE_WAIT after it became known. A robot that is only
+           on the roster is known from the start.
         5. While no robot is heard: the timeout for the first robot.
         """
         first_robot_end = self.started + self._first_robot_wait
@@ -359,14 +361,10 @@ class Discovery:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         answer_wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
-        # An attacker may invent robots: the look does not wait for each robot that is found late.
-        awaited = {robot for robot in self._known_since if self._prolongs(robot)}
-        last_found_at = max((self._known_since[robot] for robot in awaited), default=self.started)
+        found_at = [at for robot, at in self._known_since.items() if self._prolongs(robot)]
+        last_found_at = max(found_at, default=self.started)
         ends = [self._prolonging_news_at + self.quiet_time]
-        for robot in lacking:
-            is_only_on_roster = robot not in self._known_since
-            if not is_only_on_roster and robot not in awaited:
-                continue
+        for robot in filter(self._prolongs, lacking):
             since = self._known_since.get(robot, self.started)
             if self._is_fresh(robot, now):
                 ends.append(max(since, last_found_at) + answer_wait)

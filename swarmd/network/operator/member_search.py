@@ -41,12 +41,13 @@ class MemberSearch:
     def look(
         self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
     ) -> MembersView:
-        """Query all members (a look) until `discovery`, just begun, is complete; returns them.
+        """Query all members (a look) until the look is complete; returns the members.
 
-        Threads of the carrier and of Zenoh put the answers into `discovery`, which decides when the
-        look is complete (`is_complete`). An incomplete look ends after `timeout` s. With `timeout`
-        None an incomplete look ends once a longer wait is of no use (`is_over`), and after `cap` s
-        at the latest. `needs_status` False: statuses are asked for only after STATUS_DELAY.
+        `discovery`: a new look, into which threads of the carrier and of Zenoh put the answers. It
+        decides when the look is complete (`is_complete`). An incomplete look ends after `timeout`
+        s. With `timeout` None an incomplete look ends once a longer wait is of no use (`is_over`),
+        and after `cap` s at the latest. `needs_status` False: statuses are asked for only after
+        STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
@@ -102,6 +103,7 @@ class MemberSearch:
             answered = sorted(discovery.answered)
         decode = Decoder(PeerView, MAX_WIRE)
 
+        # Zenoh's threads call both functions with the lock held (`OperatorSessions.get`).
         def on_view(robot: str, payload: bytes) -> None:
             if version_of(payload) != codec.VERSION:
                 return

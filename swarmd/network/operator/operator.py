@@ -109,6 +109,7 @@ class Operator:
         if identity is not None:
             name = identity.name
         self.name = sendable_name(name or operator_name())
+        # Requests and stops carry the name of the operator and of the program.
         self._asker = sendable_name(named_by_program(self.name, program))
         self._roster = frozenset(roster)
         if identity is not None:
@@ -338,10 +339,11 @@ class Operator:
         `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
         epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
         since then refuses the request. With None instead of an epoch the robot does not compare.
-        Returns once all robots have replied or `is_ended` returns True, and after `timeout` s at
-        the latest. `timeout` None: `least` s, longer by the round trip and the loss of datagrams. A
-        robot that is unreachable or gone counts as missing at once. Raises ConfigError if the role
-        of the own identity does not permit the request, which robots would not answer.
+
+        Returns once all robots have replied, once `is_ended` returns True, and after `timeout` s at
+        the latest. `timeout` None: a time of at least `least` s, which grows with the round trip
+        and the loss of datagrams. A robot that is unreachable or gone counts as missing at once.
+        Raises ConfigError if the role of the own identity does not permit the request.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -397,8 +399,8 @@ class Operator:
 
         Sending ends once all expected robots have acked and rest, once `is_ended` returns True, and
         after `timeout` s at the latest; `timeout` None: a time that follows from the round trip.
-        With `until_all` there is no time limit, `on_progress` gets the robots without an ack
-        whenever these change, and a KeyboardInterrupt ends sending like `is_ended`.
+        With `until_all` there is no time limit, `on_progress` gets the robots that have not stopped
+        whenever these change, and a KeyboardInterrupt ends sending without an error.
         """
         self._check_role(verb)
         now = boottime()
@@ -410,18 +412,20 @@ class Operator:
             scope="swarm" if select is None else "robots",
             reason=stop_reason(reason) if verb == "estop" else "",
         )
-        stop, renew = self._numbered(stop)
+        stop, renew = self._numbered(stop)  # `renew` makes new numbers for a refused stop
         pending = PendingStop(stop, discovery, now, select=select, names=names, renew=renew)
+        until = None if timeout is None or until_all else now + timeout
         outcome = self._stops.send(
             pending,
             discovery,
-            None if timeout is None or until_all else now + timeout,
+            until,
             until_all=until_all,
             on_progress=on_progress,
             is_ended=is_ended,
         )
         with self._arrivals.lock:
-            return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
+            unproven = self._unproven(outcome.missing)
+            return replace(outcome, warnings=(*outcome.warnings, *unproven))
 
     def _numbered(self, stop: Stop) -> tuple[Stop, Renew | None]:
         """In a secured swarm: the stop with numbers by which robots refuse a replayed stop.

@@ -79,10 +79,13 @@ class OperatorAdmission:
         sender. A member list comes back without robots that the roster lacks. Refused datagrams:
 
         1. a datagram with a wrong signature, or signed with the keys of another roster,
-        2. an ack without a valid proof of the robot that acks,
-        3. a beacon or member list that may be replayed,
-        4. an answer that its robot did not sign for this operator,
-        5. a datagram of any other kind.
+        2. a datagram in the name of a robot that the roster lacks,
+        3. an ack or beacon of a robot whose key this identity lacks,
+        4. an ack without a valid proof of the robot that acks,
+        5. a beacon of a robot that does not own its id,
+        6. a beacon or member list that may be replayed,
+        7. an answer that its robot did not sign for this operator,
+        8. a datagram of any other kind.
         """
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
@@ -96,6 +99,7 @@ class OperatorAdmission:
                 has_key = self._has_key(body.robot, source, now)
                 is_accepted = has_key and self._is_fresh(body, payload, now)
             case MemberList() if self.freshness.is_own_echo(body.echo, now):
+                # Only beacons of robots on the roster make an instance known.
                 is_known = self.freshness.knows(body.robot, body.instance)
                 is_accepted = is_known and self._is_own(body, payload)
                 body = only_names(body, self._names)
@@ -128,11 +132,10 @@ class OperatorAdmission:
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
         """True if this identity has the key that it shares with the robot.
 
-        If the key is missing, `on_missing_key` is called with `source`, the address of the sender.
-        The link that the callback's owner opens to this address proves the name of the robot, and
-        hands over the key. A datagram proves no name: any robot of the roster can make a datagram
-        with the name `robot`. `source` None: the address of the robot is not known, and nothing is
-        called.
+        A datagram does not prove its sender: any robot of the roster can make a datagram with the
+        name `robot`. If the key is missing, `on_missing_key` is therefore called with `source`, the
+        address of the sender. A link to this address proves the name, and hands over the key.
+        `source` None: the address of the robot is not known, and nothing is called.
         """
         if self._trust.verifier.has_key_of(robot):
             return True

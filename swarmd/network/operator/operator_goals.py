@@ -41,8 +41,8 @@ def next_generation(operator: Operator, view: MembersView) -> int:
     """The generation for a new goal: the greatest generation of the goals in `view`, plus 1.
 
     In a secured swarm a generation above MAX_UNSIGNED counts only if its goal is signed: a robot
-    that was taken over may show any generation. Generations up to MAX_UNSIGNED always count, since
-    robots accept goals without a signature there, if these only stop robots (`GoalCheck`). Raises
+    that was taken over may show any generation. A generation up to MAX_UNSIGNED always counts: up
+    to there, robots also hold unsigned goals that only stop robots (`GoalCheck`). Raises
     ConfigError beyond MAX_GENERATION.
     """
     greatest = view.goal_generation

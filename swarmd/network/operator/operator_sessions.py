@@ -125,8 +125,9 @@ class OperatorSessions:
     def _open_sessions(self, to_dial: _Addresses, now: float) -> None:
         """Dial these robots, and subscribe to the keys that are watched.
 
-        Zenoh cannot add an endpoint to a session, so a further session is opened: mostly one. The
-        pause before the next call that dials doubles with each session.
+        Zenoh cannot add an endpoint to a session, so each call opens a further session. If Zenoh
+        refuses an endpoint, the call opens several sessions. The pause until the next robots are
+        dialled doubles with each session.
         """
         interface = self._settings.interface_name
         endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
@@ -164,11 +165,11 @@ class OperatorSessions:
     def _to_dial(
         self, discovery: Discovery, now: float, only: Collection[str] | None
     ) -> tuple[_Addresses, _Addresses]:
-        """The robots that can be dialled, and of these the robots that must be dialled now.
+        """Two groups: the robots that can be dialled, and among them those to dial now.
 
-        A robot must be dialled if the robot is new, has a new address, or has not answered for some
-        time. `only`: consider only these robots, which have no link. Their earlier answers do not
-        count. None: consider all robots.
+        A robot is dialled if the robot is new, has a new address, or has not answered for some
+        time. `only`: consider only these robots. They have no link, so they are dialled again even
+        if they answered earlier. None: consider all robots.
         """
         with self._arrivals.lock:
             reachable = discovery.to_dial(now)

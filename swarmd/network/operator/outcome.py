@@ -216,8 +216,8 @@ class Acks:
 def _reply_of(ack: Ack) -> Reply:
     """The reply to a stop that an ack contains.
 
-    A later version may send a code or refusal that is unknown here: the reply is then a refusal
-    with the reason OTHER_VERSION. This version sends a refusal with each code but APPLIED.
+    A later version may send codes and refusals that are unknown here. An unknown code becomes
+    REFUSED. Every code but APPLIED comes with a refusal: an unknown refusal becomes OTHER_VERSION.
     """
     text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
     code = Code(ack.code) if ack.code in _CODES else Code.REFUSED

@@ -19,8 +19,9 @@ def present_member(
     """The member `robot`, which is heard or has answered, at `now` in s.
 
     `heard`: the life of the robot whose beacons this operator hears; None without a beacon.
-    `answer`: the robot's answer to a query of its status, for another version only the head of the
-    status; None without an answer. Values of the status count before values of the beacon.
+    `answer`: the robot's answer to a query of its status; None without an answer. Of a robot of
+    another version only the head of the status can be read. Values of the status count before
+    values of the beacon.
     """
     if answer is None:
         return _member_by_beacon(robot, heard, now)

@@ -78,17 +78,22 @@ class StopSender:
         """Send a stop, and repeat it until all targets have acked and rest; returns the outcome.
 
         `pending`: the stop, with its targets and the acks that other threads put there.
-        `discovery`: the robots that are found meanwhile. Sending also ends once `is_ended` returns
-        True, and at the time `until` (s). `until` None: once `pending.is_over`, but with
-        `until_all` there is no time limit. With `until_all`, `on_progress` gets the robots that
-        have not stopped when these change, and a KeyboardInterrupt ends sending like `is_ended`.
+        `discovery`: the robots that are found meanwhile. Sending ends earlier
+
+        - once `is_ended` returns True,
+        - at the time `until` in s,
+        - if `until` is None: once a longer wait is of no use (`PendingStop.is_over`).
+
+        `until_all`: the last of these ends does not apply. `on_progress` gets the robots that have
+        not stopped whenever these change, and a KeyboardInterrupt ends sending without an error.
         """
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
-        solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
+        solicit_timer = RepeatTimer(now, SOLICIT_PACE)
+        stop_timer = RepeatTimer(now, STOP_PACE)
         progress = _Progress(now)
-        targets: frozenset[str] = frozenset()
+        known_targets: frozenset[str] = frozenset()
         try:
             while True:
                 with self._arrivals.lock:
@@ -96,15 +101,17 @@ class StopSender:
                     is_over = _is_over(pending, now, until, until_all=until_all)
                     if is_over or is_ended() or pending.is_done(now):
                         break
-                    targets_before, targets = targets, pending.selected()
                     progress.take(pending, now)
-                    is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
-                    receivers = None if is_repeat_due else new_targets  # None: all targets
-                    stops = tuple(pending.datagrams(now, receivers))
+                    targets = pending.selected()
+                    new_targets = targets - known_targets
+                    known_targets = targets
+                    # A repeat goes to all targets. Between two repeats only new targets get it.
+                    is_repeat_due = stop_timer.is_due(now)
+                    stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:
                     for stop_part, addresses in stops:
                         self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
-                self._rosters.begin()  # takes a newer roster, if a robot shows one, on a thread
+                self._rosters.begin()  # if a robot shows a newer roster: takes it, on a thread
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
                 if until_all:

@@ -7,9 +7,11 @@ operator's identity keeps both. A robot accepts
 - a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
   the robot first heard the stop. So a copy ends no run that began later, and does not renew an
   emergency stop that was reset since.
-- a stop with a new id, if its counter is greater than the greatest counter heard of its origin
-  minus SLACK. Any other stop is refused as replayed. SLACK covers stops that operators issue at the
-  same time, and that robots relay in another order.
+- a stop with a new id, if its counter is less than SLACK behind the greatest counter that the robot
+  has heard of its origin. SLACK covers stops that operators issue at the same time, and that robots
+  relay in another order.
+
+Any other stop is refused as replayed.
 
 An emergency stop must never be refused wrongly. So a robot that refuses a stop answers `REPLAYED`,
 with a proof for the operator. The operator then repeats the stop with an origin that was never
@@ -21,14 +23,16 @@ a copied folder, clock behind    refused, and taken with the next repeat (0.1 s)
 the operator's clock is set back the file keeps the counter, which goes on from the last
 the file is lost or damaged      a new origin
 the file cannot be written       a random origin for each command
-the file is a restored backup    refused if the clock is behind, too, and then as a copied folder
+the file is a restored backup    taken, since the clock has passed all earlier counters; with a
+                                 clock that is behind: as a copied folder
 several commands at one time     the file is locked, and any order of counters within SLACK is taken
 a robot restarts                 it keeps the greatest counters on disk, and a stop that is still
                                  repeated gets a new origin. Without its file the robot takes
                                  replayed stops
 relayed copies                   are known by their ids, or come within SLACK. Robots relay for a
                                  minute, and take over the origin of the operator's newest copy
-a stolen robot forges counters   as a copied folder
+a stolen robot forges counters   the operator's next stop is refused, and taken with the next
+                                 repeat, under a new origin
 ===============================  ===================================================================
 
 Not covered: a robot that has heard neither the stop nor a later stop of its origin accepts a

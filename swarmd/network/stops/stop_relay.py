@@ -72,11 +72,12 @@ class _Relayed:
     """Acks that were handed on: robot, receiver, origin of a refusal, code, is_moving."""
 
     def take_ages(self, copy: Stop, now: float) -> None:
-        """Update `issued` and `repeated` by a copy of the stop that came at `now`.
+        """Update the times of the stop (`issued`, `repeated`) by a copy that came at `now`.
 
-        Copies that came by several ways have different ages, and the greatest age counts. But later
-        copies move `issued` back by at most MAX_AGE_SHIFT. With a forged great age the stop would
-        look older than the present run, and would not end this run.
+        Copies that came by several ways have different ages. The greatest age counts, since the age
+        of a copy does not include the time on the network. Copies after the first move `issued`
+        back by at most MAX_AGE_SHIFT: a stop with a forged great age would look older than the
+        present run, and would not end this run.
         """
         issued = now - copy.age / 1000.0
         self.issued = max(min(self.issued, issued), self.first_issued - MAX_AGE_SHIFT)
@@ -118,12 +119,28 @@ class _Relayed:
             self.acks[ack.robot] = ack
         return True
 
+    def receivers_of(self, ack: Ack, source: Address) -> list[Address]:
+        """The senders of the stop that now get a copy of another robot's ack.
+
+        `source`, the sender of this ack, is never among them.
+        """
+        receivers = [address for address in self.sources if address != source]
+        if ack.refusal != REPLAYED:
+            return self.take_receivers(ack, None, receivers) if self.keep_ack(ack) else []
+        if not ack.via:  # the refusing robot itself has sent the ack
+            return receivers
+        # A refusal that a third robot has handed on could travel in circles. After a refusal the
+        # operator repeats the stop with a new origin, which robots may refuse again.
+        return self.take_receivers(ack, self.stop.origin, receivers)
+
     def take_receivers(
         self, ack: Ack, origin: bytes | None, receivers: list[Address]
     ) -> list[Address]:
         """The receivers that have not got such an ack yet; from now on they count as having it.
 
-        `origin`: the origin of the stop for a refusal, else None.
+        Each receiver gets one copy for each code of the ack, and for each of the two states of the
+        base, moving and at rest. `origin`: the origin of the stop if the ack refuses the stop as
+        replayed, else None. For each origin each receiver gets one copy of a refusal.
         """
         taken: list[Address] = []
         for address in receivers:
@@ -149,25 +166,26 @@ class StopRelay:
         """Take a copy of a stop, and relay the stop from now on if it is new.
 
         `source`: the sender of this copy, the operator or another robot. `is_member` False: the
-        sender is no member of the swarm, so its copy does not count for REDUNDANCY. An operator
-        that sends the stop again may lack acks: returns acks of other robots for this operator.
+        sender is no member of the swarm, so its copy does not count for REDUNDANCY. Returns acks of
+        other robots if the operator itself sent this copy, since it may lack these acks.
         `wants_ack` decides on this robot's own ack.
         """
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key) or self._begin(stop, now)
         is_from_operator = stop.hops == 0
         relayed.take_ages(stop, now)
-        if stop.hops <= relayed.stop.hops:  # relay the copy that came by the fewest robots
+        # Relay the copy that came by the fewest robots. Of several such copies relay the last: the
+        # operator gives a stop that a robot refused as replayed a new origin and counter.
+        if stop.hops <= relayed.stop.hops:
             relayed.stop = replace(
                 relayed.stop, hops=stop.hops, origin=stop.origin, counter=stop.counter
             )
+        relayed.add_sender(source, is_operator=is_from_operator)
         if is_from_operator:
             relayed.heard_directly = now
-        elif is_member:
-            relayed.copies += 1
-        relayed.add_sender(source, is_operator=is_from_operator)
-        if is_from_operator and source in relayed.sources:
             return self._acks_again(relayed, source, now)
+        if is_member:
+            relayed.copies += 1
         return []
 
     def _begin(self, stop: Stop, now: float) -> _Relayed:
@@ -215,35 +233,15 @@ class StopRelay:
     def on_ack(self, ack: Ack, source: Address) -> list[Send]:
         """Take another robot's ack of a relayed stop; returns copies of the ack to hand on.
 
-        The copies go to the senders of the stop, except `source`, the sender of this ack. A copy
-        names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
-        each part has its own senders.
-
-        1. A refusal of the stop as replayed that comes from the refusing robot itself is handed on
-           whenever it comes.
-        2. Such a refusal that a third robot has handed on could travel in circles. So each sender
-           gets it once for each origin of the stop (bytes that mark the operator's installation):
-           the operator repeats a refused stop with a new origin.
-        3. Of any other ack each sender gets one copy for each code, and for each of the two states
-           of the base, moving and at rest. No copy is sent of an ack that is not kept for lack of
-           room (`_Relayed.keep_ack`).
+        The copies go to senders of the stop, but not to `source`, the sender of this ack. A copy
+        names this robot as `via`.
         """
         if ack.robot == self._own:
             return []
-        handed = replace(ack, via=self._own)
-        is_refusal = ack.refusal == REPLAYED
-        sends: list[Send] = []
-        for (stop_id, _, _), relayed in self._stops.items():
-            if stop_id != ack.id:
-                continue
-            receivers = [address for address in relayed.sources if address != source]
-            if is_refusal and not ack.via:
-                sends += [(handed, address) for address in receivers]
-            elif is_refusal or relayed.keep_ack(ack):
-                origin = relayed.stop.origin if is_refusal else None
-                new_receivers = relayed.take_receivers(ack, origin, receivers)
-                sends += [(handed, address) for address in new_receivers]
-        return sends
+        copy = replace(ack, via=self._own)
+        # A stop with many targets is relayed in parts with one id. Each part has its own senders.
+        parts = [relayed for (id, _, _), relayed in self._stops.items() if id == ack.id]
+        return [(copy, address) for part in parts for address in part.receivers_of(ack, source)]
 
     def advance(
         self, now: float, is_over: Callable[[Stop, float], bool] = lambda stop, issued: False
