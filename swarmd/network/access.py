@@ -10,10 +10,10 @@ Directions are seen from the session that has the rules: `ingress` messages come
 the link, `egress` messages go there.
 
 - A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
-  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
-  `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each name of the
-  roster. It receives puts, the messages of programs to patterns, from operators only: such a
-  message may move a robot.
+  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. A robot sends
+  `state/*` and `message/**` to operators and viewers, and answers `shared/<what>/<asker>` to each
+  name of the roster. A robot receives puts, the messages of programs to patterns, from operators
+  only: such a message may move the robot.
 - Operators and viewers receive a robot's keys from the robot of that name only.
 - Robots, operators and viewers see each other's liveliness tokens; each may declare only the token
   of its own name.

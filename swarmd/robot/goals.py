@@ -5,7 +5,8 @@ is the greatest goal that targets this robot. Goals are ordered by generation, i
 bytes, so that all robots that have seen the same goals hold the same goal. Robots hand on the age
 of a goal, without wall clocks. After a restart the age is unknown until a peer reports it.
 
-1. A goal that comes from a peer, without a request to this robot, starts no run: it is offered.
+1. A goal that comes from a peer, without a request to this robot, starts no run: the goal is
+   offered.
 2. Exception: the robot joins (runs without a request) a goal with `on_join: run` whose age is known
    and below `valid`. The robot must have been idle, or must have run for a lesser goal, when the
    goal came, and no run may have ended since.

@@ -270,9 +270,9 @@ class _Writer:
 class _Maker(NamedTuple):
     """How to make the Python object of a node from the node's parts; for one kind of nodes.
 
-    If `is_of_objects` is False, `make(parts)` returns a value. If it is True, `make(parts)` returns
-    an object without fields, and the function that sets its fields. The fields are set once all
-    objects exist, since objects may refer to one another in a circle.
+    For a kind of values `make(parts)` returns the value. For a kind of objects (`is_of_objects`)
+    `make(parts)` returns an object without fields, and the function that sets its fields. The
+    fields are set once all objects exist, since objects may refer to one another in a circle.
     """
 
     is_of_objects: bool

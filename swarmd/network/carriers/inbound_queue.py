@@ -54,8 +54,8 @@ class DropCounter:
         1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
         2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`
            gets Code.FAILED and the text FAILED, since the handler may have carried out a part.
-        3. `CoreFault`, an error of the robot's core, does not derive from Exception. It is not
-           caught here, and ends the daemon.
+        3. `CoreFault`, an error of the robot's core, is not caught, since it does not derive from
+           Exception: a `CoreFault` ends the daemon.
         """
         try:
             yield

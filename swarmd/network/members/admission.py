@@ -142,11 +142,11 @@ class Admission:
                 return True
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
-        """The beacon, or its flaw: its robot is not on the roster, or it may be replayed.
+        """The beacon, or its flaw: the robot is not on the roster, or the beacon may be replayed.
 
         The beacon of a robot that claims its id need not be fresh: the owner of the id answers the
         claim, and other robots ignore the beacon. While this robot claims the same id, the beacon
-        must be fresh, since it decides which robot gets the id.
+        must be fresh, since the beacon decides which robot gets the id.
         """
         if beacon.robot not in self.names:
             return Flaw.FORGED

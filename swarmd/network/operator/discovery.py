@@ -344,17 +344,19 @@ class Discovery:
     def ends_at(self, now: float, lacking: Iterable[str]) -> float:
         """The time in s until which the look waits for answers of the robots in `lacking`.
 
-        An attacker may invent robots: a robot that does not prolong the look (`_prolongs`) counts
-        for none of these ends. The latest end counts. All waits grow with the round trip:
+        The latest of these ends counts. All waits grow with the round trip:
 
         1. `quiet_time` after the last news of a robot.
         2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found, since
            robots are dialled together. This wait grows with the loss of datagrams, too.
         3. For a robot in `lacking` that only other robots report as alive: UNREACHABLE_WAIT after
-           it became known.
-        4. For any other robot in `lacking`: GONE_WAIT after it became known. A robot that is only
-           on the roster is known from the start.
+           the robot became known.
+        4. For any other robot in `lacking`: GONE_WAIT after the robot became known. A robot that is
+           only on the roster counts as known from the start.
         5. While no robot is heard: the timeout for the first robot.
+
+        An attacker may invent robots. So the ends 1 to 4 leave out robots that do not prolong a
+        look (`_prolongs`).
         """
         first_robot_end = self.started + self._first_robot_wait
         if not self._known_since:

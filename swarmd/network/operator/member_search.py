@@ -43,14 +43,15 @@ class MemberSearch:
     ) -> MembersView:
         """Query all members (a look) until the look is complete; returns the members.
 
-        `discovery`: a new look, into which threads of the carrier and of Zenoh put the answers. It
-        decides when the look is complete (`is_complete`). An incomplete look ends after `timeout`
-        s. With `timeout` None an incomplete look ends once a longer wait is of no use (`is_over`),
-        and after `cap` s at the latest. `needs_status` False: statuses are asked for only after
-        STATUS_DELAY.
+        `discovery`: a new look, into which threads of the carrier and of Zenoh put the answers.
+        `discovery.is_complete` decides when the look is complete. An incomplete look ends after
+        `timeout` s. With `timeout` None an incomplete look ends once a longer wait is of no use
+        (`discovery.is_over`), and after `cap` s at the latest. `needs_status` False: statuses are
+        asked for only after STATUS_DELAY.
         """
         now = discovery.started
-        solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
+        solicit_timer = RepeatTimer(now, SOLICIT_PACE)
+        status_timer = RepeatTimer(now, POLL_PACE)
         over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY

@@ -84,7 +84,8 @@ class RequestSender:
         of_other_version = set(asked) & set(view.of_other_version())
         other_version_wait = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
         acks = Acks(request.id)
-        started = now = repeat_at = boottime()
+        started = now = boottime()
+        repeat_at = now  # the first query is due at once
         links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)

@@ -34,7 +34,7 @@ class _Progress:
         """Note the robots that have not stopped; with the lock held.
 
         Before `_rest_time` these are only the robots without an ack, since a base needs time to
-        stop. After it, robots whose last ack says "moving" are added.
+        stop. From `_rest_time` on, robots whose last ack says "moving" are added.
         """
         lacking = pending.lacking(now)  # without an ack, or the base still moves
         self._unstopped = lacking if now >= self._rest_time else pending.silent(now)
@@ -105,7 +105,7 @@ class StopSender:
                     targets = pending.selected()
                     new_targets = targets - known_targets
                     known_targets = targets
-                    # A repeat goes to all targets. Between two repeats only new targets get it.
+                    # A repeat goes to all targets (None); between two repeats, to new targets only.
                     is_repeat_due = stop_timer.is_due(now)
                     stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:

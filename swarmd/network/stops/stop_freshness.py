@@ -15,24 +15,26 @@ Any other stop is refused as replayed.
 
 An emergency stop must never be refused wrongly. So a robot that refuses a stop answers `REPLAYED`,
 with a proof for the operator. The operator then repeats the stop with an origin that was never
-used. An attacker can only replay datagrams, and cannot make a new origin. The cases:
+used. An attacker can only replay datagrams, and cannot make a new origin. The cases, and what
+becomes of the operator's stop:
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
-a copied folder, clock behind    refused, and taken with the next repeat (0.1 s), under a new origin
+a copied folder, clock behind    refused, and accepted with the next repeat (0.1 s), under a new
+                                 origin
 the operator's clock is set back the file keeps the counter, which goes on from the last
 the file is lost or damaged      a new origin
 the file cannot be written       a random origin for each command
-the file is a restored backup    taken, since the clock has passed all earlier counters; with a
-                                 clock that is behind: as a copied folder
-several commands at one time     the file is locked, and any order of counters within SLACK is taken
+the file is a restored backup    accepted, since the clock has passed all earlier counters; with a
+                                 clock that is behind: as for a copied folder
+several commands at one time     the file is locked, and robots accept any order of counters within
+                                 SLACK
 a robot restarts                 it keeps the greatest counters on disk, and a stop that is still
                                  repeated gets a new origin. Without its file the robot takes
                                  replayed stops
 relayed copies                   are known by their ids, or come within SLACK. Robots relay for a
                                  minute, and take over the origin of the operator's newest copy
-a stolen robot forges counters   the operator's next stop is refused, and taken with the next
-                                 repeat, under a new origin
+a stolen robot forges counters   as for a copied folder
 ===============================  ===================================================================
 
 Not covered: a robot that has heard neither the stop nor a later stop of its origin accepts a

@@ -125,22 +125,23 @@ class _Relayed:
         `source`, the sender of this ack, is never among them.
         """
         receivers = [address for address in self.sources if address != source]
-        if ack.refusal != REPLAYED:
+        is_refused_as_replayed = ack.refusal == REPLAYED
+        if not is_refused_as_replayed:
             return self.take_receivers(ack, None, receivers) if self.keep_ack(ack) else []
         if not ack.via:  # the refusing robot itself has sent the ack
             return receivers
-        # A refusal that a third robot has handed on could travel in circles. After a refusal the
-        # operator repeats the stop with a new origin, which robots may refuse again.
+        # A refusal that a third robot has handed on could travel in circles: each receiver gets one
+        # copy for each origin. After a refusal the operator repeats the stop with a new origin.
         return self.take_receivers(ack, self.stop.origin, receivers)
 
     def take_receivers(
         self, ack: Ack, origin: bytes | None, receivers: list[Address]
     ) -> list[Address]:
-        """The receivers that have not got such an ack yet; from now on they count as having it.
+        """The receivers without a copy of such an ack; from now on they count as having a copy.
 
-        Each receiver gets one copy for each code of the ack, and for each of the two states of the
-        base, moving and at rest. `origin`: the origin of the stop if the ack refuses the stop as
-        replayed, else None. For each origin each receiver gets one copy of a refusal.
+        A receiver gets one copy for each code of the ack, for each of the two states of the base
+        (moving and at rest), and for each origin. `origin`: the origin of the stop if the ack
+        refuses the stop as replayed, else None.
         """
         taken: list[Address] = []
         for address in receivers:
@@ -166,8 +167,8 @@ class StopRelay:
         """Take a copy of a stop, and relay the stop from now on if it is new.
 
         `source`: the sender of this copy, the operator or another robot. `is_member` False: the
-        sender is no member of the swarm, so its copy does not count for REDUNDANCY. Returns acks of
-        other robots if the operator itself sent this copy, since it may lack these acks.
+        sender is no member of the swarm, so its copy does not count for REDUNDANCY. If the operator
+        itself sent this copy, returns acks of other robots, which the operator may lack.
         `wants_ack` decides on this robot's own ack.
         """
         key = stop.id, stop.verb, stop.targets
