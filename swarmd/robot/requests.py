@@ -226,10 +226,10 @@ class RequestHandler:
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
         """Reply to a stop. `is_moving` of the reply is True while the base is not known to rest.
 
-        The operator repeats the stop until the base rests. The reply becomes the failure
-        NOT_STOPPED if the base is not known to rest STOP_TIME after the stop. Causes: zero commands
-        do not reach the base, or the base does not obey them. A base that the driver has not
-        reached yet may still move by a command of an earlier daemon process.
+        The operator repeats the stop until the base rests. If the base is not known to rest
+        STOP_TIME after the stop, the reply becomes the failure NOT_STOPPED: zero commands do not
+        reach the base, or the base does not obey them. A base that the driver has not reached yet
+        may still move by a command of an earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)

@@ -366,10 +366,11 @@ class Ticker:
 def tick_many(
     robots: list, rows: list, commands: cython.double[:, ::1], now: cython.double
 ) -> list[tuple[int, Actions]]:
-    """Tick many robots; returns (index in `robots`, actions) of each tick that is not quiet.
+    """Tick many robots; returns index and actions of each robot whose tick is not quiet.
 
-    A quiet tick only computes the safe command, and writes it into `commands`: a row of linear
-    (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of `robots[i]`.
+    A quiet tick only computes the safe command, and writes the command into `commands`: a row of
+    linear (m/s), angular (rad/s) and lateral (m/s) for each robot. `rows[i]`: the row of
+    `robots[i]`.
     """
     not_quiet: list = []
     robot: Ticker

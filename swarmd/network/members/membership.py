@@ -62,15 +62,15 @@ class Life(Struct):
     has_returned: bool = False  # a beacon came after the farewell, which was false
 
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
-        """Take a beacon; False for a delayed beacon, or a farewell that does not count.
+        """Take a beacon; False if the beacon is ignored: a delayed beacon, or a false farewell.
 
         1. A beacon whose number is not above the number of the newest beacon counts as delayed for
            LATE_TIME after the newest beacon came. After this time the beacon is taken: a forged
            beacon with a high number must not hide the robot for long.
         2. `is_answer`: the beacon answers a question that was asked after the farewell (Flag.LEFT)
            of this life. Such a beacon never counts as delayed.
-        3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
-           this life counts.
+        3. A beacon after a farewell shows that the farewell was false. From then on each farewell
+           of this life counts as false.
         """
         is_farewell = bool(beacon.flags & Flag.LEFT)
         is_delayed = beacon.sequence <= self.beacon.sequence and now - self.heard < LATE_TIME

@@ -115,7 +115,7 @@ class Discovery:
     # Events
 
     def wants_members(self, now: float) -> bool:
-        """True if the next solicit must ask for member lists; then notes `now` as asked.
+        """True if a solicit at `now` must ask for member lists; notes `now` as the last question.
 
         Lists are long. So a solicit asks for lists only at the start, soon again while a robot that
         is heard has not sent its list, and every LISTS_PERIOD once all lists have come.

@@ -347,8 +347,7 @@ class Operator:
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
-        # Targets that were in reach at the last look, or came in reach since.
-        asked = {
+        asked = {  # the targets that were in reach at the last look, or came in reach since
             name: epoch
             for name, epoch in targets.items()
             if last_view.is_in_reach(name) or present_view.is_in_reach(name)
@@ -359,7 +358,7 @@ class Operator:
         outcome, linked = self._requests.send(
             request, targets, asked, last_view, self._discovery, timeout, is_ended
         )
-        # Robots that have a link and sent no reply: they may lack this operator in their roster.
+        # Mute robots have a link and sent no reply: they may lack this operator in their roster.
         return replace(outcome, mute=self._mute(linked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
