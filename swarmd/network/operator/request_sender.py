@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from msgspec.structs import replace
 
@@ -29,6 +29,7 @@ REQUEST_LOSS_WAIT = 15.0  # s, times the share of solicits that were lost
 REQUEST_CAP = 45.0  # s
 # s between two checks for new links while a robot has none.
 LINK_PERIOD = 0.003
+LEAST_PAUSE = 0.001  # s for which the sender waits in any case before it sends again
 # s, and round trips, after which robots of another version are not waited for.
 OTHER_VERSION_WAIT, OTHER_VERSION_TRIPS = 1.0, 6.0
 
@@ -73,60 +74,63 @@ class RequestSender:
     ) -> tuple[Outcome, set[str]]:
         """Send a request to the robots in `asked`, and repeat it until all have replied.
 
-        Robots without a Zenoh link are dialled as `discovery` finds them. Returns the outcome for
-        `targets`, and the robots in `asked` with a link. Sending ends after `timeout` s, or once
-        `is_ended` returns True. `view`: the members by the last look (query of all members). Robots
-        of another version in `view` may not reply: when only such robots are missing, sending ends
-        after a short time.
+        `targets`: all robots that the outcome is about; targets that are not in `asked` count as
+        missing. `view`: the members by the last look (query of all members). Robots without a Zenoh
+        link are dialled as `discovery` finds them. Sending ends after `timeout` s, or once
+        `is_ended` returns True. If only robots of another version are missing, which may never
+        reply, sending ends after a short time. Returns the outcome, and the robots in `asked` with
+        a link.
         """
         of_other_version = set(asked) & set(view.of_other_version())
+        other_version_wait = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
         acks = Acks(request.id)
-        other_version_timeout = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
-        other_version_timeout = min(timeout, other_version_timeout)
         started = now = boottime()
+        repeat_at = now  # the first query is due at once
         links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
-        repeat_at = now
         while missing and (time_left := started + timeout - now) > 0:
-            # 1. Send to robots that have just got a link. If a repeat is due, send to all missing
-            # robots with a link.
-            receivers = self._sessions.linked(links, unlinked)
-            unlinked -= receivers
+            newly_linked = self._sessions.linked(links, unlinked)
+            unlinked -= newly_linked
+            receivers = newly_linked
             if now >= repeat_at:
                 repeat_at = now + REPEAT_PERIOD
                 receivers = set(missing) - unlinked
-            if receivers:
-                # The age of the request at its arrival, so that a robot can refuse it as too old.
-                payload = encode(aged(request, now - started + view.round_trip))
-                # One query to all robots replaces many: robots that are no targets ignore it.
-                is_for_all = len(receivers) == len(asked)
-                for robot in [ANY] if is_for_all else sorted(receivers):
-                    self._sessions.get(
-                        robot, CONTROL, request.verb, payload, time_left, _collect(acks)
-                    )
-
-            # 2. Dial the robots without a link.
+            # One query to all robots replaces many: robots that are no targets ignore the query.
+            names = [ANY] if len(receivers) == len(asked) else sorted(receivers)
+            # With the age at its arrival, so that a robot can refuse the request as too old.
+            present_request = aged(request, now - started + view.round_trip)
+            self._query(present_request, names, time_left, acks)
             if unlinked and discovery is not None:
                 self._sessions.dial(discovery, now, only=unlinked)
-
-            # 3. Wait for replies.
             pause = min(time_left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
             with self._arrivals.lock:
-                self._arrivals.lock.wait_for(lambda: not acks.missing(asked), max(pause, 0.001))
-                missing, now = acks.missing(asked), boottime()
-            if is_ended():
-                break
-            if now - started >= other_version_timeout and of_other_version.issuperset(missing):
+                self._arrivals.lock.wait_for(
+                    lambda: not acks.missing(asked), max(pause, LEAST_PAUSE)
+                )
+                missing = acks.missing(asked)
+                now = boottime()
+            lacks_only_other_version = of_other_version.issuperset(missing)
+            is_in_vain = lacks_only_other_version and now - started >= other_version_wait
+            if is_ended() or is_in_vain:
                 break
         links.close()
-
-        # A robot of another version without a reply counts as refused.
         with self._arrivals.lock:
+            # A robot of another version that has not replied counts as refusing.
             for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
         return outcome, set(asked) - unlinked
+
+    def _query(
+        self, request: AnyRequest, robots: Sequence[str], timeout: float, acks: Acks
+    ) -> None:
+        """Send the request to each robot in `robots` (ANY: to all); the replies go to `acks`."""
+        if not robots:
+            return
+        payload = encode(request)
+        for robot in robots:
+            self._sessions.get(robot, CONTROL, request.verb, payload, timeout, _collect(acks))
 
     def ask(
         self, robots: Iterable[str], name: str, payload: bytes, timeout: float

@@ -34,7 +34,7 @@ class _Progress:
         """Note the robots that have not stopped; with the lock held.
 
         Before `_rest_time` these are only the robots without an ack, since a base needs time to
-        stop. After it, robots whose last ack says "moving" are added.
+        stop. From `_rest_time` on, robots whose last ack says "moving" are added.
         """
         lacking = pending.lacking(now)  # without an ack, or the base still moves
         self._unstopped = lacking if now >= self._rest_time else pending.silent(now)
@@ -78,46 +78,44 @@ class StopSender:
         """Send a stop, and repeat it until all targets have acked and rest; returns the outcome.
 
         `pending`: the stop, with its targets and the acks that other threads put there.
-        `discovery`: the robots that are found meanwhile. `until`: s at which sending ends at the
-        latest; None: by `pending.is_over`, or with `until_all` never. Sending also ends once
-        `is_ended` returns True. With `until_all`, `on_progress` gets the robots without an ack when
-        these change, and a KeyboardInterrupt ends sending like `is_ended`.
+        `discovery`: the robots that are found meanwhile. Sending ends earlier
+
+        - once `is_ended` returns True,
+        - at the time `until` in s,
+        - if `until` is None: once a longer wait is of no use (`PendingStop.is_over`).
+
+        `until_all`: the last of these ends does not apply. `on_progress` gets the robots that have
+        not stopped whenever these change, and a KeyboardInterrupt ends sending without an error.
         """
         with self._arrivals.lock:
             self._pending = pending
         now = boottime()
-        solicit_timer, stop_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
+        solicit_timer = RepeatTimer(now, SOLICIT_PACE)
+        stop_timer = RepeatTimer(now, STOP_PACE)
         progress = _Progress(now)
-        targets: frozenset[str] = frozenset()
+        known_targets: frozenset[str] = frozenset()
         try:
             while True:
                 with self._arrivals.lock:
-                    # 1. Has sending ended?
                     now, count = boottime(), self._arrivals.count
-                    is_over = until is not None and now >= until
-                    if until is None and not until_all:
-                        is_over = pending.is_over(now)
+                    is_over = _is_over(pending, now, until, until_all=until_all)
                     if is_over or is_ended() or pending.is_done(now):
                         break
-
-                    # 2. Send to all targets if a repeat is due, else only to targets that were just
-                    # found.
-                    targets_before, targets = targets, pending.selected()
                     progress.take(pending, now)
-                    is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
+                    targets = pending.selected()
+                    new_targets = targets - known_targets
+                    known_targets = targets
+                    # A repeat goes to all targets (None); between two repeats, to new targets only.
+                    is_repeat_due = stop_timer.is_due(now)
                     stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
                 if is_repeat_due or new_targets:
                     for stop_part, addresses in stops:
                         self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
-                self._rosters.begin()  # takes a newer roster, if a robot shows one, on a thread
-
-                # 3. Find more robots, and report progress.
+                self._rosters.begin()  # if a robot shows a newer roster: takes it, on a thread
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
                 if until_all:
                     progress.report(on_progress, now)
-
-                # 4. Wait for an ack, or until something is due.
                 pause = min(solicit_timer.pause(now), stop_timer.pause(now))
                 to_end_check = END_PERIOD if until is None else until - now
                 self._arrivals.wait(count, min(pause, to_end_check))
@@ -127,3 +125,10 @@ class StopSender:
         with self._arrivals.lock:
             self._pending = None
             return pending.outcome(boottime())
+
+
+def _is_over(pending: PendingStop, now: float, until: float | None, *, until_all: bool) -> bool:
+    """True at the time `until`; without this time, once a longer wait is of no use."""
+    if until is not None:
+        return now >= until
+    return not until_all and pending.is_over(now)

@@ -7,28 +7,34 @@ operator's identity keeps both. A robot accepts
 - a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
   the robot first heard the stop. So a copy ends no run that began later, and does not renew an
   emergency stop that was reset since.
-- any other stop whose counter is above the greatest counter heard of its origin, less SLACK. A stop
-  with a lower counter is refused as replayed. SLACK covers stops that operators issue at the same
-  time, and that robots relay in another order.
+- a stop with a new id, if its counter is less than SLACK behind the greatest counter that the robot
+  has heard of its origin. SLACK covers stops that operators issue at the same time, and that robots
+  relay in another order.
+
+Any other stop is refused as replayed.
 
 An emergency stop must never be refused wrongly. So a robot that refuses a stop answers `REPLAYED`,
 with a proof for the operator. The operator then repeats the stop with an origin that was never
-used. An attacker can only replay datagrams, and cannot make a new origin. The cases:
+used. An attacker can only replay datagrams, and cannot make a new origin. The cases, and what
+becomes of the operator's stop:
 
 ===============================  ===================================================================
 two machines of one operator     each has an origin of its own
-a copied folder, clock behind    refused, and taken with the next repeat (0.1 s), under a new origin
+a copied folder, clock behind    refused, and accepted with the next repeat (0.1 s), under a new
+                                 origin
 the operator's clock is set back the file keeps the counter, which goes on from the last
 the file is lost or damaged      a new origin
 the file cannot be written       a random origin for each command
-the file is a restored backup    refused if the clock is behind, too, and then as a copied folder
-several commands at one time     the file is locked, and any order of counters within SLACK is taken
+the file is a restored backup    accepted, since the clock has passed all earlier counters; with a
+                                 clock that is behind: as for a copied folder
+several commands at one time     the file is locked, and robots accept any order of counters within
+                                 SLACK
 a robot restarts                 it keeps the greatest counters on disk, and a stop that is still
                                  repeated gets a new origin. Without its file the robot takes
                                  replayed stops
 relayed copies                   are known by their ids, or come within SLACK. Robots relay for a
                                  minute, and take over the origin of the operator's newest copy
-a stolen robot forges counters   as a copied folder
+a stolen robot forges counters   as for a copied folder
 ===============================  ===================================================================
 
 Not covered: a robot that has heard neither the stop nor a later stop of its origin accepts a
@@ -62,9 +68,9 @@ class TakenStop(Struct, frozen=True):
 class StopFreshness:
     """The stops that a robot has heard, by which it refuses replayed stops.
 
-    `floors`: by origin, the greatest counter that the robot heard in its earlier life. A stop of
-    such an origin is accepted only above this counter: SLACK does not apply, since the robot does
-    not know the ids of those earlier stops any more.
+    `floors`: by origin, the greatest counter that the robot heard in its earlier life. The robot no
+    longer knows the ids of the stops of that life. So a stop of such an origin must have a greater
+    counter, without SLACK.
     """
 
     def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:
@@ -79,10 +85,10 @@ class StopFreshness:
 
     def take(self, stop: Stop, now: float) -> TakenStop | None:
         """Take a stop; None if it is refused as replayed."""
-        first = self._first.get(stop.id)
+        first_heard_at = self._first.get(stop.id)
         greatest = self._greatest.get(stop.origin)
-        if first is not None:
-            age = max(stop.age, round(1000.0 * (now - first)))
+        if first_heard_at is not None:
+            age = max(stop.age, round(1000.0 * (now - first_heard_at)))
             self._note(stop)
             return TakenStop(replace(stop, age=age), True)
         if greatest is not None:
