@@ -113,19 +113,19 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         )
     rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
 
-    def operator(_: Tell) -> Operator:
-        """A new operator of the connection's pool, with the present files of roster and identity.
+    def make_operator(ignored_tell: Tell) -> Operator:
+        """An operator with the present files of roster and identity.
 
-        The argument would print notes on the connection, for which an agent has no terminal.
+        The operator prints no notes on its connection: an agent has no terminal.
         """
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
         return Operator(settings, roster=roster, identity=identity, program="mcp")
 
-    # stdout belongs to the protocol.
+    # The log goes to stderr (the default), since stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    connection = Connection(operator, timeout=options.timeout)
+    connection = Connection(make_operator, timeout=options.timeout)
     with suppress(asyncio.CancelledError):
         asyncio.run(_serve(connection, allow, rehearse))
 
@@ -152,8 +152,8 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
-            # The SDK drops unknown names: `robot` instead of `robots` would command all robots. It
-            # also reads "null" as None, and true as 1.0.
+            # Stricter than the SDK, which drops unknown arguments: a call with `robot` instead of
+            # `robots` would command all robots. The SDK also reads "null" as None, and true as 1.0.
             if (expected := arguments_of.get(name)) is not None:
                 try:
                     msgspec.convert(arguments, expected)
@@ -176,11 +176,10 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
                 text = f"nothing was sent: {error}" if is_unsent else str(error)
                 raise ToolError(_cut(text)) from error
 
-        arguments_of[method.__name__] = _arguments(method)
-        is_harmless = method.__name__ in ("stop", "estop")
-        hints = ToolAnnotations(
-            read_only_hint=not is_command, destructive_hint=is_command and not is_harmless
-        )
+        name = method.__name__
+        arguments_of[name] = _arguments(method)
+        is_destructive = is_command and name not in ("stop", "estop")
+        hints = ToolAnnotations(read_only_hint=not is_command, destructive_hint=is_destructive)
         server.add_tool(call, annotations=hints)
 
     server = Server(
@@ -244,9 +243,9 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    A rehearsal simulates a run before the run is sent (`Rehearsal`). The run is then sent only if
-    no stop was requested during the rehearsal: no stop by this server, and no stop by another
-    operator that the epoch of a robot shows.
+    A rehearsal simulates a run before the run is sent (`Rehearsal`). A stop or another request
+    during the rehearsal prevents the run. This server counts its own stops. A request of another
+    operator changes the epoch of a robot (the count of the robot's changes).
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
@@ -373,8 +372,6 @@ class SwarmTools:
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
-            # A stop during the rehearsal takes precedence over the run: a stop by this server
-            # counts in `_stops`, a stop by others changes the epochs of robots.
             stops_before = self._stops
             async with self._simulating:
                 epochs_before = await self._epochs()

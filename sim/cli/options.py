@@ -209,8 +209,9 @@ def chosen_metrics(
 ) -> tuple[Metric, ...] | None:
     """The metrics named by `--metrics A,B`; None if the option is not given (`text` is None).
 
-    `about` finds a metric by name; None: `metric_of`. `Results.asked` also knows the custom metrics
-    that the experiment has measured. ConfigError with the nearest name for an unknown metric.
+    `about`: a function that finds a metric by name, such as `Results.asked`, which also knows the
+    custom metrics of the experiment; None: `metric_of`. ConfigError with the nearest name for an
+    unknown metric.
     """
     if text is None:
         return None
