@@ -214,17 +214,11 @@ def paint_bodies(
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    robots = np.arange(len(trace.ids))
-    instants = np.full(len(robots), instant)
-    if instant == 0:
-        instants = np.isfinite(trace.pose).all(axis=2).argmax(axis=0)
-    is_present = presence(trace)[instants, robots]
+    is_present, poses = _presence_and_poses(trace, instant)
     is_small = len(trace.ids) > _MAX_LARGE
-    for rows, linestyle, alpha in (
-        (np.flatnonzero(is_present), "-", 1.0),
-        (np.flatnonzero(~is_present), ":", 0.45),
-    ):
-        bodies = [(trace.footprint(row), trace.pose[instants[row], row]) for row in rows.tolist()]
+    present, absent = np.flatnonzero(is_present), np.flatnonzero(~is_present)
+    for rows, linestyle, alpha in ((present, "-", 1.0), (absent, ":", 0.45)):
+        bodies = [(trace.footprint(row), poses[row]) for row in rows.tolist()]
         robot_colours = [colours[row] for row in rows.tolist()]
         style: dict[str, Any] = {
             "linewidths": 0.3 if is_small else 0.9,
@@ -243,6 +237,19 @@ def paint_bodies(
             noses = [_nose(shape, pose) for shape, pose in bodies]
             line_colours = [_ink(c) for c in robot_colours] if is_filled else robot_colours
             axes.add_collection(LineCollection(noses, colors=line_colours, **style), autolim=False)
+
+
+def _presence_and_poses(trace: Trace, instant: int) -> tuple[NDArray[np.bool_], Array]:
+    """Whether the daemon of each robot (n,) is present at an instant, and the poses (n, 3).
+
+    At instant 0, each robot is taken at the first instant with a pose.
+    """
+    robots = np.arange(len(trace.ids))
+    instants = np.full(len(robots), instant)
+    if instant == 0:
+        has_pose = np.isfinite(trace.pose).all(axis=2)
+        instants = has_pose.argmax(axis=0)
+    return presence(trace)[instants, robots], trace.pose[instants, robots]
 
 
 def _ink(colour: str) -> str:
