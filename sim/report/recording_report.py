@@ -213,7 +213,7 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
         is_zero = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
-        for first, end in _spans(is_stopped):
+        for first, end in _true_spans(is_stopped):
             start, seconds = float(trace.t[first]), float(trace.t[end - 1] - trace.t[first])
             if seconds >= LEAST_STOP:
                 why = _most_frequent(reason[first:end]) or str(state[first])
@@ -221,8 +221,8 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
     return [cells for _, cells in sorted(stops)]
 
 
-def _spans(is_true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
-    """The spans of instants at which `is_true` (instants,): the first, and the instant after."""
+def _true_spans(is_true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """The spans in which `is_true` (instants,) holds: first instant, first instant after."""
     padded = np.concatenate(([False], is_true, [False])).astype(int)
     changes = np.flatnonzero(np.diff(padded)).tolist()  # by turns the begin and the end of a span
     yield from zip(changes[::2], changes[1::2], strict=True)
