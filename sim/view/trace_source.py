@@ -275,7 +275,8 @@ class _ShownRun:
         is_present = bool(self._present[at, i])
         state = "running" if trace.state is None else str(trace.state[at, i])
         reason = "" if trace.reason is None else str(trace.reason[at, i])
-        has_bound = trace.bound is not None and np.isfinite(trace.bound[at, i]).all()
+        bound, requested = _finite(trace.bound, at, i), _finite(trace.requested, at, i)
+        gap = _finite(trace.gap, at, i)
         row: dict[str, Any] = {
             "presence": "alive" if is_present else "absent",
             "state": state if is_present else "",
@@ -286,12 +287,11 @@ class _ShownRun:
             "limits": self._limits,
             "safe": _rounded(trace.safe[at, i]),
             "protection": self._protection_word(at, i, state),
-            "rows": [_rounded(trace.bound[at, i])] if has_bound else [],
+            "rows": [] if bound is None else [_rounded(bound)],
         }
-        if trace.requested is not None and np.isfinite(trace.requested[at, i]).all():
-            row["requested"] = _rounded(trace.requested[at, i])
-        has_gap = trace.gap is not None and np.isfinite(trace.gap[at, i])
-        row["near"] = round(float(trace.gap[at, i]), 3) if has_gap else None
+        if requested is not None:
+            row["requested"] = _rounded(requested)
+        row["near"] = None if gap is None else round(float(gap), 3)
         return row
 
     def _protection_word(self, at: int, i: int, state: str) -> str:
@@ -325,6 +325,13 @@ def _known_platforms(run: RecordedRun) -> list[Platform]:
     except ConfigError:
         return []
     return [loaded[name] for name in names]
+
+
+def _finite(values: Array | None, at: int, i: int) -> Any:
+    """The value of robot `i` at instant `at`; None if the trace lacks it, or it is not finite."""
+    if values is None or not np.isfinite(values[at, i]).all():
+        return None
+    return values[at, i]
 
 
 def _partner(contact: TraceContact, robot: str) -> str:
