@@ -7,9 +7,8 @@ import math
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from signal import SIGTERM
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -34,6 +33,7 @@ from swarmd.sim.cli.options import (
     set_option,
     trust_option,
     warn_of_few,
+    workers,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
     from swarmd.sim.experiments.plan import Plan
     from swarmd.sim.experiments.results import Results
-    from swarmd.sim.experiments.simulate import Runner
     from swarmd.sim.metrics.metric import Metric
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
@@ -137,7 +136,6 @@ def run(
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
     from swarmd.sim.experiments.simulate import plan_of, run_experiment
     from swarmd.sim.metrics.catalog import beyond_catalog
 
@@ -145,7 +143,6 @@ def run(
         raise ConfigError("--cores is for runs on this machine; leave it out with --scheduler")
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
-        from swarmd.sim.experiments.cluster import connect
 
     # 2. The metrics to show (None: a default choice), and the plan of all runs.
     chosen = chosen_metrics(metrics)
@@ -192,22 +189,15 @@ def run(
         shown=[metric.name for metric in chosen or ()],
     )
 
-    # 4. The runs, in processes of this machine or on a cluster.
-    step_timeout = STEP_TIMEOUT if timeout is None else timeout
+    # 4. The runs.
     start_time = time.monotonic()
     try:
-        with ExitStack() as stack:
-            stack.enter_context(signals_end(SIGTERM))
-            if scheduler is None:
-                runner = _local_runner(jobs, cores or 1, step_timeout)
-            else:
-                cluster = stack.enter_context(
-                    connect(scheduler, manifest, step_timeout, warn, jobs)
-                )
-                # This manifest names the software and processors of the workers.
-                manifest, runner = cluster.manifest, cluster.run_jobs
-            on_progress = stack.enter_context(progress())
-            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
+        with (
+            signals_end(SIGTERM),
+            workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, of_workers),
+            progress() as on_progress,
+        ):
+            results = run_experiment(of_workers, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         _tell_how_to_resume(folder, plan, command)
         raise
@@ -237,18 +227,6 @@ def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
     most_robots = max(run.robots for run in plan.runs)
     cores_per_run = cores_of_a_run(usable_cores(), parallel_runs, most_robots)
     return cores_per_run if cores_per_run > 1 else None
-
-
-def _local_runner(jobs: int | None, cores: int, timeout: float) -> Runner:
-    """A function that does runs in processes of this machine, each run on `cores` cores.
-
-    `jobs`: runs at a time; None: as many as this machine has cores for. `timeout` in s without
-    progress of a run.
-    """
-    from swarmd.sim.experiments.pool import run_jobs
-
-    processes = jobs or max(1, usable_cores() // cores)
-    return partial(run_jobs, processes=processes, timeout=timeout, cores=cores)
 
 
 def _command(scenario: str, seeds: str, options: Mapping[str, object]) -> list[str]:
@@ -331,9 +309,10 @@ def rerun(
             for run, difference in difference_by_run.items()
         ]
         print_table(("RUN", "RESULT"), rows)
-    identical = list(difference_by_run.values()).count("")
-    warn(f"{identical} of {len(difference_by_run)} runs are identical")
-    ctx.exit(_exit_code(identical, is_complete=identical == len(difference_by_run)))
+    identical_runs = [run for run, difference in difference_by_run.items() if not difference]
+    is_complete = len(identical_runs) == len(difference_by_run)
+    warn(f"{len(identical_runs)} of {len(difference_by_run)} runs are identical")
+    ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
 
 
 @exp.command()

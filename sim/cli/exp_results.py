@@ -26,6 +26,7 @@ from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
+    from swarmd.sim.experiments.requirements import RequirementFinding
     from swarmd.sim.experiments.results import Results
     from swarmd.sim.experiments.simulate import Progress
     from swarmd.sim.metrics.metric import Metric
@@ -104,7 +105,6 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
-    from swarmd.sim.experiments.statistics import NOTHING, interval, number
 
     parsed = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)  # one for each variant
@@ -115,23 +115,30 @@ def check(
         listed = [finding.document() for finding in findings]
         print_json("Check", {"passed": is_passed, "missing": missing_runs, "requirements": listed})
     else:
-        rows = []
-        for finding in findings:
-            remark = f"({finding.remark})" if finding.remark else ""
-            rows.append(
-                (
-                    finding.requirement.text,
-                    finding.variant or NOTHING,
-                    number(finding.value),
-                    interval(finding.interval),
-                    "met" if finding.is_met else f"missed {remark}",
-                )
-            )
-        print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
+        _print_findings(findings)
     if missing_runs:
         warn(f"not complete: {missing_runs}")
     warn(f"{sum(f.is_met for f in findings)} of {len(findings)} requirements are met")
     ctx.exit(0 if is_passed else MISSED)
+
+
+def _print_findings(findings: Sequence[RequirementFinding]) -> None:
+    """Print a row for each requirement and variant."""
+    from swarmd.sim.experiments.statistics import NOTHING, interval, number
+
+    rows = []
+    for finding in findings:
+        remark = f"({finding.remark})" if finding.remark else ""
+        rows.append(
+            (
+                finding.requirement.text,
+                finding.variant or NOTHING,
+                number(finding.value),
+                interval(finding.interval),
+                "met" if finding.is_met else f"missed {remark}",
+            )
+        )
+    print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
 
 
 @click.command()

@@ -22,15 +22,15 @@ from swarmd.sim.cli.options import (
     output_option,
     scenarios,
     set_option,
+    workers,
 )
-from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+from swarmd.sim.experiments.cores import MAX_PROCESSES
 
 if TYPE_CHECKING:
     from rich.live import Live
     from rich.table import Table
 
-    from swarmd.sim.experiments.manifest import Manifest
-    from swarmd.sim.experiments.simulate import OnProgress, Progress, Runner
+    from swarmd.sim.experiments.simulate import OnProgress, Progress
     from swarmd.sim.experiments.tune import Candidate, Look, OnLook
 
 _MAX_ROWS = 8  # candidates in the live table
@@ -139,14 +139,12 @@ def tune(
     need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
     names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     folder = out or new_folder(Path("experiments"), names)
-    step_timeout = STEP_TIMEOUT if timeout is None else timeout
 
     # The search, with its progress on stderr.
     try:
@@ -164,7 +162,7 @@ def tune(
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
                 out=folder,
-                workers=partial(_workers, scheduler, jobs, step_timeout),
+                workers=partial(workers, scheduler, jobs, timeout),
                 on_note=lambda note: warn(f"note: {note}"),
                 on_look=on_look,
                 on_step=on_step,
@@ -184,26 +182,6 @@ def tune(
 
         draw_tuning(tuned, folder / "plots")
     warn(f"results: {folder}/ (the file: {folder / tuning.RESULT})")
-
-
-@contextmanager
-def _workers(
-    scheduler: str | None, jobs: int | None, timeout: float, manifest: Manifest
-) -> Iterator[tuple[Runner, Manifest]]:
-    """Yield a function that does the runs of `manifest`, and the manifest of the workers.
-
-    The workers are processes of this machine, or those of the Dask cluster at `scheduler`. `jobs`:
-    runs at a time; None: all cores. `timeout` in s without progress of a run.
-    """
-    if scheduler is None:
-        from swarmd.sim.experiments.pool import run_jobs
-
-        yield partial(run_jobs, processes=jobs or usable_cores(), timeout=timeout), manifest
-        return
-    from swarmd.sim.experiments.cluster import connect
-
-    with connect(scheduler, manifest, timeout, warn, jobs) as cluster:
-        yield cluster.run_jobs, cluster.manifest
 
 
 @contextmanager

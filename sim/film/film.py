@@ -98,14 +98,15 @@ def make_film(
         caption = Caption(size, title, colouring.key, notes)
 
         # 3. The frames. The last frame shows the time `stop`, and stays for _HOLD s.
-        count = max(round((stop - settings.start) * rate / settings.speed), 1)
+        seconds = stop - settings.start
+        count = max(round(seconds * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
-            for number in range(count):
-                time = settings.start + (number + 1) * (stop - settings.start) / count
+            for number in range(1, count + 1):
+                time = settings.start + number * seconds / count
                 picture = marks.onto(renderer.frame(time, settings.trail), time)
                 frame = caption.below(picture, f"{time:.1f} s")
                 encoder.write(frame)
-                on_progress(number + 1, count)
+                on_progress(number, count)
             for _ in range(round(_HOLD * rate)):
                 encoder.write(frame)
     return [

@@ -86,16 +86,7 @@ class RealTimeWorld:
         # in a random order of the rows, so that no row is favoured. Other sensors take turns in the
         # order of the rows.
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
-        scan_rates = np.array([p.scan.rate for p in world.platforms])
-        self._sensor_times = SensorTimes(
-            Staggered(scan_rates, start, order),
-            Staggered(world.ring_rates, start),  # rings of range sensors
-            [
-                (sensor, Staggered(np.full(n, sensor.rate), start))
-                for sensor in SENSORS
-                if sensor.is_there(world)
-            ],
-        )
+        self._sensor_times = _sensor_times(world, order)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         radio_settings = RadioSettings() if radio is None else radio.settings
         radio_rates = np.full(n, neighbors_rate(radio_settings))
@@ -257,3 +248,18 @@ class RealTimeWorld:
 
 def _triples(rows: Array) -> tuple[Triple, ...]:
     return tuple((a, b, c) for a, b, c in rows.tolist())
+
+
+def _sensor_times(world: World, lidar_order: NDArray[np.int64]) -> SensorTimes:
+    """The schedules of lidars, rings of range sensors and further sensors, from now on.
+
+    `lidar_order` (n,): the rows in the order in which their lidars take turns.
+    """
+    now = world.time
+    scan_rates = np.array([platform.scan.rate for platform in world.platforms])
+    further = [sensor for sensor in SENSORS if sensor.is_there(world)]
+    return SensorTimes(
+        Staggered(scan_rates, now, lidar_order),
+        Staggered(world.ring_rates, now),
+        [(sensor, Staggered(np.full(len(world.ids), sensor.rate), now)) for sensor in further],
+    )
