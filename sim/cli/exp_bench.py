@@ -83,11 +83,11 @@ def bench(
 ) -> None:
     """Run patterns in the tasks of the benchmark suite, and print one table of the results.
 
-    TASK is a name of `exp bench list`, or a file of that format. Without TASK all ten tasks are
-    run. A cell of the table has the median over the seeds and its 95 % interval. A cell has a rank
-    within its task only if its interval overlaps no other interval of the task. A pattern is not
-    run in a task whose robots lack an input that the pattern needs; a line on stderr names it.
-    Before the runs, a line estimates the time.
+    TASK is a name of `exp bench list`, or a file in the format of these tasks. Without TASK all ten
+    tasks are run. A cell of the table has the median over the seeds and its 95 % interval. A cell
+    has a rank within its task only if its interval overlaps no other interval of the task. A
+    pattern is not run in a task whose robots lack an input that the pattern needs; a line on stderr
+    names the pattern. Before the runs, a line estimates the time.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """

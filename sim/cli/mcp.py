@@ -475,8 +475,9 @@ def _variant(
 ) -> Scenario:
     """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
 
-    Events after the end are left out. `params` are parameters of `pattern`, and take the place of
-    all parameters in the scenario, which are for the patterns that `pattern` replaces.
+    Events after the end are left out. `params`: the parameters of `pattern`. With a `pattern`, they
+    replace the parameters of the groups, which are for the groups' own patterns. The scenario's
+    parameters by pattern stay.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 

@@ -74,10 +74,11 @@ def intervals_figure(
     """A figure with a panel for each metric and a row for each variant.
 
     A row has a point for every run, and above the points the mean as a diamond with its 95 %
-    interval, of a share Wilson's interval. If an event never happened in some runs, the median of
-    all runs stands in place of the mean. If the variants are numbers, the distances of the rows are
-    the distances of the numbers. One variant with more than three metrics is drawn as a table.
-    `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without panels.
+    interval (Wilson's interval if the mean is a share). If an event never happened in some runs,
+    the median of all runs stands in place of the mean. If the variants are numbers, the distances
+    of the rows are the distances of the numbers. One variant with more than three metrics is drawn
+    as a table. `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without
+    panels.
     """
     runs = _runs_of(panels)
     if len(runs) == 1 and len(panels) > _MAX_STRIPS:
@@ -145,8 +146,8 @@ def grid_of_panels(
 ) -> tuple[Figure, list[Axes]]:
     """A new figure with a grid of `count` panels; returns the figure and the axes of the panels.
 
-    `labels`: of the rows inside a panel, shown at the left of the grid. `places`: of these rows.
-    `width`: in inches, for a paper, or None. All sizes here are in inches.
+    `labels`: the labels of the rows in each panel, shown at the left of the grid. `places`: the
+    places of these rows. `width`: in inches, for a paper, or None. All sizes here are in inches.
     """
     labels_width = 0.3 + 0.07 * max(map(len, labels))
     columns = min(count, 3)

@@ -374,9 +374,9 @@ class Health(Struct, frozen=True, kw_only=True):
 
     - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
     - `storage`: why a restart would lose latches; empty if latches are on disk.
-    - `usage`: of the daemon. `pattern_usage`: of its pattern host. Both are None in the first
+    - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host; None in the first
       second.
-    - `sandbox`: of the pattern host; None until the first host has started.
+    - `sandbox`: the sandbox of the pattern host; None until the first host has started.
     """
 
     scan_rate: Rate = 0.0
@@ -411,11 +411,12 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
 class Body(Struct, frozen=True, kw_only=True):
     """The body of a robot, as the robot reports it to peers.
 
-    - `surface_speed`: of the fastest surface of the robot near an obstacle, in m/s.
-    - `radius`: of a circle around the axle that contains the robot, in m.
-    - `scan_plane`: the height of its range sensor above the floor, in m.
-    - `lowest`, `highest`: a horizontal plane between these heights in m meets the body. A height
-      that the platform does not declare is None.
+    - `surface_speed`: the highest speed of any surface of the robot near an obstacle, in m/s.
+    - `radius`: the radius of a circle around the axle that contains the robot, in m.
+    - `scan_plane`: the height of the robot's range sensor above the floor, in m.
+    - `lowest`, `highest`: each horizontal plane between these heights in m meets the body.
+
+    A height that the platform does not declare is None.
     """
 
     platform: Word

@@ -531,7 +531,7 @@ class DoctorReply(Struct, frozen=True, kw_only=True):
       of the roster. Both are None without keys.
     - `heard`: the number of alive robots whose datagrams come by each way, such as `multicast`.
     - `storage`: why a restart would lose latches; empty without a fault.
-    - `sandbox`: of the pattern host.
+    - `sandbox`: the sandbox of the pattern host.
     """
 
     robot: Name
