@@ -145,47 +145,20 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     These are all tools that read or simulate, and those of `allow` that command robots.
     """
     from mcp.server.mcpserver import MCPServer
-    from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
     arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
-            # Stricter than the SDK, which drops unknown arguments: a call with `robot` instead of
-            # `robots` would command all robots. The SDK also reads "null" as None, and true as 1.0.
-            if (expected := arguments_of.get(name)) is not None:
-                try:
-                    msgspec.convert(arguments, expected)
-                except msgspec.ValidationError as error:
-                    prefix = "nothing was sent: " if name in COMMANDS else ""
-                    text = _cut(f"{prefix}{error}")
-                    raise ToolError(f"Error executing tool {name}: {text}") from error
+            if name in arguments_of:
+                _check_arguments(name, arguments, arguments_of[name])
             return await super().call_tool(name, arguments, context)
-
-    def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
-        """Add a method of `tools` to the server; its SwarmError becomes a ToolError."""
-
-        @wraps(method)
-        async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
-            try:
-                return await method(*args, **kwargs)
-            except SwarmError as error:
-                # A ConfigError comes before a request is sent; other errors may come later.
-                is_unsent = is_command and isinstance(error, ConfigError)
-                text = f"nothing was sent: {error}" if is_unsent else str(error)
-                raise ToolError(_cut(text)) from error
-
-        name = method.__name__
-        arguments_of[name] = _arguments(method)
-        is_destructive = is_command and name not in ("stop", "estop")
-        hints = ToolAnnotations(read_only_hint=not is_command, destructive_hint=is_destructive)
-        server.add_tool(call, annotations=hints)
 
     server = Server(
         "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
     )
-    for method in (
+    methods: list[Callable[..., Coroutine[Any, Any, Answer]]] = [
         tools.members,
         tools.describe,
         tools.goal,
@@ -194,12 +167,51 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
         tools.pattern,
         tools.scenarios,
         tools.simulate,
-    ):
-        tool(method, is_command=False)
-    for name in COMMANDS:
-        if name in allow:
-            tool(getattr(tools, name), is_command=True)
+    ]
+    methods += [getattr(tools, name) for name in COMMANDS if name in allow]
+    for method in methods:
+        name = method.__name__
+        arguments_of[name] = _arguments(method)
+        is_command = name in COMMANDS
+        is_destructive = is_command and name not in ("stop", "estop")
+        hints = ToolAnnotations(read_only_hint=not is_command, destructive_hint=is_destructive)
+        server.add_tool(_as_tool(method, is_command=is_command), annotations=hints)
     return server
+
+
+def _check_arguments(name: str, arguments: Answer, expected: type[msgspec.Struct]) -> None:
+    """Raise ToolError for unknown arguments of the tool `name`, and for values of a wrong type.
+
+    The SDK drops unknown arguments: a call with `robot` instead of `robots` would command all
+    robots. The SDK also reads "null" as None, and true as 1.0.
+    """
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    try:
+        msgspec.convert(arguments, expected)
+    except msgspec.ValidationError as error:
+        prefix = "nothing was sent: " if name in COMMANDS else ""
+        text = _cut(f"{prefix}{error}")
+        raise ToolError(f"Error executing tool {name}: {text}") from error
+
+
+def _as_tool(
+    method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool
+) -> Callable[P, Coroutine[Any, Any, Answer]]:
+    """The method with a ToolError in place of its SwarmError."""
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    @wraps(method)
+    async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
+        try:
+            return await method(*args, **kwargs)
+        except SwarmError as error:
+            # A ConfigError comes before a request is sent; other errors may come later.
+            is_unsent = is_command and isinstance(error, ConfigError)
+            text = f"nothing was sent: {error}" if is_unsent else str(error)
+            raise ToolError(_cut(text)) from error
+
+    return call
 
 
 @dataclass(frozen=True)

@@ -76,10 +76,11 @@ def player_of(source: Source) -> Player:
 
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
+    # The first message that the page gets from a server: robots, arena and runs. The page lets only
+    # the role operator move the time of a run.
+    hello = {**hello_of(source, "operator"), "runs": [playback.run]}
     data = {
-        # The first message that the page gets from a server: robots, arena and runs. Only the role
-        # operator may move the time of a run.
-        "hello": {**hello_of(source, "operator"), "runs": [playback.run]},
+        "hello": hello,
         "period": period,
         "count": count,
         "centre": centre,

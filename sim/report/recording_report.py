@@ -87,7 +87,6 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     that was not recorded is zero; any other value is NaN, False or empty. `path`: the file, for
     ConfigError if no robot has recorded odometry.
     """
-    # 1. Instants and empty arrays.
     tracks = {
         name: track for name, track in timeline.tracks.items() if track.topics["odometry"].times
     }
@@ -99,10 +98,8 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays: dict[str, Any] = blank_decisions(shape)
     arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
     arrays["safe"] = np.zeros((*shape, 3))
-    # Reports, readings and reported texts (NAMED): an array for each key that a status has.
+    # Values of statuses, by kind (a report, a reading or a reported text) and by key.
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
-
-    # 2. The pose, the decision and the statuses of each robot.
     for row, (name, track) in enumerate(tracks.items()):
         for k, now in enumerate(t.tolist()):
             pose, decision = timeline.pose(name, now), track.decision(now)
