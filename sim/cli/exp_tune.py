@@ -298,7 +298,7 @@ def _narrow_table(look: Look, note: str, width: int) -> Table:
 def _labels(look: Look) -> dict[str, str]:
     """A short name of each parameter of the shown candidates, by its dotted key."""
     shown = look.candidates[:_MAX_ROWS]
-    return short_names(list(dict.fromkeys(key for one in shown for key in one.values)))
+    return short_names(list(dict.fromkeys(key for candidate in shown for key in candidate.values)))
 
 
 def _cells(candidate: Candidate, keys: Iterable[str]) -> list[str]:

@@ -24,9 +24,10 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     A terminal shows a bar. Any other output gets a line for the first estimate of the time left,
     and for each tenth of the runs.
     """
-    notes = _Notes(clock)
+    notes = _Notes()
     if not sys.stderr.isatty():
-        yield _Lines(notes).show
+        lines = _Lines(notes)
+        yield lambda now: lines.show(now, clock())
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
@@ -38,7 +39,8 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
         task = bar.add_task("", total=None, notes="")
 
         def show_bar(now: Progress) -> None:
-            bar.update(task, completed=now.done, total=now.total, notes=notes.text(now))
+            text = notes.text(now, clock())
+            bar.update(task, completed=now.done, total=now.total, notes=text)
 
         yield show_bar
 
@@ -51,25 +53,27 @@ class _Notes:
     simulates nothing, does not make the rate too low.
     """
 
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
+    def __init__(self) -> None:
         # Time in s and simulated robot-seconds of the first report with simulated time.
         self._first_report: tuple[float, float] | None = None
 
-    def text(self, now: Progress) -> str:
-        """Text such as ", 2 failed, about 30 s left"; empty if there is nothing to tell."""
+    def text(self, now: Progress, time: float) -> str:
+        """Text such as ", 2 failed, about 30 s left"; empty if there is nothing to tell.
+
+        `time`: of the report `now`, in s.
+        """
         failures = f", {now.failed} failed" if now.failed else ""
-        seconds = self._seconds_left(now)
+        seconds = self._seconds_left(now, time)
         return failures if seconds is None else f"{failures}, about {time_span(seconds)} left"
 
-    def _seconds_left(self, now: Progress) -> float | None:
+    def _seconds_left(self, now: Progress, time: float) -> float | None:
         """The estimate of the time left in s; None before the first estimate, and at the end."""
         if self._first_report is None and now.worked > 0.0:
-            self._first_report = self._clock(), now.worked
+            self._first_report = time, now.worked
         if self._first_report is None or now.left <= 0.0:
             return None
         first_time, first_worked = self._first_report
-        elapsed, worked = self._clock() - first_time, now.worked - first_worked
+        elapsed, worked = time - first_time, now.worked - first_worked
         if elapsed < FIRST_ESTIMATE or worked <= 0.0:
             return None
         return elapsed / worked * now.left
@@ -83,8 +87,8 @@ class _Lines:
         self._printed_tenths = -1
         self._has_estimate = False
 
-    def show(self, now: Progress) -> None:
-        text = self._notes.text(now)
+    def show(self, now: Progress, time: float) -> None:
+        text = self._notes.text(now, time)
         is_first_estimate = not self._has_estimate and text.endswith(" left")
         # Tenths of the runs that have ended; an experiment without runs has ended.
         tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES

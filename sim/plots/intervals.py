@@ -400,7 +400,8 @@ def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: st
     never happened in some runs. A text gives the number of runs without a value.
     """
     # Rows count downwards (`prepare_rows`): a smaller place is higher.
-    points_row, interval_row, text_row = row + 0.13, row - 0.22, row - 0.3
+    points_row, interval_row = row + 0.13, row - 0.22
+    text_row = row - 0.3
     place_by_row = axes.get_yaxis_transform()  # of texts: x as a share of the width, y in rows
     summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
     never = f"{summary.never} of {values.size} never" if summary.never else ""

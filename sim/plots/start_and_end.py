@@ -81,10 +81,12 @@ def _two_maps(extent: scene.Extent, robots: int, width: float | None) -> tuple[F
     rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
     # The y axis stands beside the maps, a title above each map, texts above and below all maps.
     if width is None:
-        gap, y_axis, map_title, texts = 0.2, 0.7, 0.4, 1.1
+        y_axis, gap = 0.7, 0.2
+        map_title, texts = 0.4, 1.1
         size = columns * (map_width + gap) + y_axis, rows * (map_height + map_title) + texts
     else:  # a paper, with smaller texts: the y axis leaves the rest of the width to the maps
-        y_axis, map_title, texts = 0.55, 0.25, 0.6
+        y_axis = 0.55
+        map_title, texts = 0.25, 0.6
         scale = (width - y_axis) / (columns * map_width)
         size = width, rows * (map_height * scale + map_title) + texts
     figure = new_figure(*size, is_map=True)

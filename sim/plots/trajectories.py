@@ -88,7 +88,8 @@ def _figure_size(
     """
     map_width, map_height = extent.panel(6.3 if is_named else 8.0)
     if width is not None:  # a paper: the axes, and beside the map of many robots a colour bar
-        y_axis, colour_bar, x_axis_and_legend = 0.6, 0.0 if is_named else 0.6, 0.75
+        y_axis, x_axis_and_legend = 0.6, 0.75
+        colour_bar = 0.0 if is_named else 0.6
         scale = (width - (y_axis + colour_bar)) / map_width
         return width, map_height * scale + x_axis_and_legend
     x_axis, y_axis = 0.5, 0.7

@@ -56,8 +56,7 @@ class Groups:
 def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
     """The robots of all groups; ConfigError for invalid ids, groups and platforms.
 
-    The platform of a robot also has the sensors that the simulation adds: `neighbors`, and the
-    readings of `fields` and items.
+    The platform of a robot also has the sensors that the simulation adds (`_equipped`).
     """
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of = _group_of(layers, groups)

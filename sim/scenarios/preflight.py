@@ -93,7 +93,7 @@ def check_patterns(
 
 
 def _refusal_of_load(executor: PatternExecutor, load: Load) -> LoadRefused | None:
-    """Load a pattern as a robot does; returns why the robot would refuse it, None if it would not.
+    """Load a pattern as a robot does; returns the refusal of the robot, None without a refusal.
 
     A pattern that calls sys.exit is refused: here the call would end this process.
     """

@@ -328,7 +328,7 @@ def _known_platforms(run: RecordedRun) -> list[Platform]:
 
 
 def _finite(values: Array | None, at: int, i: int) -> Any:
-    """The value of robot `i` at instant `at`; None if the trace lacks it, or it is not finite."""
+    """The value of robot `i` at instant `at`; None if the trace has no finite value."""
     if values is None or not np.isfinite(values[at, i]).all():
         return None
     return values[at, i]

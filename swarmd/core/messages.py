@@ -374,8 +374,8 @@ class Health(Struct, frozen=True, kw_only=True):
 
     - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
     - `storage`: why a restart would lose latches; empty if latches are on disk.
-    - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host; None in the first
-      second.
+    - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host. None: unknown, in
+      the first second.
     - `sandbox`: the sandbox of the pattern host; None until the first host has started.
     """
 

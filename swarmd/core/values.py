@@ -371,9 +371,9 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter: `mode`; `avoidance`; `preset`, the name of a preset
-      of the potential field, with each value of this preset under its own name; `barrier` and
-      `stop_zone`, the settings of these modes (None: not given).
+    - `protection`: the settings of the arbiter: `mode` and `avoidance`, the settings of the modes
+      `barrier` and `stop_zone` (None: not given), and `preset`, the name of a preset of the
+      potential field. The values of this preset stand beside `preset`, under their own names.
     - `patterns`: parameters by pattern name. `drivers`: options by driver name.
     - `heights`: None if unknown.
     - `body`: values for the simulated robot (mass, wheel base ...).

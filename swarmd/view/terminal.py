@@ -62,7 +62,7 @@ def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
 
 
 def _table_and_map(scene: Scene, width: int, height: int) -> list[Text]:
-    """The table in at most `height` lines, with the map beside it, below it, or without a map."""
+    """The table in at most `height` lines, with a map beside or below, if there is room for one."""
     min_map_width, min_map_height = MIN_MAP
     width_beside = width - TABLE_WIDTH - MARGIN
     if width_beside >= min_map_width and height >= min_map_height + FRAME:
