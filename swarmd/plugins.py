@@ -237,7 +237,7 @@ def _cached_summaries() -> Mapping[str, str] | None:
         if cache["times"] == {path: _time(path) for path in (*sys.path, *cache["sources"])}:
             return {str(name): str(text) for name, text in cache["lines"].items()}
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
-        pass
+        pass  # no cache, or a damaged cache
     return None
 
 

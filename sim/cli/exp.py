@@ -194,10 +194,11 @@ def run(
     try:
         with (
             signals_end(SIGTERM),
-            workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, of_workers),
+            workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, run_manifest),
             progress() as on_progress,
         ):
-            results = run_experiment(of_workers, folder, runner, on_progress=on_progress)
+            # `run_manifest` names the software and processors of the workers.
+            results = run_experiment(run_manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         _tell_how_to_resume(folder, plan, command)
         raise
@@ -219,9 +220,9 @@ def _exit_code(finished: int, *, is_complete: bool) -> int:
 
 
 def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
-    """The cores for each run if the runs are fewer than the cores; None: one core for each run.
+    """How many cores each run gets, so that no core is idle; None if each run gets one.
 
-    `jobs`: runs at a time, or None.
+    `jobs`: the most runs at a time; None: no limit.
     """
     parallel_runs = min(len(plan.runs), jobs or MAX_PROCESSES)
     most_robots = max(run.robots for run in plan.runs)
@@ -250,7 +251,7 @@ def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> Non
     """Print how many runs are kept, and `command`; nothing if `folder` has no results so far."""
     from swarmd.sim.experiments.results import load_results
 
-    with suppress(SwarmError):
+    with suppress(SwarmError):  # no results
         done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
         warn(f"{done}; to go on: {shlex.join(command)}")
 
@@ -357,9 +358,9 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
     A metric differs if the 95 % interval of the difference of means excludes 0. The p-values are
-    corrected for the number of metrics (Holm). The time to an event, such as gathering, has the
-    p-value of the log-rank test if some runs never reach the event. Its mean is then the restricted
-    mean: a run that reaches no event within the shorter duration of A and B counts as that
+    corrected for the number of metrics (Holm). If some runs never reach an event, such as
+    gathering, the times to this event are compared by the log-rank test. Their mean is then the
+    restricted mean: a run without the event within the shorter duration of A and B counts as that
     duration.
 
     If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
@@ -418,7 +419,7 @@ def list_scenarios(is_json: bool) -> None:
     for name in scenario_names():
         scenario = load_scenario(name)
         run_seconds = cost.run_seconds(name, len(scenario.robots), scenario.duration)
-        rounds = math.ceil(20 / cores)  # `cores` runs at a time
+        rounds = math.ceil(20 / cores)  # of 20 runs, `cores` runs at a time
         listed.append(
             {
                 "name": name,

@@ -116,16 +116,9 @@ def bench(
     if not entries:
         raise ConfigError(f"{', '.join(pattern_names)}: fits none of the tasks; see exp bench list")
 
-    # 2. The folder, and the command line that resumes the benchmark in this folder.
+    # 2. The runs: an entry is one pattern in one task. `command` resumes them in `folder`.
     folder = out or new_folder(Path("runs"), (f"bench-{n}" for n in count(1)))
-    command = ["swarmctl", "exp", "bench", *tasks]
-    command += [word for pattern in patterns for word in ("--pattern", pattern)]
-    command += ["--seeds", seeds] if seeds else []
-    command += [word for file in others for word in ("--with", str(file))]
-    command += ["--out", str(folder)]
-    command += ["--traces"] if traces else []
-
-    # 3. The runs: an entry is one pattern in one task.
+    command = _command(tasks, patterns, seeds, others, folder, traces=traces)
     processes = jobs or usable_cores()
     _print_estimate(entries, chosen_seeds, processes)
     start_time = time.monotonic()
@@ -142,7 +135,7 @@ def bench(
         warn(f"finished runs are kept in {folder}/; to go on: {shlex.join(command)}")
         raise
 
-    # 4. The table, the number of runs, and the exit code.
+    # 3. The table, the number of runs, and the exit code.
     better = {task.name: task.file.metric.better for task in loaded}
     table = benchmark.table_of(values, better)
     if is_json:
@@ -150,7 +143,8 @@ def bench(
         print_json("BenchmarkTable", {**document, "folder": str(folder)})
     else:
         _print_results(table, task_names)
-    # A failed run, and a run in which the metric has no value, has NaN.
+    # The runs with a value, for each row and task: a failed run has NaN, and so has a run in which
+    # the metric has no value.
     warn_of_few(
         sum(math.isfinite(value) for value in by_seed.values()) for by_seed in values.values()
     )
@@ -160,6 +154,25 @@ def bench(
     )
     if finished < planned:
         ctx.exit(PARTIAL if finished else FAILED)
+
+
+def _command(
+    tasks: Sequence[str],
+    patterns: Sequence[str],
+    seeds: str | None,
+    others: Sequence[Path],
+    folder: Path,
+    *,
+    traces: bool,
+) -> list[str]:
+    """The words of the command line that resumes a benchmark in `folder`."""
+    command = ["swarmctl", "exp", "bench", *tasks]
+    command += [word for pattern in patterns for word in ("--pattern", pattern)]
+    command += ["--seeds", seeds] if seeds else []
+    command += [word for file in others for word in ("--with", str(file))]
+    command += ["--out", str(folder)]
+    command += ["--traces"] if traces else []
+    return command
 
 
 def _run_entry(
@@ -248,10 +261,11 @@ def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
 def _values_of_files(
     files: Sequence[Path], loaded: Sequence[Task], patterns: set[str]
 ) -> dict[tuple[str, str], dict[int, float]]:
-    """The values in CSV files of other programs, by (name of table row, task) and by seed.
+    """The results of other programs, from CSV files.
 
-    Values of tasks that are not in `loaded` are left out. ConfigError if the name of a table row is
-    a name of `patterns`, or if two files give values for the same row and task.
+    Returns for each pair (row of the table, task) the values by seed. The column `name` of a file
+    names the rows. Values of tasks that are not in `loaded` are left out. ConfigError if a row has
+    the name of a pattern in `patterns`, or if two files give values for the same row and task.
     """
     from swarmd.sim.experiments.benchmark import read_results, task_names
 

@@ -146,7 +146,8 @@ def tune(
     names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     folder = out or new_folder(Path("experiments"), names)
 
-    # The search, with its progress on stderr.
+    # The search, with its progress on stderr. `on_look`: called with an interim result (a look).
+    # `on_step`: called with a line before each race and each set of held-out runs.
     try:
         with signals_end(SIGTERM), live_table() as (on_look, on_step, on_progress):
             tuned = tuning.tune(

@@ -126,7 +126,7 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
     # The log goes to stderr (the default), since stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
     connection = Connection(make_operator, timeout=options.timeout)
-    with suppress(asyncio.CancelledError):
+    with suppress(asyncio.CancelledError):  # a signal has ended the server
         asyncio.run(_serve(connection, allow, rehearse))
 
 
@@ -287,12 +287,12 @@ class SwarmTools:
         """What each robot is to do beside what it does."""
         rows = [
             {
-                "robot": one.robot,
-                "actual": one.actual,
-                "reason": one.reason,
-                "is_as_desired": one.is_as_desired,
+                "robot": robot_goal.robot,
+                "actual": robot_goal.actual,
+                "reason": robot_goal.reason,
+                "is_as_desired": robot_goal.is_as_desired,
             }
-            for one in await self._swarm.goal()
+            for robot_goal in await self._swarm.goal()
         ]
         return {"robots": rows}
 
@@ -302,7 +302,7 @@ class SwarmTools:
         `did_not_answer`: robots whose events are not known.
         """
         lines = []
-        with suppress(TimeoutError):
+        with suppress(TimeoutError):  # the usual end
             async with asyncio.timeout(_LISTEN):
                 async for line in self._swarm.events(since=seconds):
                     lines.append({"robot": line.robot, "text": line.text})
@@ -419,7 +419,11 @@ class SwarmTools:
     async def _epochs(self) -> Mapping[str, Epoch]:
         """The epoch of each robot that answered; a stop changes it."""
         members = await self._swarm.members()
-        return {name: one.status.epoch for name, one in members.items() if one.status is not None}
+        return {
+            name: member.status.epoch
+            for name, member in members.items()
+            if member.status is not None
+        }
 
     def _check_unstopped(
         self, stops: int, before: Mapping[str, Epoch], after: Mapping[str, Epoch]
@@ -485,16 +489,16 @@ def _check_bounds(name: str, value: float, highest: float) -> None:
 def _variant(
     scenario: Scenario, seconds: float, pattern: str | None, params: Mapping[str, Any]
 ) -> Scenario:
-    """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
+    """A scenario of `seconds` s in which all robots run `pattern` with the parameters `params`.
 
-    Events after the end are left out. `params`: the parameters of `pattern`. With a `pattern`, they
-    replace the parameters of the groups, which are for the groups' own patterns. The scenario's
-    parameters by pattern stay.
+    `pattern` None: the groups keep their own patterns and parameters, and `params` has no effect.
+    The key `parameters` of the whole scenario, which has parameters by pattern, stays in any case.
+    Events after the end are left out.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 
     content = {**scenario.effective, "duration": seconds}
-    content["events"] = [one for one in content.get("events") or () if one["at"] < seconds]
+    content["events"] = [event for event in content.get("events") or () if event["at"] < seconds]
     if pattern is not None:
         chosen = {"pattern": pattern, "parameters": dict(params)}
         content["groups"] = {name: {**group, **chosen} for name, group in content["groups"].items()}

@@ -248,11 +248,12 @@ def workers(
     *,
     cores: int = 1,
 ) -> Iterator[tuple[Runner, Manifest]]:
-    """Yield a function that does the runs of `manifest`, and the manifest of its workers.
+    """Yield a function that does the runs of `manifest`, and the manifest to store with the runs.
 
     The workers are processes of this machine, each run on `cores` cores, or the workers of the Dask
-    cluster at `scheduler`. `jobs`: runs at a time; None: as many as there are cores for. `timeout`
-    in s without progress of a run; None: STEP_TIMEOUT.
+    cluster at `scheduler`. The manifest to store names the software and processors of the workers.
+    `jobs`: runs at a time; None: as many as there are cores for. `timeout`: s without progress
+    after which a run fails; None: STEP_TIMEOUT.
     """
     from swarmd.sim.experiments.cores import usable_cores
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
@@ -265,15 +266,14 @@ def workers(
     from swarmd.sim.experiments.cluster import connect
 
     with connect(scheduler, manifest, step_timeout, warn, jobs) as cluster:
-        # The manifest of the cluster names the software and processors of the workers.
         yield cluster.run_jobs, cluster.manifest
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:
-    """Make a folder in `base` with the first free name; ConfigError if that fails.
+    """Make a folder in `base` with the first of `names` that is free; returns its path.
 
-    When the verb ends, the new folder is removed if it is empty. Then `base` is removed, too, if
-    this function made it and it is empty.
+    When the verb ends, the new folder is removed if it is still empty, and then also `base` if this
+    function made `base`. ConfigError if no folder can be made.
     """
     base_existed = base.exists()
     for name in names:
@@ -292,6 +292,6 @@ def new_folder(base: Path, names: Iterable[str]) -> Path:
 
 def _remove_empty(folders: Iterable[Path]) -> None:
     """Remove empty folders in this order, up to the first folder that is not empty."""
-    with suppress(OSError):
+    with suppress(OSError):  # a folder is not empty
         for folder in folders:
             folder.rmdir()

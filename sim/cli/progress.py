@@ -48,9 +48,9 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
 class _Notes:
     """The text on failures and on the time left.
 
-    The time left follows from the rate of simulated robot-seconds. So an estimate needs no finished
-    run. The rate counts from the first report with simulated time: the start of workers, which
-    simulates nothing, does not make the rate too low.
+    The time left follows from the rate of simulated robot-seconds, so that an estimate needs no
+    finished run. The rate is measured from the first report with simulated time on: before this
+    report the workers start and simulate nothing.
     """
 
     def __init__(self) -> None:

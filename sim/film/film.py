@@ -80,11 +80,14 @@ def make_film(
     size = settings.size or frame_size(trace, SIZES[path.suffix], settings.camera)
     stop = trace.duration if settings.stop is None else min(settings.stop, trace.duration)
     if stop <= settings.start:
-        text = f"from {settings.start:g} s to {stop:g} s of a run of {trace.duration:g} s"
-        raise ConfigError(f"a film {text} has no frame; choose an earlier start")
+        raise ConfigError(
+            f"a film from {settings.start:g} s to {stop:g} s of a run of {trace.duration:g} s has"
+            " no frame; choose an earlier start"
+        )
     colouring = colouring_of(trace, settings.colour)
 
-    # 2. The model, which fills a frame but for the caption.
+    # 2. The renderer, and the marks and the caption that are drawn onto its pictures. A frame is a
+    #    picture with the caption below.
     width, height = size
     picture_size = width, height - caption_height(height)
     stage = stage_of(trace, picture_size, run.platforms, run.fields)
@@ -93,7 +96,7 @@ def make_film(
         if stage.factor > _NOTED_ENLARGEMENT:
             notes.append(f"robots enlarged {stage.factor:.1f}x")
         marks = Marks(renderer, trace.ids)
-        if marks.prefix:
+        if marks.prefix:  # robots are shown with shorter names, without the common prefix
             notes.append(f"names begin with {marks.prefix}")
         caption = Caption(size, title, colouring.key, notes)
 

@@ -84,11 +84,11 @@ def stage_of(
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)
     extent = extent or extent_of(trace)
     _add_floor(spec, extent)
-    _add_picture(spec, arena, fields)
+    _add_coloured_floor(spec, arena, fields)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples = 4
     model = spec.compile()
-    _paint(model)
+    _set_colours_and_heights(model)
 
     # 2. Robots that would be too small are enlarged.
     parts = tuple(_parts_of(model, robot) for robot in robots)
@@ -214,7 +214,7 @@ def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
     )
 
 
-def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> None:
+def _add_coloured_floor(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> None:
     """Add the floor that the scenario's fields give, as a texture within the walls, if any."""
     pixels = floor_pixels(fields, (arena.length, arena.width))  # (rows, columns, 3), or None
     if pixels is None:
@@ -241,7 +241,7 @@ def _add_picture(spec: mujoco.MjSpec, arena: Arena, fields: Sequence[Field]) -> 
     )
 
 
-def _paint(model: mujoco.MjModel) -> None:
+def _set_colours_and_heights(model: mujoco.MjModel) -> None:
     """Set the colours and heights of walls and obstacles of the arena in the model."""
     for geom in range(model.ngeom):
         name, group = model.geom(geom).name, int(model.geom_group[geom])

@@ -281,7 +281,8 @@ class DemoRun:
         that run the first patterns. `before`, `after`: statuses at the start and at the end.
         `stop_outcome`: of the stop at the end.
         """
-        spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))
+        spec = self._fleet.spec
+        trace = self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
@@ -315,10 +316,10 @@ class DemoRun:
         after: Mapping[str, Status],
         contacts: int,
     ) -> list[str]:
-        """A line for each problem of the run until its end: of the start, of robots, of events.
+        """The problems of the run, each as a line: of the start, of robots, and of events.
 
-        An event may stop its robots or end their daemons. So for the robots of events only a fault
-        is a problem.
+        A robot of an event may have been stopped by the event, or have lost its daemon. So for the
+        robots of events only a fault is a problem.
         """
         events = self._timeline.done
         robots_of_events = {robot for event in events for robot in event.robots}

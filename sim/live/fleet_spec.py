@@ -93,9 +93,9 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
 def _tell_of_peers(kind: Platform, robot: str, visibility: str, tell: Tell) -> None:
     """Call `tell` with the findings that robots of the platform `kind` report about each other.
 
-    A finding says why a robot cannot rely on a peer, such as a peer that the lidar cannot see. This
-    finding is left out if lidars of this world see whole bodies (`visibility`). `robot`: the id of
-    a robot, for the texts.
+    A finding says why a robot cannot rely on a peer. The finding `unseen` (the lidar does not
+    detect the peer) is left out if lidars of this world detect whole bodies (`visibility`).
+    `robot`: the id of a robot, for the texts.
     """
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
 
@@ -150,6 +150,7 @@ def scenario_fleet(
         swarm=swarm,
         robots={robot: platform.name for robot, platform in loaded.robots.items()},
         folder=folder,
+        # Only for the texts of a summary: the scenario gives arena and start poses.
         arena=loaded.arena.text,
         layout=loaded.name,
         seed=seed,

@@ -78,7 +78,7 @@ class RealTimeWorld:
         self._arrivals = np.full(n, -np.inf)  # s, of the newest command; -inf: no command yet
         self._command_timeouts: Array = np.array(command_timeouts or [COMMAND_TIMEOUT] * n)
         self._sent_seq = np.full(n, -1)  # the number of the newest scan; -1: no scan yet
-        # How many newer scans make a scan stale.
+        # A command is stale if the robot got more newer scans than this since the command's scan.
         self._stale_scans = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0  # requests of viewers
 
@@ -167,10 +167,13 @@ class RealTimeWorld:
         neighbors at once, so that robots that start together hear one another from then on.
         """
         world, ids = self._world, self._world.ids
-        messages, due_rows = self._link.take_messages(), self._neighbors_due.due(world.time)
+        messages = self._link.take_messages()
+        # The rows of robots that get their neighbors now.
+        due_rows = self._neighbors_due.due(world.time)
         is_commanded = self._is_fresh(self._clock())
         if not np.array_equal(is_commanded, self._last_commanded):
-            self._last_commanded, due_rows = is_commanded, np.arange(len(ids))
+            self._last_commanded = is_commanded
+            due_rows = np.arange(len(ids))
         if messages or len(due_rows):
             # The corners of the movable boxes, which block a radio that needs a line of sight.
             poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())

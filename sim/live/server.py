@@ -101,7 +101,7 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     # `time_increment` from ray to ray, so for ROS the sectors must be small.
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
     if options.shared_frame or scenario.fence is not None:
-        world.posed = frozenset(range(len(world.ids)))
+        world.posed = frozenset(range(len(world.ids)))  # all robots get their poses in the world
     recorder = LiveRecorder(world, _recorder_settings(options, scenario, swarm))
 
     with ExitStack() as exit_stack:
@@ -115,8 +115,9 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
         # 3. The loop. Garbage collections skip the objects of the set-up, which stay alive.
         gc.collect()
         gc.freeze()
-        # Without a radio no neighbors are published: daemons then assume that all hear each other.
-        # Also range and bearing need a radio, since they are published with the neighbors.
+        # The default settings of the radio mean that all robots hear each other. The world then
+        # simulates no radio and publishes no neighbors, and daemons assume the same. Any other
+        # setting, also range and bearing, needs the radio, which gives the neighbors.
         has_radio = scenario.radio != RadioSettings()
         live = RealTimeWorld(
             world,

@@ -69,11 +69,12 @@ def await_robots(
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """Whether of each pair of robots both list each other as neighbors, or neither does.
+    """True if the neighbors that `robots` list are complete, as far as their statuses show.
 
-    With `all_hear_all` both must list each other. Without this, robots that have just started,
-    which list no neighbors, would count as known to each other. `view` has a status of each of
-    `robots`. True for more than MAX_NEIGHBORS robots, since a status lists no more neighbors.
+    With `all_hear_all` each robot must list each other robot. Otherwise two robots may be out of
+    reach of each other: then neither of the two lists the other, or both do. `view` must have a
+    status of each of `robots`. True for more than MAX_NEIGHBORS robots, since a status lists no
+    more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -97,24 +98,25 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
     """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
 
-    `view`: the members, with their epochs for the first request. (An epoch counts the changes of a
-    robot. A robot refuses a request that names an earlier epoch.) Each later request goes to the
-    robots that do not run the pattern yet. ConfigError if all robots refuse the first request.
-    SwarmError if no robot runs the pattern after the last request.
+    Each request after the first goes to the robots that do not run the pattern yet. `view`: the
+    members, with their epochs for the first request. (An epoch counts the changes of a robot. A
+    robot refuses a request that names an earlier epoch.) ConfigError if all robots refuse the first
+    request. SwarmError if no robot runs the pattern after the last request.
     """
     outcome = operator.request(RunRequest, view.epochs(run.robots), **run_fields(run))
     if len(outcome.refused) == len(run.robots):
         raise ConfigError(why_not("run", outcome))
     started_at_once, started_late = set(outcome.applied), set[str]()
     for _ in range(RUN_ATTEMPTS - 1):
-        waiting = set(run.robots) - started_at_once - started_late
-        if not waiting:
+        not_started = set(run.robots) - started_at_once - started_late
+        if not not_started:
             break
         # A robot may run the pattern although its acknowledgement was late or lost.
         view = operator.members()
-        started_late |= waiting & _running(view, run.pattern)
-        waiting_now = tuple(name for name in run.robots if name in waiting - started_late)
-        outcome = operator.request(RunRequest, view.epochs(waiting_now), **run_fields(run))
+        started_late |= not_started & _running(view, run.pattern)
+        # If all robots run by now, `targets` is empty: `outcome` then has no reason of a robot.
+        targets = tuple(name for name in run.robots if name in not_started - started_late)
+        outcome = operator.request(RunRequest, view.epochs(targets), **run_fields(run))
         started_late.update(outcome.applied)
     started = started_at_once | started_late
     if not started:

@@ -245,8 +245,9 @@ def _explanation(
 ) -> str:
     """The text below a figure that explains lines and bands.
 
-    `runs_of_variants`: the runs of each line. `variants`: the number of variants; up to _MAX_OUTER
-    have both bands, up to _MAX_INNER the band of half of the runs alone, more have none.
+    `runs_of_variants`: the runs of each line. `variants`: the number of variants. Up to _MAX_OUTER
+    variants have both bands. Up to _MAX_INNER variants have only the band of half of the runs. More
+    variants have no band.
     """
     counts = [len(runs) for runs in runs_of_variants]
     runs_text = f", n = {counts[0]}" if len(counts) == 1 and counts[0] > 1 else ""
@@ -268,7 +269,8 @@ def _explanation(
 class Bands:
     """Statistics of runs over time, (T,) each; NaN where no run has a value.
 
-    `inner` and `outer` are lower and upper bounds around `middle`; None for too few runs.
+    `inner` and `outer`: bands around `middle`, each with its lower and its upper bound; None for
+    too few runs.
     """
 
     t: Array

@@ -93,9 +93,9 @@ def draw_experiment(
       typical run, nearest to the median, and the worst run. A metric of which neither direction is
       better has no worst run: the run farthest from the median is drawn.
 
-    `out`: the folder of the pictures; None: `plots` in the experiment's folder. `metrics`: in place
-    of the default metrics; the first of them selects the typical run. `seeds`: of the runs to draw;
-    None: all.
+    `out`: the folder of the pictures; None: `plots` in the experiment's folder. `metrics`: the
+    metrics to draw, of which the first selects the typical run; None: default metrics. `seeds`:
+    only runs with these seeds are drawn; None: all runs.
 
     A missing or damaged trace gives one warning. ConfigError for an unknown metric, seed, facet or
     folder. SwarmError if no run has finished.
@@ -151,7 +151,7 @@ class _Gallery:
     ) -> None:
         """See `draw_experiment`, also for the errors."""
         self._results = load_results(folder)
-        # By name, or with the present code of a custom metric; None: the default metrics.
+        # The metrics to draw; None: the default metrics.
         self._metrics = None if metrics is None else [*map(self._results.asked, metrics)]
         self._out = folder / "plots" if out is None else out
         self._look = look
@@ -160,13 +160,12 @@ class _Gallery:
         self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._check_labels()
-        # By variant, its facet: the panel, and the label in the panel. In a paper the titles of the
-        # panels are letters.
+        # The facet of each variant, by the variant's name.
         facets = select.facets_of(self._results.plan, look.facet, self._scenario, look.labels)
         self._facets = _lettered(facets, look)
         self._warned: set[str] = set()  # runs whose trace cannot be drawn
-        names = {run.variant.name for run in self._runs}
-        self.variants = [name for name in self._results.variants if name in names]
+        drawn_variants = {run.variant.name for run in self._runs}
+        self.variants = [name for name in self._results.variants if name in drawn_variants]
         self._has_traces = (folder / "traces").is_dir()
         if not self._has_traces:
             _log.warning("%s: no traces were kept; what needs them is not drawn", folder)
@@ -429,15 +428,16 @@ class _Gallery:
 
     def _by_panel(self) -> dict[str, list[str]]:
         """The drawn variants of each panel."""
-        found: dict[str, list[str]] = {}
+        by_panel: dict[str, list[str]] = {}
         for variant in self.variants:
-            found.setdefault(self._facets[variant].panel, []).append(variant)
-        return found
+            by_panel.setdefault(self._facets[variant].panel, []).append(variant)
+        return by_panel
 
     def _has_spread(self, metric: Metric, panel: str, values: Sequence[Array]) -> bool:
-        """Whether the values differ, or only some runs have a value; warns if all are equal.
+        """False if a picture would show nothing: no run has a value, or all values are equal.
 
-        `values`: (runs,) of each variant.
+        `values`: (runs,) of each variant. Equal values of a metric that the user asked for give a
+        warning.
         """
         all_values = np.concatenate(values)
         known = all_values[np.isfinite(all_values)]
@@ -512,20 +512,20 @@ def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list
 
 def _varies(facets: Mapping[str, Mapping[str, Sequence[Series]]]) -> bool:
     """Whether the values are not all equal."""
-    runs = [one for groups in facets.values() for some in groups.values() for one in some]
+    runs = [run for panel in facets.values() for runs in panel.values() for run in runs]
     known = [values[np.isfinite(values)] for _, values in runs]
     return bool(known) and bool(np.ptp(np.concatenate(known)) > 0.0)
 
 
 def _lettered(facets: Mapping[str, select.Facet], look: Look) -> dict[str, select.Facet]:
     """The facets; for a paper their panels are (a), (b), and one line tells which is which."""
-    panels = [panel for panel in dict.fromkeys(one.panel for one in facets.values()) if panel]
+    panels = [panel for panel in dict.fromkeys(facet.panel for facet in facets.values()) if panel]
     if look.width is None or not panels:
         return dict(facets)
     names = [*ascii_lowercase, *map("".join, product(ascii_lowercase, repeat=2))]
     letters = {panel: f"({name})" for panel, name in zip(panels, names, strict=False)}
     _log.warning("panels: %s", ", ".join(f"{letter} {p}" for p, letter in letters.items()))
-    return {name: replace(one, panel=letters[one.panel]) for name, one in facets.items()}
+    return {name: replace(facet, panel=letters[facet.panel]) for name, facet in facets.items()}
 
 
 def _joined(label: str, panel: str) -> str:

@@ -110,9 +110,10 @@ def rows_of(names: Sequence[str]) -> PanelRows:
     """The places of rows for variants `names`: on a scale if the names are rising numbers.
 
     On a scale, the distances of rows are proportional to the differences of the numbers, and the
-    two closest rows are one row apart. If this makes the figure too long, the logarithms of the
-    numbers are taken. All distances are equal if the figure is still too long, if the names are not
-    rising numbers, or if there are fewer than _FEWEST_ON_SCALE rows.
+    two closest rows are one row apart. If the figure would be too long, the logarithms of the
+    numbers are taken in place of the numbers. Without a scale, all distances are one row: if the
+    figure would still be too long, if the names are not rising numbers, or if there are fewer than
+    _FEWEST_ON_SCALE rows.
     """
     equal = PanelRows(range(len(names)))
     values = np.array([finite_number(name) for name in names])
@@ -128,9 +129,9 @@ def rows_of(names: Sequence[str]) -> PanelRows:
 
 
 def _runs_of(panels: Sequence[Panel]) -> dict[str, int]:
-    """The number of runs of each variant, in order: the most in any panel.
+    """The number of runs of each variant, in the panel with the most runs of this variant.
 
-    SwarmError without panels.
+    The variants are in the order of `in_order`. SwarmError without panels.
     """
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
@@ -254,7 +255,7 @@ def curve_figure(
     if not np.isfinite(values).all() or len(values) < 2:
         raise SwarmError("a curve needs at least two values of one swept number")
     figure, grid = _grid_of_curves(len(panels), width)
-    is_log = rows_of(names).is_log
+    is_log = rows_of(names).is_log  # the horizontal axis has the scale of the rows of other figures
     for axes, panel in zip(grid, panels, strict=True):
         _paint_curve(axes, panel, dict(zip(names, values.tolist(), strict=True)))
         if is_log:
@@ -340,8 +341,8 @@ def _paint_runs_at(axes: Axes, x: float, values: Array, panel: Panel, colour: st
     return middle
 
 
-def _interval_of(found: Summary, panel: Panel) -> Interval | None:
-    return found.share_interval if panel.is_share else found.mean_interval
+def _interval_of(summary: Summary, panel: Panel) -> Interval | None:
+    return summary.share_interval if panel.is_share else summary.mean_interval
 
 
 def _table_figure(panels: Sequence[Panel], title: str, width: float | None) -> Figure:
@@ -394,10 +395,11 @@ def _table_row(panel: Panel) -> list[str]:
 
 
 def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: str) -> None:
-    """Paint a row: the runs of one variant (n,) as points, above the points mean and interval.
+    """Paint the runs of one variant as points, and above the points their mean and its interval.
 
-    `row`: the vertical place. A hollow diamond is the median, which replaces the mean if an event
-    never happened in some runs. A text gives the number of runs without a value.
+    `values`: (n,) of the runs. `row`: the vertical place. A hollow diamond is the median, which
+    replaces the mean if an event never happened in some runs. A text gives the number of runs
+    without a value.
     """
     # Rows count downwards (`prepare_rows`): a smaller place is higher.
     points_row, interval_row = row + 0.13, row - 0.22
@@ -475,6 +477,7 @@ def differences_figure(
     for axes, panel in zip(grid, panels, strict=True):
         _paint_differences(axes, panel, names, rows)
     _name_rows(grid, axis, rows)
+    # All differences are paired, or none: `compare` decides by the seeds of the experiments.
     is_paired = any(d.is_paired for panel in panels for d in panel.of.values())
     method = "paired by seed" if is_paired else "independent samples"
     figure.suptitle(title, fontsize=11, gid=NOTE)
@@ -505,16 +508,17 @@ def _paint_differences(
     # Of the variant that is compared, as in the other figures; the first variant has no row.
     colours = [colour for colour, _ in variant_styles(_variants_of(names))][1:]
     for name, row, colour in zip(names, rows.places, colours, strict=True):
-        one = panel.of.get(name)
-        if one is None or one.difference is None:
-            beside = axes.get_yaxis_transform()
-            axes.text(0.5, row, "-" if one is None else one.conclusion, transform=beside,
+        result = panel.of.get(name)
+        if result is None or result.difference is None:
+            text = "-" if result is None else result.conclusion
+            axes.text(0.5, row, text, transform=axes.get_yaxis_transform(),
                       ha="center", va="center", fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
             continue
-        if one.interval is not None:
-            axes.plot([one.interval.low, one.interval.high], [row] * 2, color=colour, linewidth=2.0)
-        axes.scatter([one.difference], [row], s=34.0, marker="D", zorder=4.0, linewidths=1.2,
-                     color=colour if one.differs else "white", edgecolors=colour)  # fmt: skip
+        if result.interval is not None:
+            bounds = [result.interval.low, result.interval.high]
+            axes.plot(bounds, [row] * 2, color=colour, linewidth=2.0)
+        axes.scatter([result.difference], [row], s=34.0, marker="D", zorder=4.0, linewidths=1.2,
+                     color=colour if result.differs else "white", edgecolors=colour)  # fmt: skip
     axes.margins(x=0.12)
     axes.locator_params(axis="x", nbins=5)
     axes.set_title(panel.label, fontsize=9.5, loc="left")

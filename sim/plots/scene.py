@@ -286,8 +286,9 @@ def paint_fields(
 ) -> None:
     """Paint the scalar fields of a scenario, such as light, inside the arena if it is known.
 
-    Each field has contour lines, which have numbers unless `is_small`. The first field is shaded,
-    too. A uniform field is not painted. A floor field is painted in its own colours, paler.
+    A floor field is painted in its own colours, paler. Any other field has contour lines, which
+    have numbers unless `is_small`; the first of these fields is shaded, too. A field with the same
+    value everywhere is not painted.
     """
     if not fields:
         return
@@ -295,20 +296,21 @@ def paint_fields(
     size = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
     _paint_floor(axes, fields, size)
     x, y = _cells(trace, extent)
+    # Whether the line between two places crosses no wall or obstacle: these cast shadows of light.
     is_clear = None if arena is None else LineOfSight(arena).is_clear
-    scalar_fields = [field for field in fields if not isinstance(field, FloorField)]
+    contoured = [field for field in fields if not isinstance(field, FloorField)]
     points = np.stack(np.meshgrid(x, y), axis=-1)
-    sampled = sample(scalar_fields, points.reshape(-1, 2), is_clear=is_clear)
+    sampled = sample(contoured, points.reshape(-1, 2), is_clear=is_clear)
     for index, (name, values) in enumerate(sampled.items()):
         grid = values.reshape(len(y), len(x))
-        is_uniform = np.ptp(grid) <= 0.0
-        if index == 0 and not is_uniform:
+        if np.ptp(grid) <= 0.0:
+            continue
+        if index == 0:
             sides = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
             axes.imshow(grid, extent=sides, origin="lower", cmap=_MAP, alpha=0.45, zorder=0.5,
                         interpolation="bilinear", aspect="equal")  # fmt: skip
-        if not is_uniform:
-            style = ("solid", "dashed", "dotted")[index % 3]
-            _paint_contours(axes, x, y, grid, style, "" if is_small else name)
+        style = ("solid", "dashed", "dotted")[index % 3]
+        _paint_contours(axes, x, y, grid, style, "" if is_small else name)
 
 
 def _paint_floor(axes: Axes, fields: Sequence[Field], size: tuple[float, float]) -> None:

@@ -57,7 +57,7 @@ def survival_curve(times: Times) -> Curve:
         # A share of 1 or 0 (no run has had the event, or each run) gives the logarithm of 0.
         warnings.simplefilter("ignore", RuntimeWarning)
         interval = estimate.confidence_interval(LEVEL, method="log-log")
-    t = np.concatenate(([0.0], estimate.quantiles))
+    t = np.concatenate(([0.0], estimate.quantiles))  # quantiles: the times of all events and ends
     share, low, high = (
         np.concatenate(([1.0], values))
         for values in (
@@ -66,9 +66,6 @@ def survival_curve(times: Times) -> Curve:
             interval.high.probabilities,
         )
     )
-    if len(censored) and censored.max() > t[-1]:
-        t = np.append(t, censored.max())
-        share, low, high = (np.append(values, values[-1]) for values in (share, low, high))
     return Curve(t, share, low, high, np.sort(censored))
 
 

@@ -114,6 +114,7 @@ def fit(figure: Figure, width: float | None) -> Figure:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
+    # `findobj` returns artists of any type, so `isinstance` tells mypy the type.
     for note in figure.findobj(lambda artist: artist.get_gid() == NOTE):
         if isinstance(note, Text):
             note.set_text("")
@@ -132,7 +133,7 @@ def fit(figure: Figure, width: float | None) -> Figure:
         if isinstance(collection, Collection):
             widths = np.atleast_1d(np.asarray(collection.get_linewidth(), dtype=np.float64))
             collection.set_linewidth((widths * _PAPER_SCALE).tolist())
-        if isinstance(collection, PathCollection):  # markers, whose sizes are areas
+        if isinstance(collection, PathCollection):  # of markers; the sizes are areas
             collection.set_sizes(collection.get_sizes() * _PAPER_SCALE**2)
     return figure
 

@@ -111,9 +111,9 @@ def _enter_boxes(poses: Array, shapes: Sequence[Array], source: Source) -> None:
 def script() -> str:
     """The JavaScript of the player as one script, so that a report needs no other file.
 
-    The script has an object `modules`. Each module of the page becomes a function that runs once,
-    and its exports go into `modules`. The text of player.js follows. An import of a module becomes
-    an assignment from `modules`.
+    A script without files cannot import modules. So each module of the page becomes a function that
+    runs once and writes its exports into an object `modules`. Each import becomes an assignment
+    from `modules`. The text of player.js comes last.
     """
     page = files("swarmd.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]

@@ -100,15 +100,15 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays["safe"] = np.zeros((*shape, 3))
     # Values of statuses, by kind (a report, a reading or a reported text) and by key.
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
-    for row, (name, track) in enumerate(tracks.items()):
-        for k, now in enumerate(t.tolist()):
+    for robot, (name, track) in enumerate(tracks.items()):
+        for instant, now in enumerate(t.tolist()):
             pose, decision = timeline.pose(name, now), track.decision(now)
             if pose is not None:
-                arrays["pose"][k, row] = pose
+                arrays["pose"][instant, robot] = pose
             if decision is not None:
-                _enter(arrays, (k, row), decision)
-        _unwrap_yaw(arrays["pose"][:, row])
-        _enter_statuses(named, track, t, row, shape)
+                _enter(arrays, (instant, robot), decision)
+        _unwrap_yaw(arrays["pose"][:, robot])
+        _enter_statuses(named, track, t, robot, shape)
     arrays |= {kind: dict(sorted(values.items())) for kind, values in named.items()}
     platforms = [track.platform for track in tracks.values()]
     return Trace(
@@ -145,22 +145,23 @@ def _enter_statuses(
     named: Mapping[str, dict[str, NDArray[Any]]],
     track: Track,
     t: Array,
-    row: int,
+    robot: int,
     shape: tuple[int, int],
 ) -> None:
-    """Write the reports and readings of a robot's statuses into `named` at the index `row`.
+    """Write the reports and readings of a robot's statuses into `named`.
 
-    `t`: the instants. `shape`: (instants, robots). Values are blank while nothing is recorded.
+    `robot`: the index of the robot. `t`: the instants in s. `shape`: (instants, robots). Values are
+    blank while nothing is recorded.
     """
     for at in track.topics["status"].times:
         status = track.status(at)
         if status is not None:
             since = slice(int(np.searchsorted(t, at)), None)  # until a later status overwrites it
-            enter_named(named, (since, row), shape, status)
+            enter_named(named, (since, robot), shape, status)
     is_silent = np.array([not track.is_heard(now) for now in t.tolist()])
     for kind, blank in NAMED.items():
         for values in named[kind].values():
-            values[is_silent, row] = blank
+            values[is_silent, robot] = blank
 
 
 def _robots(trace: Trace, timeline: Timeline) -> str:

@@ -33,9 +33,9 @@ def arena_of(
 ) -> Arena:
     """The arena of the file's section `arena`, with the items of the section `items`.
 
-    `layers`: the file and its overrides, of which an error names the source of the faulty key.
-    ConfigError for duplicate names, for places outside the walls, and for a reading of `items` with
-    the name of a reading of `fields`.
+    `layers`: the file and its overrides, which an error names as the source of the faulty key.
+    ConfigError for duplicate names, for places outside the walls, and if a reading of items has the
+    name of a reading of fields.
     """
     _check_readings(layers, items, fields)
     _check_places(layers, section, items)

@@ -66,7 +66,7 @@ def check_patterns(
             text = f"parameters: {unknown('pattern', pattern, origins)}"
             raise layers.error(("parameters", pattern), text)
     for group, section in file.groups.items():
-        for pattern in section.touch:
+        for pattern in section.touch:  # `touch`: grants by pattern
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
     # 2. A trial for each pattern that a robot will run.
     executor = PatternExecutor(
@@ -78,7 +78,8 @@ def check_patterns(
         robot, pattern = preflight.robot, preflight.pattern
         parameters = (*configured(robot, pattern), (REQUEST_LAYER, {**preflight.parameters}))
         platform = groups.robots[robot]
-        # Robots of one platform with the same parameters give the same result.
+        # Robots of one platform with the same parameters give the same result. (Parameters may be
+        # mappings, which a set cannot hold: their text stands for them.)
         trial = repr((pattern, platform.name, parameters))
         if trial in tried:
             continue
@@ -143,12 +144,12 @@ WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 def check_compatibility(
     layers: Layered, file: ScenarioFile, groups: Groups
 ) -> tuple[Accepts, tuple[str, ...]]:
-    """The exceptions that robots accept of their peers, and notes on pairs of platforms.
+    """The platforms that robots accept as peers in spite of a finding, and notes on such pairs.
 
-    Two findings of a robot about a peer hold the robot at zero speed, unless an exception accepts
-    the finding: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster
-    than the robot's protection assumes. A note is a line for a pair that is compatible only by an
-    exception. ConfigError if protection would hold robots.
+    Protection holds a robot at zero speed for two findings about a peer, unless the peer's platform
+    is accepted: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster
+    than the robot's protection assumes. A note is a line for a pair of platforms that is compatible
+    only because of such an exception. ConfigError if protection would hold robots.
     """
     # 1. The exceptions of the file.
     accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
@@ -166,15 +167,16 @@ def check_compatibility(
     notes, held = [], []
     # `platform`: the platform of the robot that reports the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), accepts):
-        is_sensed = finding.kind == "unseen" and file.radio.range_and_bearing
-        if finding.holds and is_sensed:
+        is_faster = finding.kind == "faster"
+        if not finding.holds:
+            # The user knows from `lidar_visibility` that lidars see whole bodies: no note on that.
+            if is_faster or not has_whole_bodies:
+                notes.append(f"{platform}: {finding.text}")
+        elif file.radio.range_and_bearing and not is_faster:
             text = finding.text.partition(";")[0]  # without the advice to accept the peer
             notes.append(f"{platform}: {text}; told by range and bearing")
-        elif finding.holds:
+        else:
             held.append((platform, finding))
-        elif finding.kind == "faster" or not has_whole_bodies:
-            notes.append(f"{platform}: {finding.text}")
-        # No note for lidars that see whole bodies: the setting `lidar_visibility` tells that.
     if held:
         raise _refusal(layers, held)
     return accepts, tuple(notes)

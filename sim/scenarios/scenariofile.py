@@ -138,15 +138,15 @@ def _overridden(
     default_name: str,
     override_source: str,
 ) -> Scenario:
-    """The checked scenario of data and overrides.
+    """The checked scenario of the data of files, and of overrides.
 
-    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key; an
-    error in a value begins with `override_source`. `default_name`: the name of a scenario whose
-    data have no name.
+    `sources`: name and data of each file, strongest first. `overrides`: values by dotted key.
+    `default_name`: the name of a scenario whose data have no name. `override_source`: the source of
+    a wrong override, with which the ConfigError begins.
     """
     layers = _layers_of(sources, overrides, override_source)
     file = layers.build(ScenarioFile)
-    if file.extends is not None:
+    if file.extends is not None:  # of an override: `_chain` has taken the key out of files
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
     # The world, the robots and the events, each checked against the parts before it.
     fields = fields_of(layers, file.fields)
@@ -207,8 +207,8 @@ def _layers_of(
 ) -> Layered:
     """The data of files (strongest first) and of overrides, which are stronger than the files.
 
-    Start keys that do not fit the layout of a stronger source are dropped (`without_stale`).
-    ConfigError if there are no groups.
+    Keys of a section `start` that do not fit the layout of a stronger source are dropped
+    (`without_stale`). ConfigError if there are no groups.
     """
     strongest_file, _ = sources[0]
     if overrides:

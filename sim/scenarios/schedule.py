@@ -32,15 +32,18 @@ _BESIDES = {
 def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
     """The event at `index` in the file; ConfigError if the event is invalid by itself.
 
-    The action of an event is its key beside `at`. Actions of robots are `run`, `stop` and others,
-    actions of movable boxes are `place` and `remove`, and `fields` changes the fields. `remove` may
-    also name a robot or a group (`_removes_box`).
+    The action of an event is its key beside `at`. `place` is an action of a movable box, `fields`
+    of the scalar fields. `remove` is an action of a box or of robots (`_removes_box`). All further
+    actions are of robots.
     """
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
-        text = f"events[{index}].at is {section.at:g}; expected before the end"
-        raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
+        raise layers.error(
+            (*keys, "at"),
+            f"events[{index}].at is {section.at:g}; expected before the end"
+            f" (duration is {file.duration:g})",
+        )
     if action == "fields":
         return _field_event(layers, file, section, (*keys, action))
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
@@ -48,6 +51,7 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
         return _box_event(layers, file, section, (*keys, action), movable)
     # An event of robots: its action names the robots (`stop: all`), or else the key `targets`.
     target_key = action if action in (*OF_ROBOTS, "remove") else "targets"
+    # The conditions of `until` are parsed only to find faults: the event keeps their texts.
     with blamed(layers, *keys, "until", prefix=f"events[{index}].until: "):
         if section.until is not None:
             parse_conditions(section.until)

@@ -80,8 +80,8 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Robots of one platform: `count` robots named `<prefix>-01` and on, or the ids in `robots`.
 
     The robots run `pattern` from the start, but robots that join later run no pattern without a
-    `run` event. `parameters` apply whenever `pattern` runs. `touch` grants touch zones to patterns,
-    as in a daemon's file.
+    `run` event. `parameters` apply whenever `pattern` runs. `touch`: by pattern, the directions in
+    which the pattern may press against obstacles, as in a daemon's file.
     """
 
     platform: str = "waffle_pi"

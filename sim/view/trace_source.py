@@ -148,19 +148,19 @@ class _ShownRun:
         self._present = presence(trace)
         self._names, self._patterns = patterns_of(trace)
         self._units = run.report_units
-        described = {"report_units": run.report_units}
-        self.descriptions: Mapping[str, Mapping[str, Any]] = dict.fromkeys(self._names, described)
+        description = {"report_units": run.report_units}  # the same for each pattern
+        self.descriptions: Mapping[str, Mapping[str, Any]] = dict.fromkeys(self._names, description)
         self._limits = _largest(trace)  # (3,) the largest speeds, for the scale of a dial
         self._index = {name: i for i, name in enumerate(trace.ids)}
         self.link = cluster_link(trace)  # m, within which two robots are in one cluster
         self.marks = self._marks()
 
         self._platforms = _known_platforms(run)
-        # Ideal lidars, which give the scans.
+        # Ideal lidars, which give the scans: a trace has no scans. None: no scans are shown.
         self._sensors: RangeSensors | None = None
         if arena is not None and self._platforms:
             visibility = trace.meta.get("lidar_visibility", "body")
-            with suppress(ConfigError):
+            with suppress(ConfigError):  # a platform file of today may lack the heights
                 self._sensors = RangeSensors(self._platforms, arena, visibility)
 
     def places(self, now: float) -> Array:

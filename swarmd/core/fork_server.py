@@ -49,7 +49,7 @@ class ForkedProcess:
         """The exit code; None while the process runs.
 
         If the server has ended, the kernel has killed its forks with SIGKILL (`--die-with-parent`).
-        multiprocessing then returns 255 for each fork, in place of which this method returns the
+        multiprocessing does not know this, and gives the code 255. This method then returns the
         code of SIGKILL.
         """
         code = self._process.exitcode
@@ -155,10 +155,11 @@ def _run(
         folder: the current folder.
         environment: the environment.
     """
-    # 1. The server ends once this pipe has no writer: only the first process must keep it open.
+    # 1. The server ends when all writers of its "alive" pipe have closed the pipe. So a fork closes
+    #    the pipe: the server must end with the process that started it, not with the last fork.
     os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
 
-    # 2. A session of its own, with SIGINT as in a new process, and a name.
+    # 2. A session of its own, and a name. The fork begins with SIGINT blocked (`start_server`).
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # discards a SIGINT from before the session
     signal.signal(signal.SIGINT, signal.default_int_handler)

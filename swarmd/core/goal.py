@@ -76,7 +76,7 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
     - `before`: the goal that `held` replaced.
     - `own`: the greatest goal whose targets include this robot.
     - `ended`: why the run of `own` ended; empty if the run has not ended.
-    - `may_join`: neither a stop nor a reset came after `own`.
+    - `may_join`: the robot may run `own` without a request; False after a stop or reset.
     - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.
     - `ran`: the run of `own` is on, or was on when the daemon ended, and no stop came since.
     - `labels`: None: the labels of the swarm file.

@@ -226,8 +226,8 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
       turns, scans are matched to the odometry).
     - `delay`: the mean age of the rays of a scan on arrival, in s; None: unknown, for the reason in
       `text`.
-    - `spread`: a standard deviation in s: by the method `stamps` of the delays of single scans, by
-      `turns` of the estimate.
+    - `spread`: a standard deviation in s. With `stamps`, that of the delays of single scans. With
+      `turns`, that of the estimate `delay`.
     - `age`: s since the last sample.
     """
 

@@ -90,8 +90,8 @@ def keep_limits() -> None:
 def without_openssl() -> Iterator[None]:
     """Hide OpenSSL (4 MB) from imports in the block: asyncio and hashlib work without OpenSSL.
 
-    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. The function
-    hides nothing if this Python has no built-in hash functions.
+    Imports after the block find OpenSSL, such as `import ssl` of a robot with keys. If this Python
+    has no built-in hash functions, hashlib needs OpenSSL, and nothing is hidden.
     """
     has_own = any(map(find_spec, ("_sha2", "_sha256")))  # of Python 3.12 and later, of 3.11
     hidden = {"ssl", "_ssl", "_hashlib"} - sys.modules.keys() if has_own else set[str]()

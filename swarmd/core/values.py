@@ -87,8 +87,8 @@ class Scan(Struct, frozen=True, eq=False):
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `newest_age` is the mean age of the rays. All `ages` are
-    then half of the duration of the scan, since no ray is older than the mean by more.
+    While the order of the rays is unknown, the ages are bounds: `newest_age` is the mean age of the
+    rays, and each of `ages` is half of the duration of the scan. No ray is older than their sum.
     """
 
     seq: int
@@ -310,11 +310,11 @@ class ScanSpec:
     - `near`: a return nearer than `range_min` is `reported`, or `lost` as if nothing were there.
     - `latency`: mean age of the rays in s when a scan arrives.
     - `sweep`: None if all rays are measured at once, or if the robot measures the sweep.
-    - `measures_sweep`: the robot measures the sweep. The ray ages of the driver then give only the
-      duration of a scan, or show that all rays have the same time.
-    - `segments`: into how many segments the driver divides a turn, each handed over as soon as it
-      is measured, the last one with the whole turn. 0: the driver hands over whole turns only. More
-      than 0 needs `sweep`.
+    - `measures_sweep`: the robot measures the order of the rays. The driver's ages of the rays then
+      show only how long a scan takes, and whether all rays are measured at once.
+    - `segments`: the number of segments into which the driver divides a turn. The driver hands over
+      each segment as soon as it is measured, and the whole turn with the last segment. 0: whole
+      turns only. More than 0 needs `sweep`.
     """
 
     bearings: Array
@@ -341,9 +341,9 @@ class ScanSpec:
     def max_scan_delay(self) -> float:
         """The longest delay of scans in s beyond `latency` with which protection works.
 
-        A longer delay holds the robot. Protection is computed for scans up to `stale_after` s old.
-        A scan is used until the next scan comes, which takes up to one and a half periods. The rest
-        of `stale_after`, but at least 0.05 s, is left for the delay.
+        A longer delay holds the robot. Protection is computed for scans that are at most
+        `stale_after` s old. The next scan comes after up to one and a half periods; until then the
+        present scan ages. The rest of `stale_after`, but at least 0.05 s, is left for the delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 
@@ -371,9 +371,9 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter: `mode` and `avoidance`, the settings of the modes
-      `barrier` and `stop_zone` (None: not given), and `preset`, the name of a preset of the
-      potential field. The values of this preset stand beside `preset`, under their own names.
+    - `protection`: the settings of the arbiter, by name. `mode` and `avoidance`: what it uses.
+      `barrier`, `stop_zone`: the settings of these modes; None: not given. `preset`: the name of
+      the settings of the potential field. These settings have keys of their own beside `preset`.
     - `patterns`: parameters by pattern name. `drivers`: options by driver name.
     - `heights`: None if unknown.
     - `body`: values for the simulated robot (mass, wheel base ...).

@@ -214,7 +214,7 @@ class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop, which a robot holds as a latch until a reset.
 
-    - `scope`: `swarm`: the latch spreads to other robots.
+    - `scope`: if it is `swarm`, the latch spreads to all robots of the swarm.
     - `is_relayed`: another robot relayed the request. A robot on which this latch was reset before
       refuses a relayed request.
     - `age`: s since the operator issued the request. Goals that were set later stay valid.

@@ -186,11 +186,11 @@ class Authority:
                 raise ConfigError(f"{name} is not on the roster of {roster.swarm}")
 
     def _next_roster(self, roles: Mapping[str, Role | None], secret: bytes) -> Roster:
-        """The roster of the next generation with these names and roles.
+        """The roster of the next generation, with names and `roles`; a role None: not on it.
 
-        `secret`: of the swarm, for this generation. A robot with the new roster may hand over the
-        secret to another robot, and to an operator or viewer their datagram keys. The receiver
-        compares them with digests, which the roster contains.
+        `secret`: of the swarm, for this generation. The roster has only the digest of the secret,
+        and of the datagram keys of each operator and viewer. By the digest, the receiver checks a
+        secret or keys that a robot hands over.
         """
         old, generation = self.roster, self.roster.generation + 1
         operators = [name for name, role in roles.items() if role is Role.OPERATOR]

@@ -54,7 +54,7 @@ class TakenRoster:
     """An identity after it took a roster."""
 
     identity: Identity
-    is_changed: bool  # False if the identity had this roster
+    is_changed: bool  # the roster is newer than before, or the certificate was renewed
     text: str  # the change in words
     fault: str = ""  # why the roster could not be written to disk, so that a restart forgets it
 
@@ -120,7 +120,8 @@ def take_roster(
         changes.append("a new certificate")
     if fault:
         changes.append(fault)
-    return TakenRoster(taken, is_renewed or is_newer, ", ".join(changes), fault)
+    is_changed = is_newer or is_renewed
+    return TakenRoster(taken, is_changed, ", ".join(changes), fault)
 
 
 def read_shared(data: bytes) -> SharedRoster:
@@ -167,7 +168,7 @@ def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
             whole = _with_answers(stored.datagram_keys, stored.roster, answers)
             write_roster(identity.folder, RosterFile(stored.signed_roster, whole))
     except (OSError, ConfigError):
-        pass
+        pass  # this process has the keys in memory
     return replace(identity, datagram_keys=keys)
 
 
@@ -198,10 +199,10 @@ def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, b
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
     """The keys with which this identity signs and checks datagrams, for the generation of `roster`.
 
-    `shared` has the secret of the swarm for a robot, or the keys for an operator or viewer.
-    `giver`: the robot that sent `shared`, as its link has proved; empty: no robot. All keys are
-    empty if the roster lacks this identity's name, or has the name in another role. CodecError if
-    secret or keys of `shared` have another digest than the roster says.
+    A robot derives its keys from the secret of the swarm in `shared`. An operator or viewer (a
+    *reader*) takes its keys from `shared`. `giver`: the robot that sent `shared`, as its link has
+    proved; empty: no robot. All keys are empty if the roster lacks this identity's name, or has the
+    name in another role. CodecError if the secret or the keys do not have the digest on the roster.
     """
     role, present = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:

@@ -33,10 +33,9 @@ class Awaited:
 def read_awaited(words: Iterable[str], option: str = "--for") -> Awaited:
     """Read the conditions of a wait, such as `state=running`, `goal` and `count=5`.
 
-    `words`: a condition each: `goal` without a value, or KIND=VALUE with a kind of KINDS. `option`:
-    the option of the command line, for messages.
-
-    ConfigError for a wrong or repeated condition.
+    `words`: the conditions; each is `goal`, without a value, or KIND=VALUE with a kind of KINDS.
+    `option`: the option of the command line, for messages. ConfigError for a wrong or repeated
+    condition.
     """
     values: dict[str, str] = {}
     for word in words:

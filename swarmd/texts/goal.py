@@ -82,12 +82,12 @@ def content_of(goal: Goal) -> dict[str, Any]:
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The targets of goal `before`, and the robots that only goal `present` targets.
+    """The robots that run, and the robots that stop, if goal `before` replaces goal `present`.
 
-    For `undo`, by which the first robots run `before`, and the second robots stop. Both lists have
-    only the robots that must answer (`MembersView.expected`). The second list is empty if `present`
-    has no pattern, since the robots of `present` then stand already. A robot whose labels are not
-    known is matched by its name alone.
+    The targets of `before` run. The robots that only `present` targets stop; none if `present` has
+    no pattern, since its robots then stand already. Both lists have only the robots that must
+    answer (`MembersView.expected`). A robot whose labels are not known is matched by its name
+    alone.
     """
     labels = {
         name: member.status.labels

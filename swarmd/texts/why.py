@@ -154,10 +154,10 @@ def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
 
 
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
-    """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with its tightest row.
+    """The limiting obstacles: a text such as `an obstacle at -30 deg, 0.21 m`, and a row for each.
 
-    `rows`: obstacle points that constrain the command, the tightest first. Rows within 10 deg of an
-    earlier row belong to its obstacle.
+    `rows`: obstacle points that constrain the command, the tightest first. The row of an obstacle
+    is its tightest row. Further rows within 10 deg of this row belong to the same obstacle.
     """
     seen: list[LimitingObstacle] = []
     for row in rows:

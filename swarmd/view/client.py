@@ -108,12 +108,12 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send the answers that are due, and a past moment, to a page that looks back.
+        """Send to a page that looks back what the swarm was at a past `moment`.
 
-        The moment is sent once, as the text and the frame that the page got at that time. The frame
-        keeps its old number, and a command quotes the number of the shown frame. So the server
-        knows how far the page looks back. From MAX_LATENESS s on, the server refuses all commands
-        except stops.
+        The moment is sent once: its text (values) and its frame (poses). Answers to commands are
+        sent, too. The frame keeps the number of its time, and a command of the page quotes the
+        number of the shown frame. So the server sees that the user has looked at a past frame: if
+        the frame is older than MAX_LATENESS s, the server refuses all commands except stops.
         """
         if self._is_sending:
             return
@@ -175,7 +175,7 @@ class Client:
         return [] if detail is None else [json.dumps({"kind": "detail", "name": name, **detail})]
 
     async def _send(self, texts: list[str], scans: list[bytes], frame: bytes | None) -> None:
-        with suppress(ConnectionClosed):
+        with suppress(ConnectionClosed):  # the server ends this client (`ViewServer._talk`)
             while self._answers:
                 await self.connection.send(self._answers.pop(0))
             for text in texts:

@@ -192,7 +192,9 @@ async def _unless_cancelled(
 
 
 def _answer(verb: str, outcome: Outcome) -> CommandProgress:
-    replies = [(name, one.code.value, one.text) for name, one in sorted(outcome.replies.items())]
+    replies = [
+        (name, reply.code.value, reply.text) for name, reply in sorted(outcome.replies.items())
+    ]
     return CommandProgress(
         f"{verb}: {outcome.line}",
         replies,

@@ -84,16 +84,19 @@ class FoxgloveServer:
         names), scans as point clouds, and every _STATUS_EVERY periods the statuses as JSON.
         """
         is_status_due = self._count % _STATUS_EVERY == 0
+        # By robot, the values of the last status. Scene and transforms show which robots are
+        # absent.
         needs_rows = is_status_due or self._scene.is_read or self._places.is_read
-        rows = self._source.rows() if needs_rows else {}  # by robot, values of the last status
+        rows = self._source.rows() if needs_rows else {}
         robots = self._source.robots
         for robot in robots:
             if robot.name not in self._statuses:
                 self._add(robot.name)
         # The source gets the scans of selected robots only.
         self._source.select([name for name, channel in self._scans.items() if channel.is_read])
-        _, frame = self._source.frame()  # rows of robot index, x, y (m), yaw (rad)
-        placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
+        _, places = self._source.frame()  # (k, 4): index of the robot, x, y (m), yaw (rad)
+        # A robot may have joined since `robots` was read.
+        placed = [(robots[int(row[0])], row[1:]) for row in places if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
         if self._places.is_read:
             self._publish_places(placed, rows, stamp)
@@ -189,6 +192,7 @@ def _entity(
     """Outline, heading and name of a robot in its own frame; Foxglove removes them after 2 s.
 
     `row`: the values of its last status. A robot that does not answer is grey and without a state.
+    A robot that runs and may not move (`held`) has a colour of its own.
     """
     is_absent = _is_absent(row)
     state = "" if is_absent else str(row.get("state", ""))

@@ -144,10 +144,10 @@ class LiveSource:
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """By robot a row: the values of its last status, and its absence if it is silent.
+        """The row of each robot, by name: the values of its last status, and whether it is absent.
 
-        Also adds new robots to the list. For new platforms a thread is started that describes the
-        patterns on them (`_take_patterns`).
+        Also adds new robots to `robots`. For new platforms, starts a thread that describes the
+        patterns on these platforms (`_take_patterns`).
         """
         statuses = self.statuses()
         with self._lock:
@@ -226,7 +226,7 @@ class LiveSource:
             self._note(self._feed.advance(time.monotonic()))
             if self._marks is None:
                 marks = together(self._lines)[-MAX_MARKS:]
-                self._marks = [(round(one.at, 1), one.text, robots) for one, robots in marks]
+                self._marks = [(round(line.at, 1), line.text, robots) for line, robots in marks]
             return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
@@ -240,8 +240,8 @@ class LiveSource:
             "why": why(replace(member, status=status)),
             "sections": [[title, rows] for title, rows in rest if rows],
             "events": [
-                [f"{max(status.uptime - one.at, 0.0) + age:.0f} s ago", one.text]
-                for one in reversed(status.events)
+                [f"{max(status.uptime - event.at, 0.0) + age:.0f} s ago", event.text]
+                for event in reversed(status.events)
             ],
         }
 
@@ -298,10 +298,10 @@ class LiveSource:
 
     def _tracks_of(self, name: str) -> list[list[float]]:
         """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
-        at, found = self._tracks.get(name, (-math.inf, None))
-        if found is None or time.monotonic() - at > _WATCHED_AGE:
+        at, tracks = self._tracks.get(name, (-math.inf, None))
+        if tracks is None or time.monotonic() - at > _WATCHED_AGE:
             return []
-        return [[round(value, 3) for value in astuple(track)] for track in found.tracks]
+        return [[round(value, 3) for value in astuple(track)] for track in tracks.tracks]
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
         """Add robots to the list; without a status a robot has a plain footprint."""
@@ -312,8 +312,8 @@ class LiveSource:
                 continue
             if index is None and len(self._robots) >= MAX_ROBOTS:
                 continue
-            found = self._platform(platform) if platform else None
-            shape = PLAIN if found is None else found.footprint
+            shown = self._platform(platform) if platform else None
+            shape = PLAIN if shown is None else shown.footprint
             self._revision += 1
             if index is None:
                 self._index[name] = index = len(self._robots)
@@ -322,7 +322,7 @@ class LiveSource:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
 
     def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
-        """Describe the patterns on new platforms: groups, parameters, and reasons against a run.
+        """Describe all patterns on new `platforms`, and why a pattern cannot run on a platform.
 
         Runs in a thread. Defaults of parameters depend on the platform: the page shows those of the
         platform that was described first.

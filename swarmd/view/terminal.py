@@ -109,7 +109,7 @@ def chosen(scene: Scene, rows: int) -> Sequence[str]:
     if scene.cursor is not None and scene.cursor in robots:
         first = min(max(robots.index(scene.cursor) - rows // 2, 0), len(robots) - rows)
         return robots[first : first + rows]
-    running = {name for name, one in scene.statuses.items() if one.state is State.RUNNING}
+    running = {name for name, status in scene.statuses.items() if status.state is State.RUNNING}
     kept = set(sorted(robots, key=running.__contains__)[:rows])  # False, not running, comes first
     return tuple(robot for robot in robots if robot in kept)
 

@@ -104,7 +104,7 @@ class TerminalView:
             waiting = self._waiting_estops()
             if waiting and not self._is_warned:
                 self._is_warned = True
-                missing = names_of([name for one in waiting for name in one.missing])
+                missing = names_of([name for answer in waiting for name in answer.missing])
                 self._controls.note = (
                     f"the estop is still sent, {missing or 'robots'} did not acknowledge it;"
                     " q again ends it"
@@ -130,12 +130,16 @@ class TerminalView:
         tell(CommandProgress(f"{command.verb}: sent to {to}, waits for answers"))
         targets = None if command.targets is None else list(command.targets)
         await self._commander.act(command.verb, {**command.fields, "targets": targets}, tell)
-        finals = [key for key, (_, one) in self._answers.items() if one.is_final]
+        finals = [key for key, (_, answer) in self._answers.items() if answer.is_final]
         for old in finals[:-MAX_ANSWERS]:
             del self._answers[old]
 
     def _waiting_estops(self) -> list[CommandProgress]:
-        return [one for verb, one in self._answers.values() if verb == "estop" and not one.is_final]
+        return [
+            answer
+            for verb, answer in self._answers.values()
+            if verb == "estop" and not answer.is_final
+        ]
 
     def _end(self, code: int) -> None:
         self._code = code
@@ -207,10 +211,10 @@ class TerminalView:
             if not view.seconds:
                 return f"{swarm}: looking for robots"
             return f"{swarm}: no robot is heard; start swarmd, or see --swarm and --profile"
-        states = [one.state.value for one in statuses.values()]
+        states = [status.state.value for status in statuses.values()]
         counts = [f"{states.count(state)} {state}" for state in sorted(set(states))]
         counts += [f"{len(notes)} silent"] if notes else []
-        lost = sum(bool(lost_base(one)) for one in statuses.values())
+        lost = sum(bool(lost_base(status)) for status in statuses.values())
         counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
         parts = [f"{swarm}: {len(states) + len(notes)} robots: {', '.join(counts)}"]
         if controls.selected:

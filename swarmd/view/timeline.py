@@ -101,18 +101,18 @@ class Track:
 
     def pose(self, topic: str, now: float) -> Pose | None:
         """The pose at a time, interpolated; None before the first one, or if not recorded."""
-        found = self.topics[topic]
-        index = found.index(now)
-        message, after = found.get(index), found.get(index + 1)
+        poses = self.topics[topic]
+        index = poses.index(now)
+        message, after = poses.get(index), poses.get(index + 1)
         if message is None or not self.is_heard(now):
             return None
-        one, at = _pose_of(topic, message), found.times[index]
-        if after is None or not 0.0 < found.times[index + 1] - at < MAX_STEP:
-            return one
-        other, share = _pose_of(topic, after), (now - at) / (found.times[index + 1] - at)
-        turn = math.remainder(other.yaw - one.yaw, 2.0 * math.pi)
-        x, y = one.x + share * (other.x - one.x), one.y + share * (other.y - one.y)
-        return Pose(x, y, one.yaw + share * turn)
+        pose, at = _pose_of(topic, message), poses.times[index]
+        if after is None or not 0.0 < poses.times[index + 1] - at < MAX_STEP:
+            return pose
+        next_pose, share = _pose_of(topic, after), (now - at) / (poses.times[index + 1] - at)
+        turn = math.remainder(next_pose.yaw - pose.yaw, 2.0 * math.pi)
+        x, y = pose.x + share * (next_pose.x - pose.x), pose.y + share * (next_pose.y - pose.y)
+        return Pose(x, y, pose.yaw + share * turn)
 
     def scan(self, now: float) -> Scan | None:
         """The last scan until a time; None without a scan, or if its bearings are missing."""
