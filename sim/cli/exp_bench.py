@@ -239,7 +239,7 @@ def _print_estimate(
 
 
 def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
-    """The names of patterns, and the folder of the patterns' files; None if none is a file.
+    """The names of patterns, and the folder of their files; None if no pattern is a file.
 
     `patterns`: names, or paths of .py and .yaml files. ConfigError if a file does not exist, or if
     the files lie in several folders.

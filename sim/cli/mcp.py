@@ -256,8 +256,8 @@ class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
     A rehearsal simulates a run before the run is sent (`Rehearsal`). A stop or another request
-    during the rehearsal prevents the run. This server counts its own stops. A request of another
-    operator changes the epoch of a robot (the count of the robot's changes).
+    during the rehearsal prevents the run. The server knows its own stops by a count, and requests
+    of other operators by the epochs of the robots (an epoch counts the changes of a robot).
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:

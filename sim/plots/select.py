@@ -220,10 +220,12 @@ def facets_of(
 ) -> dict[str, Facet]:
     """The facet of each variant, by the variant's name: its panel, and its label in the panel.
 
-    `key`: a swept key, or the last word of a swept key; each value of this key has a panel. None:
-    all variants are in one panel. `alone`: the label if a panel has one variant. `labels`: by swept
-    key or its last word, the text in place of the key. ConfigError with the nearest key if `key`
-    was not swept.
+    - `key`: each value of this swept key has a panel; None: all variants are in one panel.
+    - `alone`: the label of a variant that is alone in its panel.
+    - `labels`: by swept key, the text that stands for the key.
+
+    The last word of a swept key may stand for the whole key. ConfigError with the nearest key if
+    `key` was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:

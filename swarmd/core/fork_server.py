@@ -105,8 +105,9 @@ def fork_main(
 ) -> ForkedProcess:
     """Run `main()` of a module in a fork of the started server.
 
-    - `name`: the name of the fork in `ps` and `pgrep -x`. The command line there is the server's.
-    - `arguments`: the arguments of `main()`, before `--die-with-parent` with the id of the server.
+    - `name`: the name of the fork in `ps` and `pgrep -x`, which show the server's command line.
+    - `arguments`: the arguments of `main()`. The fork adds `--die-with-parent` with the id of the
+      server.
     - `stdout`, `stderr`: the files to which the output is appended; None: the output is dropped.
       The standard input is empty.
 

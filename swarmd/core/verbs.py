@@ -395,8 +395,8 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 class AuditReply(Struct, frozen=True, kw_only=True):
     """Entries, oldest first, and the age of each in s.
 
-    The age of an entry from before the last boot follows from the wall clock. The age is None if
-    the wall clock was not set when the entry was written, or is not set now. `has_more`: older
+    For an entry from before the last boot, the age follows from the wall clock. Such an age is None
+    if the wall clock was not set when the entry was written, or is not set now. `has_more`: older
     entries match, too. `fault`: why entries cannot be written at present.
     """
 

@@ -95,32 +95,30 @@ def take_roster(
     fault = ""
 
     # 2. Take the certificate, unless it ends before the present certificate.
-    is_renewed = False
+    renewed: Identity | None = None
     if certificate and certificate != identity.certificate.read_bytes():
         try:
             renewed = take_certificate(identity, certificate)
+            if renewed is None:
+                changes.append("its certificate ends later than the certificate that was sent")
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
-        else:
-            is_renewed = renewed is not None
-            if renewed is not None:
-                taken = replace(taken, info=renewed.info)
-            else:
-                changes.append("its certificate ends later than the certificate that was sent")
+    if renewed is not None:
+        taken = replace(taken, info=renewed.info)
 
     # 3. Write the roster, unless another process of this identity has written it already.
     try:
         if load_identity(identity.folder).signed_roster != signed:
             write_roster(identity.folder, RosterFile(signed, keys))
     except OSError as error:
-        fault = f"in memory only: {error.strerror}"
+        fault = f"in memory only: {error.strerror}"  # in place of a fault of the certificate
     if is_revoked(taken):
         changes.append(f"{identity.name} is no longer on it")
-    if is_renewed:
+    if renewed is not None:
         changes.append("a new certificate")
     if fault:
         changes.append(fault)
-    is_changed = is_newer or is_renewed
+    is_changed = is_newer or renewed is not None
     return TakenRoster(taken, is_changed, ", ".join(changes), fault)
 
 
@@ -156,10 +154,10 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
 
 
 def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
-    """Add the keys that robots share with an operator or viewer to its identity, and write them.
+    """Add pair keys to the identity of an operator or viewer, and write them to disk.
 
-    `answers`: by robot, the key that this robot sent. Keys that cannot be written to disk are
-    pulled again after a restart.
+    `answers`: by robot, the pair key that this robot sent. Keys that cannot be written are in the
+    returned identity all the same, and are pulled again after a restart.
     """
     keys = _with_answers(identity.datagram_keys, identity.roster, answers)
     try:
@@ -168,7 +166,7 @@ def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
             whole = _with_answers(stored.datagram_keys, stored.roster, answers)
             write_roster(identity.folder, RosterFile(stored.signed_roster, whole))
     except (OSError, ConfigError):
-        pass  # this process has the keys in memory
+        pass
     return replace(identity, datagram_keys=keys)
 
 

@@ -108,12 +108,11 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send to a page that looks back what the swarm was at a past `moment`.
+        """Send the past `moment` to a page that looks back, once, and answers that are due.
 
-        The moment is sent once: its text (values) and its frame (poses). Answers to commands are
-        sent, too. The frame keeps the number of its time, and a command of the page quotes the
-        number of the shown frame. So the server sees that the user has looked at a past frame: if
-        the frame is older than MAX_LATENESS s, the server refuses all commands except stops.
+        A moment has a text (values) and a frame (poses). The frame has its old number, and a
+        command of the page quotes the number of the frame that the user sees. So the server knows
+        the age of what the user sees. From MAX_LATENESS s on, only stops are carried out.
         """
         if self._is_sending:
             return
