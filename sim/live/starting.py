@@ -69,12 +69,12 @@ def await_robots(
 
 
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
-    """True if the neighbors that `robots` list are complete, as far as their statuses show.
+    """True if robots that hear each other know this, as far as their statuses show.
 
-    With `all_hear_all` each robot must list each other robot. Otherwise two robots may be out of
-    reach of each other: then neither of the two lists the other, or both do. `view` must have a
-    status of each of `robots`. True for more than MAX_NEIGHBORS robots, since a status lists no
-    more neighbors.
+    With `all_hear_all` each robot must list all others as neighbors: a robot that has just started
+    lists none. Otherwise robots may be out of reach, so it is enough that of each pair both robots
+    list each other, or neither. `view` must have a status of each of `robots`. True for more than
+    MAX_NEIGHBORS robots, since a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True

@@ -49,7 +49,7 @@ def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes, parameter in zip(grid.flat, space.parameters, strict=False):
         for candidate in tuning.candidates:
-            if parameter.name in candidate.values:  # no value of the present ones out of range
+            if parameter.name in candidate.values:  # present values out of range are left out
                 x = parameter.number_of(candidate.values[parameter.name])
                 _paint_candidate(axes, candidate, x, tuning)
         if parameter.choices:
