@@ -177,6 +177,7 @@ def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]
     """
     assert source.playback is not None
     robots = max(len(source.robots), 1)
+    # A sample each ROW_PERIOD from 0 to the end; 1e-6 is for rounding. Fewer of many robots.
     count = max(1, min(math.floor(duration / ROW_PERIOD + 1e-6) + 1, MAX_ROWS // robots))
     period = duration / (count - 1) if count > 1 else max(duration, ROW_PERIOD)
     rows, links = [], []
