@@ -371,9 +371,10 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter, by name. `mode` and `avoidance`: what it uses.
-      `barrier`, `stop_zone`: the settings of these modes; None: not given. `preset`: the name of
-      the settings of the potential field. These settings have keys of their own beside `preset`.
+    - `protection`: the settings of the arbiter. `mode`: the protection mode. `avoidance`: `orca` or
+      `none`. `barrier`, `stop_zone`: mappings with the settings of these modes; None: not given.
+      `preset`: the name of the settings of mode `potential_field`. All further keys, such as
+      `threshold`, are these settings.
     - `patterns`: parameters by pattern name. `drivers`: options by driver name.
     - `heights`: None if unknown.
     - `body`: values for the simulated robot (mass, wheel base ...).
