@@ -165,7 +165,8 @@ class TerminalView:
         """
         view, statuses = self._source.view, self._source.statuses()
         controls = self._controls
-        # 1. All known robots. A silent robot has a note in place of its last status.
+        # 1. All known robots. A silent robot has a note in place of its last status; every other
+        #    robot is in `present`, with its status.
         self._known = sorted(view.members.keys() | statuses.keys() | view.roster)
         all_notes = {
             name: _note(view.members.get(name), statuses.get(name)) for name in self._known
@@ -179,8 +180,8 @@ class TerminalView:
         controls.follow(self._robots, shown_before)
         # 3. The poses of shown robots, each by the odometry of its robot: no frame is shared.
         poses, area = self._where()
-        has_pose = poses.keys() & present.keys()
-        shown_poses = {name: poses[name] for name in self._robots if name in has_pose}
+        located = poses.keys() & present.keys()
+        shown_poses = {name: poses[name] for name in self._robots if name in located}
         needs_attention = controls.mode is not Mode.LOOK or bool(controls.note)
         return Scene(
             title=self._title(view, present, notes),
