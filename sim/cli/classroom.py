@@ -51,9 +51,10 @@ class Work:
             "passed": self.is_passed,
             "why": self.why,
             "checks": [
-                {"point": one.name, "result": one.result, "text": one.text} for one in self.checks
+                {"point": point.name, "result": point.result, "text": point.text}
+                for point in self.checks
             ],
-            "requirements": [one.document() for one in findings],
+            "requirements": [finding.document() for finding in findings],
         }
 
 
@@ -68,18 +69,23 @@ def lessons(is_json: bool) -> None:
     """List the lessons, what a pupil hands in for each, and the targets."""
     from swarmd.sim.experiments.lessons import load_lessons
 
-    found = load_lessons()
+    lesson_by_number = load_lessons()
     if is_json:
         rows = [
-            {"lesson": number, "title": one.title, "hand_in": _wanted(one), "targets": one.targets}
-            for number, one in found.items()
+            {
+                "lesson": number,
+                "title": lesson.title,
+                "hand_in": _wanted(lesson),
+                "targets": lesson.targets,
+            }
+            for number, lesson in lesson_by_number.items()
         ]
         print_json("Lessons", {"lessons": rows})
         return
     table = [
-        (number, one.title, ", ".join(_wanted(one)), text)
-        for number, one in found.items()
-        for text in _targets(one)
+        (number, lesson.title, ", ".join(_wanted(lesson)), text)
+        for number, lesson in lesson_by_number.items()
+        for text in _targets(lesson)
     ]
     print_table(("LESSON", "TITLE", "HAND IN", "TARGET"), table)
 
@@ -112,11 +118,13 @@ def check(
 ) -> None:
     """Mark the work of a class: FOLDER holds a folder FOLDER/PUPIL for each pupil.
 
-    `class lessons` lists what each lesson asks for, and its targets. In a lesson with a pattern,
-    each pupil's pattern has to pass `plugin check`. Then the experiment of the lesson runs with
-    this pattern and fixed seeds, and its metrics have to meet the targets. A pupil may hand in the
-    pattern's file without a folder, as FOLDER/PUPIL.py. In the other lessons the experiments in the
-    pupil's folder have to meet the targets.
+    `class lessons` lists what each lesson asks for, and its targets.
+
+    In a lesson with a pattern, each pupil's pattern has to pass `plugin check`. Then the experiment
+    of the lesson runs with this pattern and fixed seeds, and its metrics have to meet the targets.
+    A pupil may hand in the pattern's file without a folder, as FOLDER/PUPIL.py.
+
+    In a lesson without a pattern, the experiments in the pupil's folder have to meet the targets.
 
     Exit code 0 if the work of all pupils passes, else 1.
     """
@@ -127,8 +135,10 @@ def check(
     lessons = load_lessons()
     if folder is None or lesson is None:
         missing_word = "FOLDER" if folder is None else "--lesson NUMBER"
-        text = "type: swarmctl class check FOLDER --lesson 2, where FOLDER holds PUPIL.py or PUPIL/"
-        raise click.UsageError(f"{missing_word} is missing; {text} of each pupil")
+        raise click.UsageError(
+            f"{missing_word} is missing; type: swarmctl class check FOLDER --lesson 2, where FOLDER"
+            " holds PUPIL.py or PUPIL/ of each pupil"
+        )
     if lesson not in lessons:
         raise click.UsageError(unknown("lesson", lesson, lessons))
     chosen_lesson = lessons[lesson]
@@ -180,7 +190,7 @@ def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeo
             return Work(pupil, mark=mark, why=mark.why)
         with _folder_of(path, lesson) as folder:
             checks = _checked(folder, lesson)
-            if why := next((_fault(one) for one in checks if one.result != "ok"), ""):
+            if why := next((_fault(point) for point in checks if point.result != "ok"), ""):
                 return Work(pupil, checks, why=why)
             mark = mark_pattern(lesson, plan, folder, processes=processes, timeout=timeout)
             return Work(pupil, checks, mark, mark.why)

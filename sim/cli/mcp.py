@@ -113,20 +113,20 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         )
     rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
 
-    def operator(_: Tell) -> Operator:
-        """A new operator of the connection's pool, with the present files of roster and identity.
+    def make_operator(ignored_tell: Tell) -> Operator:
+        """An operator with the present files of roster and identity.
 
-        The argument would print notes on the connection, for which an agent has no terminal.
+        The operator prints no notes on its connection: an agent has no terminal.
         """
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
         return Operator(settings, roster=roster, identity=identity, program="mcp")
 
-    # stdout belongs to the protocol.
+    # The log goes to stderr (the default), since stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    connection = Connection(operator, timeout=options.timeout)
-    with suppress(asyncio.CancelledError):
+    connection = Connection(make_operator, timeout=options.timeout)
+    with suppress(asyncio.CancelledError):  # a signal has ended the server
         asyncio.run(_serve(connection, allow, rehearse))
 
 
@@ -145,48 +145,20 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     These are all tools that read or simulate, and those of `allow` that command robots.
     """
     from mcp.server.mcpserver import MCPServer
-    from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
     arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
-            # The SDK drops unknown names: `robot` instead of `robots` would command all robots. It
-            # also reads "null" as None, and true as 1.0.
-            if (expected := arguments_of.get(name)) is not None:
-                try:
-                    msgspec.convert(arguments, expected)
-                except msgspec.ValidationError as error:
-                    prefix = "nothing was sent: " if name in COMMANDS else ""
-                    text = _cut(f"{prefix}{error}")
-                    raise ToolError(f"Error executing tool {name}: {text}") from error
+            if name in arguments_of:
+                _check_arguments(name, arguments, arguments_of[name])
             return await super().call_tool(name, arguments, context)
-
-    def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
-        """Add a method of `tools` to the server; its SwarmError becomes a ToolError."""
-
-        @wraps(method)
-        async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
-            try:
-                return await method(*args, **kwargs)
-            except SwarmError as error:
-                # A ConfigError comes before a request is sent; other errors may come later.
-                is_unsent = is_command and isinstance(error, ConfigError)
-                text = f"nothing was sent: {error}" if is_unsent else str(error)
-                raise ToolError(_cut(text)) from error
-
-        arguments_of[method.__name__] = _arguments(method)
-        is_harmless = method.__name__ in ("stop", "estop")
-        hints = ToolAnnotations(
-            read_only_hint=not is_command, destructive_hint=is_command and not is_harmless
-        )
-        server.add_tool(call, annotations=hints)
 
     server = Server(
         "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
     )
-    for method in (
+    methods: list[Callable[..., Coroutine[Any, Any, Answer]]] = [
         tools.members,
         tools.describe,
         tools.goal,
@@ -195,12 +167,51 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
         tools.pattern,
         tools.scenarios,
         tools.simulate,
-    ):
-        tool(method, is_command=False)
-    for name in COMMANDS:
-        if name in allow:
-            tool(getattr(tools, name), is_command=True)
+    ]
+    methods += [getattr(tools, name) for name in COMMANDS if name in allow]
+    for method in methods:
+        name = method.__name__
+        arguments_of[name] = _arguments(method)
+        is_command = name in COMMANDS
+        is_destructive = is_command and name not in ("stop", "estop")
+        hints = ToolAnnotations(read_only_hint=not is_command, destructive_hint=is_destructive)
+        server.add_tool(_as_tool(method, is_command=is_command), annotations=hints)
     return server
+
+
+def _check_arguments(name: str, arguments: Answer, expected: type[msgspec.Struct]) -> None:
+    """Raise ToolError for unknown arguments of the tool `name`, and for values of a wrong type.
+
+    The SDK drops unknown arguments: a call with `robot` instead of `robots` would command all
+    robots. The SDK also reads "null" as None, and true as 1.0.
+    """
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    try:
+        msgspec.convert(arguments, expected)
+    except msgspec.ValidationError as error:
+        prefix = "nothing was sent: " if name in COMMANDS else ""
+        text = _cut(f"{prefix}{error}")
+        raise ToolError(f"Error executing tool {name}: {text}") from error
+
+
+def _as_tool(
+    method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool
+) -> Callable[P, Coroutine[Any, Any, Answer]]:
+    """The method with a ToolError in place of its SwarmError."""
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    @wraps(method)
+    async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
+        try:
+            return await method(*args, **kwargs)
+        except SwarmError as error:
+            # A ConfigError comes before a request is sent; other errors may come later.
+            is_unsent = is_command and isinstance(error, ConfigError)
+            text = f"nothing was sent: {error}" if is_unsent else str(error)
+            raise ToolError(_cut(text)) from error
+
+    return call
 
 
 @dataclass(frozen=True)
@@ -244,9 +255,9 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    A rehearsal simulates a run before the run is sent (`Rehearsal`). The run is then sent only if
-    no stop was requested during the rehearsal: no stop by this server, and no stop by another
-    operator that the epoch of a robot shows.
+    A rehearsal simulates a run before the run is sent (`Rehearsal`). A stop or another request
+    during the rehearsal prevents the run. The server knows its own stops by a count, and requests
+    of other operators by the epochs of the robots (an epoch counts the changes of a robot).
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
@@ -276,12 +287,12 @@ class SwarmTools:
         """What each robot is to do beside what it does."""
         rows = [
             {
-                "robot": one.robot,
-                "actual": one.actual,
-                "reason": one.reason,
-                "is_as_desired": one.is_as_desired,
+                "robot": robot_goal.robot,
+                "actual": robot_goal.actual,
+                "reason": robot_goal.reason,
+                "is_as_desired": robot_goal.is_as_desired,
             }
-            for one in await self._swarm.goal()
+            for robot_goal in await self._swarm.goal()
         ]
         return {"robots": rows}
 
@@ -291,7 +302,7 @@ class SwarmTools:
         `did_not_answer`: robots whose events are not known.
         """
         lines = []
-        with suppress(TimeoutError):
+        with suppress(TimeoutError):  # the usual end
             async with asyncio.timeout(_LISTEN):
                 async for line in self._swarm.events(since=seconds):
                     lines.append({"robot": line.robot, "text": line.text})
@@ -373,8 +384,6 @@ class SwarmTools:
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
-            # A stop during the rehearsal takes precedence over the run: a stop by this server
-            # counts in `_stops`, a stop by others changes the epochs of robots.
             stops_before = self._stops
             async with self._simulating:
                 epochs_before = await self._epochs()
@@ -410,7 +419,11 @@ class SwarmTools:
     async def _epochs(self) -> Mapping[str, Epoch]:
         """The epoch of each robot that answered; a stop changes it."""
         members = await self._swarm.members()
-        return {name: one.status.epoch for name, one in members.items() if one.status is not None}
+        return {
+            name: member.status.epoch
+            for name, member in members.items()
+            if member.status is not None
+        }
 
     def _check_unstopped(
         self, stops: int, before: Mapping[str, Epoch], after: Mapping[str, Epoch]
@@ -476,15 +489,16 @@ def _check_bounds(name: str, value: float, highest: float) -> None:
 def _variant(
     scenario: Scenario, seconds: float, pattern: str | None, params: Mapping[str, Any]
 ) -> Scenario:
-    """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
+    """A scenario of `seconds` s in which all robots run `pattern` with the parameters `params`.
 
-    Events after the end are left out. `params` are parameters of `pattern`, and take the place of
-    all parameters in the scenario, which are for the patterns that `pattern` replaces.
+    `pattern` None: the groups keep their own patterns and parameters, and `params` has no effect.
+    The key `parameters` of the whole scenario, which has parameters by pattern, stays in any case.
+    Events after the end are left out.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 
     content = {**scenario.effective, "duration": seconds}
-    content["events"] = [one for one in content.get("events") or () if one["at"] < seconds]
+    content["events"] = [event for event in content.get("events") or () if event["at"] < seconds]
     if pattern is not None:
         chosen = {"pattern": pattern, "parameters": dict(params)}
         content["groups"] = {name: {**group, **chosen} for name, group in content["groups"].items()}

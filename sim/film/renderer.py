@@ -60,7 +60,7 @@ class Renderer:
 
     def close(self) -> None:
         """Free the context of OpenGL, in another thread as far as that thread can."""
-        with suppress(SwarmError):
+        with suppress(SwarmError):  # in another thread the context cannot be made current
             self._make_current()
             self._context.free()
         self._gl.free()

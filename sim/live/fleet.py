@@ -302,9 +302,10 @@ def _await_ready(world: Child) -> Ready:
     is_ready, _, _ = select.select([world.process.stdout], [], [], WORLD_TIMEOUT)
     line = world.process.stdout.readline() if is_ready else b""  # a world writes it at once
     if line:
-        with contextlib.suppress(msgspec.DecodeError):
+        with contextlib.suppress(msgspec.DecodeError):  # no ready line
             return msgspec.json.decode(line, type=Ready)
     if world.process.poll() is None and not line:
+        # If the output has ended, the process ends soon.
         with contextlib.suppress(subprocess.TimeoutExpired):
             world.process.wait(timeout=0.5)
     if world.process.poll() is not None:

@@ -53,9 +53,10 @@ class Staggered:
     """n periodic jobs, spread evenly over half of their period, which avoids bursts."""
 
     def __init__(self, rates: Array, now: float, order: Indices | None = None) -> None:
-        """`rates` (n,) in Hz; `order` (n,): the jobs in the order of their first times.
+        """Plan the first time of each job, half a period to a period after `now` in s.
 
-        None: in the order of `rates`. The first times are half a period to a period after `now`.
+        `rates` (n,) of the jobs in Hz. `order` (n,): the indices of the jobs in the order of their
+        first times; None: the order of `rates`.
         """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         n = len(self._period)

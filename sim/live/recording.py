@@ -131,9 +131,10 @@ class StatusLog:
         self._received.append((time, dict(statuses)))
 
     def add_present(self, time: float, robots: Collection[str]) -> None:
-        """Note the robots that have a daemon from `time` s of the recording on; in order of time.
+        """Note which robots have a daemon from `time` s of the recording on.
 
-        The robots of the first call count from the start of the recording.
+        Calls must come in the order of `time`. The first call counts from the start of the
+        recording.
         """
         self._present.append((time if self._present else 0.0, frozenset(robots)))
 
@@ -142,8 +143,8 @@ class StatusLog:
 
         `report` has the numbers that patterns report, `words` their texts. Each status holds until
         the next. Values are empty, False or NaN before a robot's first status, and while the robot
-        has no daemon. The requested command is left out: in a status it is some tenths of a second
-        older than the safe command that the world records.
+        has no daemon. The requested command is left out: the status is some tenths of a second
+        older than the safe command that the world records, so the two commands do not match.
         """
         if not self._received:
             return trace
@@ -163,9 +164,9 @@ class StatusLog:
         return replace(trace, **known, **self._presence(trace, known))
 
     def _presence(self, trace: Trace, known: Mapping[str, Any]) -> dict[str, Any]:
-        """{"present": (T, n)} if a robot was without a daemon at some time, else {}.
+        """The array `present` of the trace (instants, robots); {} if all daemons always ran.
 
-        Blanks the values of absent robots in `known`.
+        Blanks in `known` the values of robots at instants without a daemon.
         """
         everyone = frozenset(trace.ids)
         if all(robots >= everyone for _, robots in self._present):

@@ -73,9 +73,9 @@ def smoothing_of(metric: str) -> float:
 def metrics_over_time(metrics: Iterable[Metric]) -> list[Metric]:
     """The metrics that can be drawn over time, one for each series."""
     by_stem: dict[str, Metric] = {}
-    for one in metrics:
-        if one.series is not None or one.is_time_to_event:
-            by_stem.setdefault(stem_of(one.name), one)
+    for metric in metrics:
+        if metric.series is not None or metric.is_time_to_event:
+            by_stem.setdefault(stem_of(metric.name), metric)
     return list(by_stem.values())
 
 
@@ -86,10 +86,14 @@ def primary_metric(results: Results, metrics: Sequence[Metric] | None) -> Metric
     """
     if metrics is None:
         metrics = [METRICS[name] for name in _PRIMARY]
-    metrics = [one for one in metrics if one.name in results.metrics or one.name not in METRICS]
-    values = [_finite(results.metric(one)) for one in metrics]
-    has_value = [one for one, some in zip(metrics, values, strict=True) if some.size]
-    differing = [m for m, some in zip(metrics, values, strict=True) if some.size and np.ptp(some)]
+    metrics = [
+        metric for metric in metrics if metric.name in results.metrics or metric.name not in METRICS
+    ]
+    values = [_finite(results.metric(metric)) for metric in metrics]
+    has_value = [metric for metric, known in zip(metrics, values, strict=True) if known.size]
+    differing = [
+        m for m, known in zip(metrics, values, strict=True) if known.size and np.ptp(known)
+    ]
     return next(iter((*differing, *has_value)), None)
 
 
@@ -117,19 +121,19 @@ def worst_first(values: Array, better: Better | None) -> tuple[list[int], str]:
 
 def events_of(trace: Trace) -> tuple[tuple[float, str], ...]:
     """Time in s and label of each event after the start; empty if there are too many to draw."""
-    found: list[tuple[float, list[str]]] = []
+    marks: list[tuple[float, list[str]]] = []
     for event in trace.meta.get("events", ()):
         at, word = float(event["at"]), _label(event, len(trace.ids))
         if at <= 0.0:
             continue
-        if found and at - found[-1][0] < _TOO_CLOSE * trace.duration:
-            if word not in found[-1][1]:
-                found[-1][1].append(word)
+        if marks and at - marks[-1][0] < _TOO_CLOSE * trace.duration:
+            if word not in marks[-1][1]:
+                marks[-1][1].append(word)
         else:
-            found.append((at, [word]))
-    if len(found) > MAX_EVENTS:
+            marks.append((at, [word]))
+    if len(marks) > MAX_EVENTS:
         return ()
-    return tuple((at, ", ".join(words)) for at, words in found)
+    return tuple((at, ", ".join(words)) for at, words in marks)
 
 
 def _order(values: Array) -> list[int]:
@@ -171,12 +175,12 @@ class Quantity:
 
 def swept_quantities(plan: Plan, labels: Mapping[str, str]) -> dict[str, Quantity]:
     """The quantity of each swept key of a plan; `labels`: texts by key or by its last part."""
-    found = {}
+    quantities = {}
     for key in plan.sweep:
         short = key.rpartition(".")[2]
         text = labels.get(key, labels.get(short))
-        found[key] = Quantity.parse(text) if text else Quantity(short, _unit_of(plan, key))
-    return found
+        quantities[key] = Quantity.parse(text) if text else Quantity(short, _unit_of(plan, key))
+    return quantities
 
 
 def _unit_of(plan: Plan, key: str) -> str:
@@ -186,15 +190,16 @@ def _unit_of(plan: Plan, key: str) -> str:
         return _UNITS.get(key, "")
     group, name = words[1], words[-1]
     patterns = {
-        one.effective.get("groups", {}).get(group, {}).get("pattern") for one in plan.variants
+        variant.effective.get("groups", {}).get(group, {}).get("pattern")
+        for variant in plan.variants
     }
     origins = pattern_names(None)
     for pattern in sorted(patterns & origins.keys()):
         origin = origins[pattern]
         load = PatternLoader({pattern: (origin.value, origin.is_file)})
-        for one in schema(load(pattern).params_type) if not origin.is_file else ():
-            if one.name == name:
-                return one.unit
+        for parameter in schema(load(pattern).params_type) if not origin.is_file else ():
+            if parameter.name == name:
+                return parameter.unit
     return ""
 
 
@@ -215,10 +220,12 @@ def facets_of(
 ) -> dict[str, Facet]:
     """The facet of each variant, by the variant's name: its panel, and its label in the panel.
 
-    `key`: a swept key, or the last word of a swept key; each value of this key has a panel. None:
-    all variants are in one panel. `alone`: the label if a panel has one variant. `labels`: by swept
-    key or its last word, the text in place of the key. ConfigError with the nearest key if `key`
-    was not swept.
+    - `key`: each value of this swept key has a panel; None: all variants are in one panel.
+    - `alone`: the label of a variant that is alone in its panel.
+    - `labels`: by swept key, the text that stands for the key.
+
+    The last word of a swept key may stand for the whole key. ConfigError with the nearest key if
+    `key` was not swept.
     """
     quantities = swept_quantities(plan, labels or {})
     if key is None:

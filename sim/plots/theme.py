@@ -114,6 +114,7 @@ def fit(figure: Figure, width: float | None) -> Figure:
     from matplotlib.lines import Line2D
     from matplotlib.text import Text
 
+    # `findobj` returns artists of any type, so `isinstance` tells mypy the type.
     for note in figure.findobj(lambda artist: artist.get_gid() == NOTE):
         if isinstance(note, Text):
             note.set_text("")
@@ -132,7 +133,7 @@ def fit(figure: Figure, width: float | None) -> Figure:
         if isinstance(collection, Collection):
             widths = np.atleast_1d(np.asarray(collection.get_linewidth(), dtype=np.float64))
             collection.set_linewidth((widths * _PAPER_SCALE).tolist())
-        if isinstance(collection, PathCollection):  # markers, whose sizes are areas
+        if isinstance(collection, PathCollection):  # of markers; the sizes are areas
             collection.set_sizes(collection.get_sizes() * _PAPER_SCALE**2)
     return figure
 
@@ -148,8 +149,8 @@ def tidy(axes: Axes) -> None:
 def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
     """Write the figure to a file atomically, and make missing folders; returns the path.
 
-    `width`: None: the picture is cropped or enlarged to the contents of the figure. A number: the
-    figure is for a paper, so its size stays, and a PNG has the resolution of print. Equal figures
+    `width`: in inches: the figure is for a paper, so its size stays, and a PNG has the resolution
+    of print. None: the picture is cropped or enlarged to the contents of the figure. Equal figures
     give equal bytes. ConfigError if the suffix names no format. SwarmError if the file cannot be
     written.
     """
@@ -159,11 +160,13 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
         raise ConfigError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
     kind = path.suffix[1:]
     date_key = {"svg": "Date", "pdf": "CreationDate"}.get(kind)  # left out, for equal bytes
+    options: Any = {
+        "svg.hashsalt": "swarmd",  # a fixed salt of the ids in an SVG, for equal bytes
+        "svg.fonttype": "none",  # text as text, not as paths
+        "pdf.fonttype": 42,  # TrueType: journals refuse matplotlib's default, Type 3
+    }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A fixed salt of the ids in an SVG, for equal bytes; text as text in an SVG, and as
-        # TrueType (42) in a PDF, since journals refuse matplotlib's default, Type 3.
-        options: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
         with whole_file(path) as partial, rc_context(options):
             figure.savefig(
                 partial,

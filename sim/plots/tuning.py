@@ -37,10 +37,11 @@ def draw_tuning(tuning: Tuning, folder: Path) -> list[Path]:
 
 
 def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
-    """Draw the mean of each candidate over each parameter, a panel for each; returns the path.
+    """Draw a panel for each parameter, with the mean of each candidate; returns the path.
 
-    The best candidate and the present values have colours. A small pale point is a candidate that
-    ended early, whose mean is extrapolated.
+    The horizontal axis has the values of the parameter, the vertical axis the metric. The best
+    candidate and the present values have colours. A small pale point is a candidate that ended
+    early, whose mean is extrapolated.
     """
     rows = -(-len(space.parameters) // _COLUMNS)
     columns = min(len(space.parameters), _COLUMNS)
@@ -48,7 +49,7 @@ def draw_landscape(tuning: Tuning, space: ParameterSpace, path: Path) -> Path:
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes, parameter in zip(grid.flat, space.parameters, strict=False):
         for candidate in tuning.candidates:
-            if parameter.name in candidate.values:
+            if parameter.name in candidate.values:  # present values out of range are left out
                 x = parameter.number_of(candidate.values[parameter.name])
                 _paint_candidate(axes, candidate, x, tuning)
         if parameter.choices:

@@ -83,10 +83,10 @@ def layout_of(start: StartSection) -> str:
 
 
 def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
-    """The sources, strongest first, without start keys that do not fit a stronger source's layout.
+    """Drop the keys of `start` that do not fit the layout of a stronger source; returns the rest.
 
-    Without this, a file that changes the layout of the file that it extends would have to remove
-    the keys of the old layout.
+    `sources`: strongest first. So a file may change the layout of the file that it extends, and
+    need not remove the keys of the old layout.
     """
     kept: list[tuple[str, Data]] = []
     layouts: dict[str, str] = {}
@@ -153,6 +153,7 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
     # A random layout must not depend on the order of the ids in the file.
     rows = sorted(part.rows) if layout in _SEEDED else part.rows
     center = start.center or (0.0, 0.0)
+    # rad. Without a heading, robots of random layouts have random headings.
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
     rng = generator(seed, "starts", part.key)
     try:
@@ -160,10 +161,14 @@ def _place(placement: Placement, part: StartGroup, seed: int) -> None:
             near, far = start.near or 0.0, start.far or 0.0
             chain(placement, rows, rng, near=near, far=far, center=center, heading=heading)
         elif layout == "random":
-            clearance = _CLEARANCE if start.clearance is None else start.clearance
-            area = start.size
             scatter(
-                placement, rows, rng, clearance=clearance, center=center, size=area, heading=heading
+                placement,
+                rows,
+                rng,
+                clearance=_CLEARANCE if start.clearance is None else start.clearance,
+                center=center,
+                size=start.size,
+                heading=heading,
             )
         elif layout == "list":
             poses = np.array(start.poses, dtype=np.float64)

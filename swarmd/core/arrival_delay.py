@@ -2,9 +2,9 @@
 
 Each difference of arrival time and stamp is an unknown clock offset plus the delay of the message.
 The least difference so far belongs to the fastest message. The extra delay of a message is its
-difference less the least difference. The clocks drift apart, and with them the least difference. So
-the estimate rises at the rate of the greatest drift, until a fast message lowers the estimate
-again.
+difference less the least difference. The clocks drift apart, and the least difference drifts with
+them. So the estimate of the least difference rises at the rate of the greatest drift, until a fast
+message lowers the estimate again.
 """
 
 from __future__ import annotations

@@ -48,8 +48,9 @@ class ForkedProcess:
     def poll(self) -> int | None:
         """The exit code; None while the process runs.
 
-        After the end of the server, multiprocessing returns 255 for its forks. The kernel has then
-        killed this fork, too (`--die-with-parent`), so that the result is that of SIGKILL.
+        If the server has ended, the kernel has killed its forks with SIGKILL (`--die-with-parent`).
+        multiprocessing does not know this, and gives the code 255. This method then returns the
+        code of SIGKILL.
         """
         code = self._process.exitcode
         return -signal.SIGKILL if code == _SERVER_IS_GONE else code
@@ -104,11 +105,14 @@ def fork_main(
 ) -> ForkedProcess:
     """Run `main()` of a module in a fork of the started server.
 
-    `ps` and `pgrep -x` show the fork as `name`, with the command line of the server. The fork has a
-    session of its own, and the current folder and environment of the caller. Modules that the
-    server imported may have read the server's environment instead. The fork gets `arguments`, then
-    `--die-with-parent` with the id of the server. Its standard input is empty; its output is
-    appended to the files `stdout` (None: dropped) and `stderr`.
+    - `name`: the name of the fork in `ps` and `pgrep -x`, which show the server's command line.
+    - `arguments`: the arguments of `main()`. The fork adds `--die-with-parent` with the id of the
+      server.
+    - `stdout`, `stderr`: the files to which the output is appended; None: the output is dropped.
+      The standard input is empty.
+
+    The fork has a session of its own, and the current folder and environment of the caller. But
+    modules that the server imported may have read the environment of the server.
     """
     stdout_path, stderr_path = (os.path.abspath(path or os.devnull) for path in (stdout, stderr))
     for path in (stdout_path, stderr_path):
@@ -152,10 +156,11 @@ def _run(
         folder: the current folder.
         environment: the environment.
     """
-    # 1. The server ends once this pipe has no writer: only the first process must keep it open.
+    # 1. The server ends when all writers of its "alive" pipe have closed the pipe. So a fork closes
+    #    the pipe: the server must end with the process that started it, not with the last fork.
     os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
 
-    # 2. A session of its own, with SIGINT as in a new process, and a name.
+    # 2. A session of its own, and a name. The fork begins with SIGINT blocked (`start_server`).
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # discards a SIGINT from before the session
     signal.signal(signal.SIGINT, signal.default_int_handler)

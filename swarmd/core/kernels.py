@@ -2,20 +2,26 @@
 
 A kernel's file is the only source of its arithmetic. `setup.py` compiles the kernels of each row of
 LIBRARIES into one library beside them. Kernels that call each other's functions of C are in one
-row: a call with nine arrays takes 8 us from one library to another.
+row: from one library to another, a call with nine arrays takes 8 us.
 
-CPython interprets the files in four cases: there is no library; the environment has
-SWARMD_COMPILED=0; a library was compiled from other sources than the present files, so that callers
-might use functions that the library lacks; `_views.abi3.so` is absent or was compiled by another
-version of Cython. All libraries import `_views.abi3.so`, which contains Cython's code for memory
-views. setup.py runs this file alone, so this file imports no other module of swarmd.
+CPython interprets the files if
+
+- there is no library,
+- the environment has SWARMD_COMPILED=0,
+- a library was compiled from other sources than the present files: callers might use functions that
+  the library lacks,
+- `_views.abi3.so` is absent or was compiled by another version of Cython. All libraries import this
+  file, which contains Cython's code for memory views.
+
+setup.py runs this file alone, so this file imports no other module of swarmd.
 
 Reasons and measurements:
 
-- There are several libraries since these compile in parallel. Their price: a call from one library
-  to another costs 50 ns and more, an estimated 2 % of all time with 100 robots.
-- Python classes compiled without changes gained nothing; C fields, buffers of doubles and fewer
-  calls gain.
+- There are several libraries since these compile in parallel. Their price: even the cheapest call
+  from one library to another costs 50 ns. All these calls take an estimated 2 % of the time with
+  100 robots.
+- To compile classes of Python as they are gained nothing. The gain comes from C fields, buffers of
+  doubles and fewer calls.
 - Time of an event (a scan or a decision) in mode barrier, in recorded runs: 1.01 ms by a version in
   numpy, 0.71 ms by this source interpreted, 0.07 ms compiled.
 - A run of seven robots in lockstep took, interpreted, 1.1 to 1.35 times the time of numpy.
@@ -101,10 +107,10 @@ _STALE = "older than its source (run make kernels)"
 
 
 def load_kernel(name: str) -> Any:
-    """The kernel of the module `name`: the compiled library, else the interpreted module.
+    """The kernel of the module `name`: from the compiled library, or else the interpreted module.
 
-    Logs a line for a library that is older than its sources. An import of the module by name always
-    gives the interpreted module.
+    Logs a line for a library that was compiled from other sources. (`import` of the same name
+    always gives the interpreted module.)
     """
     return _compiled(name) or import_module(name)
 

@@ -73,5 +73,5 @@ def _peer_of(client: ssl.SSLContext, server: ssl.SSLContext) -> dict[str, Any]:
             try:
                 end.do_handshake()
             except ssl.SSLWantReadError:
-                continue
+                continue  # this end waits for the other end
     return dict(ends[0].getpeercert() or {})

@@ -147,7 +147,7 @@ def of_robot(
 
     # 2. The network between robot and machine, and between robots.
     yield _heard_here(ways, reply.profile)
-    if reply.profile != "routed":
+    if reply.profile != "routed":  # with routers no datagram comes directly from a robot
         yield _hears(reply, others)
 
     # 3. The robot itself. `storage`: why a restart would lose latches (the state folder's fault).

@@ -82,11 +82,12 @@ def content_of(goal: Goal) -> dict[str, Any]:
 
 
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
-    """The targets of goal `before`, and the robots that only goal `present` targets.
+    """The robots that run, and the robots that stop, if goal `before` replaces goal `present`.
 
-    For `undo`: the first list runs `before`, the second list is stopped. Both have only the robots
-    that must answer (`MembersView.expected`). The second list is empty if `present` has no pattern,
-    since its robots stand already. A robot of unknown labels is matched by its name alone.
+    The targets of `before` run. The robots that only `present` targets stop; none if `present` has
+    no pattern, since its robots then stand already. Both lists have only the robots that must
+    answer (`MembersView.expected`). A robot whose labels are not known is matched by its name
+    alone.
     """
     labels = {
         name: member.status.labels

@@ -27,8 +27,8 @@ def row(member: SeenMember) -> tuple[str, ...]:
     """The cells of a member's line in the table, below HEADER.
 
     A member that answered shows its status. For any other member, STATE says why there is no
-    status. REASON and PATTERN then come from the head of the status, the part that is readable also
-    in a status of another version; without a head they stay empty.
+    status. REASON and PATTERN then come from the head of the status, which is readable also in a
+    status of another version. A cell without a value shows NOTHING.
     """
     status, status_head = member.status, member.header
     if member.contact is Contact.ANSWERED and status is not None:

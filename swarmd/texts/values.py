@@ -28,7 +28,7 @@ def seconds(value: float) -> str:
 def sandbox_text(sandbox: Sandbox) -> str:
     """The accesses that the sandbox denies to plugin code, such as `files, network denied`.
 
-    Accesses that the sandbox fails to deny are listed behind these.
+    If the sandbox fails to deny some accesses, the text ends with `; not denied:` and these.
     """
     denied = f"{', '.join(sandbox.denied)} denied" if sandbox.denied else "not confined"
     return f"{denied}; not denied: {sandbox.missing}" if sandbox.missing else denied

@@ -108,11 +108,11 @@ class Client:
         self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
 
     def look_back(self, source: Source, moment: Moment) -> None:
-        """Send the answers that are due, and a past moment, to a page that looks back.
+        """Send the past `moment` to a page that looks back, once, and answers that are due.
 
-        The moment is sent once, as the text and the frame that the page got at that time. The frame
-        has its old number. A command quotes the number of the frame that the page shows. So the
-        server refuses a command of a page that looks back by MAX_LATENESS s or more, except a stop.
+        A moment has a text (values) and a frame (poses). The frame has its old number, and a
+        command of the page quotes the number of the frame that the user sees. So the server knows
+        the age of what the user sees. From MAX_LATENESS s on, only stops are carried out.
         """
         if self._is_sending:
             return
@@ -174,7 +174,7 @@ class Client:
         return [] if detail is None else [json.dumps({"kind": "detail", "name": name, **detail})]
 
     async def _send(self, texts: list[str], scans: list[bytes], frame: bytes | None) -> None:
-        with suppress(ConnectionClosed):
+        with suppress(ConnectionClosed):  # the server ends this client (`ViewServer._talk`)
             while self._answers:
                 await self.connection.send(self._answers.pop(0))
             for text in texts:

@@ -184,13 +184,15 @@ class FoxgloveSocket:
                 channel.subscriptions.pop(connection, None)
 
     def _take(self, connection: ServerConnection, message: str | bytes) -> None:
-        with suppress(msgspec.MsgspecError, RecursionError):
+        with suppress(msgspec.MsgspecError, RecursionError):  # an invalid message is ignored
             ask = _ask.decode(message)
             if ask.op == "subscribe":
-                for one in ask.subscriptions:
-                    is_known = 1 <= one.channel_id <= len(self._channels)
-                    if is_known and 0 <= one.id < 1 << 32:
-                        self._channels[one.channel_id - 1].subscriptions[connection] = one.id
+                for subscription in ask.subscriptions:
+                    is_known = 1 <= subscription.channel_id <= len(self._channels)
+                    if is_known and 0 <= subscription.id < 1 << 32:
+                        self._channels[subscription.channel_id - 1].subscriptions[connection] = (
+                            subscription.id
+                        )
             elif ask.op == "unsubscribe":
                 for channel in self._channels:
                     if channel.subscriptions.get(connection) in ask.subscription_ids:
@@ -209,14 +211,14 @@ class FoxgloveSocket:
             yield _json({"op": "advertise", "channels": some})
 
     def _plain(self, place: int) -> dict[str, Any]:
-        one = self._channels[place]
+        channel = self._channels[place]
         return {
             "id": place + 1,
-            "topic": one.topic,
-            "encoding": one.encoding,
-            "schemaName": one.schema_name,
-            "schemaEncoding": one.schema_encoding,
-            "schema": one.schema,
+            "topic": channel.topic,
+            "encoding": channel.encoding,
+            "schemaName": channel.schema_name,
+            "schemaEncoding": channel.schema_encoding,
+            "schema": channel.schema,
         }
 
     def _send(self, channel: Channel, at: int, payload: bytes) -> None:

@@ -63,22 +63,20 @@ class LiveSource:
         """Prepare the source, without robots so far."""
         self.swarm = operator.settings.swarm
         self._operator = operator
-        # Patterns that may be run, with their descriptions; a thread calls `describe`.
-        self.patterns = patterns
-        self.descriptions: Mapping[str, Mapping[str, Any]] = {}
-        self._describe = describe
+        self.patterns = patterns  # that may be run
+        self.descriptions: Mapping[str, Mapping[str, Any]] = {}  # by pattern
+        self._describe = describe  # a thread calls it
         self._described: set[str] = set()  # platforms for which `describe` was called
         self._descriptions = 0  # count of finished descriptions; part of `revision`
-        # Events: lines of single robots, and marks, which join equal lines of several robots for
-        # the page. None: a line has come since the marks were made.
+        # Events: a line is of one robot. A mark joins equal lines of several robots for the page.
         self._feed = EventFeed(SPAN)
         self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
+        # None: a line has come since the last marks were made.
         self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
-        # The robots in the order of their indices.
-        self._robots: list[ShownRobot] = []
+        self._robots: list[ShownRobot] = []  # in the order of their indices
         self._index: dict[str, int] = {}  # by name
         self._revision = 0  # rises when a robot or its platform is added
-        # What robots published last, by name; threads of Zenoh write it. Scans and tracks with
+        # The last messages of robots, by name, which threads of Zenoh write. A scan and tracks have
         # their time of arrival in s.
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
@@ -146,25 +144,18 @@ class LiveSource:
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """By robot a row: the values of its last status, and its absence if it is silent.
+        """The row of each robot, by name: the values of its last status, and whether it is absent.
 
-        Also adds new robots to the list. For new platforms a thread is started that describes the
-        patterns on them (`_take_patterns`).
+        Also adds new robots to `robots`. For new platforms, starts a thread that describes the
+        patterns on these platforms (`_take_patterns`).
         """
         statuses = self.statuses()
         with self._lock:
             motions = dict(self._motions)
         view = self.view
         members = view.members
-        # 1. New robots and platforms.
         self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
-        platforms = {status.platform for status, _ in statuses.values() if is_id(status.platform)}
-        new_platforms = platforms - self._described
-        if self._describe is not None and new_platforms:
-            self._described |= new_platforms
-            arguments = (self._describe, sorted(new_platforms))
-            threading.Thread(target=self._take_patterns, args=arguments, daemon=True).start()
-        # 2. A row for each robot.
+        self._describe_new({status.platform for status, _ in statuses.values()})
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
@@ -172,30 +163,43 @@ class LiveSource:
             if status_and_age is None:
                 rows[name] = _unanswered(member)
                 continue
-            status, age = status_and_age
-            row = rows[name] = row_of(status)
-            # Commands and nearest obstacles (key `rows`), published more often than the status.
-            motion = motions.get(name)
-            if motion is not None:
-                row |= {
-                    "requested": list(motion.requested),
-                    "safe": list(motion.safe),
-                    "rows": limits_of(motion.rows),
-                }
-            row["tracks"] = self._tracks_of(name)
-            platform = self._platform(status.platform)
-            if platform is not None:
-                limits = platform.limits
-                row["limits"] = [limits.linear, limits.angular, limits.lateral]
-            row["age"] = age
-            # When the state began, on this machine's clock: `status.since` is a duration in s. The
-            # server sends only changed rows: `at` is rounded, so that it stays equal from call to
-            # call. The server sends `age`, which changes, apart from the rows.
-            row["at"] = round(time.monotonic() - age - status.since)
-            row["labels"] = list(status.labels)
+            rows[name] = self._row(name, *status_and_age, motions.get(name))
             if member is not None and member.presence is not Presence.ALIVE:
-                row |= {"presence": member.presence.value, "why": GONE[member.presence]}
+                rows[name] |= {"presence": member.presence.value, "why": GONE[member.presence]}
         return rows
+
+    def _describe_new(self, platforms: Iterable[str]) -> None:
+        """Start a thread that describes the patterns on those of `platforms` that are new."""
+        new_platforms = set(filter(is_id, platforms)) - self._described
+        if self._describe is not None and new_platforms:
+            self._described |= new_platforms
+            arguments = (self._describe, sorted(new_platforms))
+            threading.Thread(target=self._take_patterns, args=arguments, daemon=True).start()
+
+    def _row(self, name: str, status: Status, age: float, motion: Motion | None) -> dict[str, Any]:
+        """The row of a robot whose last status is `age` s old.
+
+        `motion`: commands and nearest obstacles, published more often than the status; or None.
+        """
+        row = row_of(status)
+        if motion is not None:
+            row |= {
+                "requested": list(motion.requested),
+                "safe": list(motion.safe),
+                "rows": limits_of(motion.rows),
+            }
+        row["tracks"] = self._tracks_of(name)
+        platform = self._platform(status.platform)
+        if platform is not None:
+            limits = platform.limits
+            row["limits"] = [limits.linear, limits.angular, limits.lateral]
+        row["age"] = age
+        # When the state began, in s on this machine's clock (`since`: s from then to the status).
+        # Rounded to the same number at each call, since the server sends a row if it has changed.
+        # `age`, which changes at each call, is sent apart from the rows.
+        row["at"] = round(time.monotonic() - age - status.since)
+        row["labels"] = list(status.labels)
+        return row
 
     def scan(self, name: str) -> Array | None:
         """The returns of a watched robot's scan in its base frame; None once it is old."""
@@ -222,7 +226,7 @@ class LiveSource:
             self._note(self._feed.advance(time.monotonic()))
             if self._marks is None:
                 marks = together(self._lines)[-MAX_MARKS:]
-                self._marks = [(round(one.at, 1), one.text, robots) for one, robots in marks]
+                self._marks = [(round(line.at, 1), line.text, robots) for line, robots in marks]
             return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
@@ -236,8 +240,8 @@ class LiveSource:
             "why": why(replace(member, status=status)),
             "sections": [[title, rows] for title, rows in rest if rows],
             "events": [
-                [f"{max(status.uptime - one.at, 0.0) + age:.0f} s ago", one.text]
-                for one in reversed(status.events)
+                [f"{max(status.uptime - event.at, 0.0) + age:.0f} s ago", event.text]
+                for event in reversed(status.events)
             ],
         }
 
@@ -294,10 +298,10 @@ class LiveSource:
 
     def _tracks_of(self, name: str) -> list[list[float]]:
         """The tracks of a watched robot: x, y, vx, vy and radius in its base frame."""
-        at, found = self._tracks.get(name, (-math.inf, None))
-        if found is None or time.monotonic() - at > _WATCHED_AGE:
+        at, tracks = self._tracks.get(name, (-math.inf, None))
+        if tracks is None or time.monotonic() - at > _WATCHED_AGE:
             return []
-        return [[round(value, 3) for value in astuple(track)] for track in found.tracks]
+        return [[round(value, 3) for value in astuple(track)] for track in tracks.tracks]
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
         """Add robots to the list; without a status a robot has a plain footprint."""
@@ -308,8 +312,8 @@ class LiveSource:
                 continue
             if index is None and len(self._robots) >= MAX_ROBOTS:
                 continue
-            found = self._platform(platform) if platform else None
-            shape = PLAIN if found is None else found.footprint
+            shown = self._platform(platform) if platform else None
+            shape = PLAIN if shown is None else shown.footprint
             self._revision += 1
             if index is None:
                 self._index[name] = index = len(self._robots)
@@ -318,7 +322,7 @@ class LiveSource:
                 self._robots[index] = ShownRobot(name, index, platform, shape)
 
     def _take_patterns(self, describe: Describe, platforms: Sequence[str]) -> None:
-        """Describe the patterns on new platforms: groups, parameters, and reasons against a run.
+        """Describe all patterns on new `platforms`, and why a pattern cannot run on a platform.
 
         Runs in a thread. Defaults of parameters depend on the platform: the page shows those of the
         platform that was described first.

@@ -42,11 +42,11 @@ class RecordingSource:
         self.timeline = read_timeline(paths)
         tracks = self.timeline.tracks
         self.robots = [
-            ShownRobot(name, i, one.platform.name, one.platform.footprint)
-            for i, (name, one) in enumerate(tracks.items())
+            ShownRobot(name, i, track.platform.name, track.platform.footprint)
+            for i, (name, track) in enumerate(tracks.items())
         ]
         if self.timeline.is_shared:
-            self.link = link_of(one.platform for one in tracks.values())
+            self.link = link_of(track.platform for track in tracks.values())
         names = list(tracks)
         self.swarm = f"recording of {', '.join(names[:3])}{' ...' if len(names) > 3 else ''}"
         run = paths[0].name
@@ -100,7 +100,7 @@ class RecordingSource:
                 if at >= 0.0
             ]
             marks = together(lines)[-MAX_MARKS:]
-            self._marks = [(round(one.at, 2), one.text, robots) for one, robots in marks]
+            self._marks = [(round(line.at, 2), line.text, robots) for line, robots in marks]
         return self._marks
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
@@ -155,11 +155,11 @@ def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
         "state": decision.state,
         "why": why,
         "stands": standing_of(decision.state, decision.reason),
-        "protection": protection * is_running,
+        "protection": protection if is_running else "",
         "requested": _plain(messages.twist_of(decision.requested)),
         "safe": _plain(messages.twist_of(decision.safe)),
         "near": None if math.isnan(decision.gap) else decision.gap,
-        "rows": [list(one) for one in zip(*(c.tolist() for c in columns), strict=True)],
+        "rows": [list(obstacle) for obstacle in zip(*(c.tolist() for c in columns), strict=True)],
     }
 
 

@@ -144,7 +144,7 @@ class ViewServer:
 
     async def _dismiss(self, client: Client, text: str) -> None:
         client.end()
-        with suppress(ConnectionClosed, TimeoutError):
+        with suppress(ConnectionClosed, TimeoutError):  # then `abort` ends the connection
             await asyncio.wait_for(client.connection.close(ENDED, text), CLOSE_TIME)
         client.connection.transport.abort()
 
@@ -175,8 +175,8 @@ class ViewServer:
     async def _talk(self, connection: ServerConnection) -> None:
         """Serve one WebSocket connection of a page until it closes.
 
-        The token in the address of the page gives the role: to command, or only to look. A page
-        without a role is closed, and a page beyond MAX_PAGES of its role.
+        The token in the address of the page gives the role: to command, or only to look. The
+        connection is closed at once for a wrong token, and for a page beyond MAX_PAGES of its role.
         """
         # 1. The role.
         request = connection.request
@@ -203,7 +203,7 @@ class ViewServer:
             async for received in connection:
                 self._take(client, received)
         except ConnectionClosed:
-            pass
+            pass  # the page was closed
         finally:
             client.end()
             self._clients.discard(client)
@@ -234,7 +234,7 @@ class ViewServer:
     async def _play(
         self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]
     ) -> None:
-        with suppress(TypeError, ValueError, OverflowError):
+        with suppress(TypeError, ValueError, OverflowError):  # an invalid message is ignored
             if kind == "play":
                 speed = float(message.get("speed", 1.0))
                 playback.play(is_playing=bool(message.get("is_playing")), speed=speed)

@@ -158,7 +158,7 @@ def link_of(platforms: Iterable[Platform]) -> float | None:
     Twice the largest `threshold` of the platforms (the distance up to which the potential field
     reacts to obstacles); None if no platform has a threshold.
     """
-    thresholds = (one.protection.get("threshold", 0.0) for one in platforms)
+    thresholds = (platform.protection.get("threshold", 0.0) for platform in platforms)
     return 2.0 * max(thresholds, default=0.0) or None
 
 
@@ -290,7 +290,7 @@ def json_of(value: Any) -> str:
 
 def _finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(one) for one in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

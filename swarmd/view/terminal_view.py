@@ -104,7 +104,7 @@ class TerminalView:
             waiting = self._waiting_estops()
             if waiting and not self._is_warned:
                 self._is_warned = True
-                missing = names_of([name for one in waiting for name in one.missing])
+                missing = names_of([name for answer in waiting for name in answer.missing])
                 self._controls.note = (
                     f"the estop is still sent, {missing or 'robots'} did not acknowledge it;"
                     " q again ends it"
@@ -130,12 +130,16 @@ class TerminalView:
         tell(CommandProgress(f"{command.verb}: sent to {to}, waits for answers"))
         targets = None if command.targets is None else list(command.targets)
         await self._commander.act(command.verb, {**command.fields, "targets": targets}, tell)
-        finals = [key for key, (_, one) in self._answers.items() if one.is_final]
+        finals = [key for key, (_, answer) in self._answers.items() if answer.is_final]
         for old in finals[:-MAX_ANSWERS]:
             del self._answers[old]
 
     def _waiting_estops(self) -> list[CommandProgress]:
-        return [one for verb, one in self._answers.values() if verb == "estop" and not one.is_final]
+        return [
+            answer
+            for verb, answer in self._answers.values()
+            if verb == "estop" and not answer.is_final
+        ]
 
     def _end(self, code: int) -> None:
         self._code = code
@@ -160,25 +164,24 @@ class TerminalView:
         Also keeps the cursor on a robot when the order of the shown robots changes.
         """
         view, statuses = self._source.view, self._source.statuses()
-        # 1. All known robots. A silent robot has a note in place of its last status.
-        known = sorted(view.members.keys() | statuses.keys() | view.roster)
-        notes: dict[str, str] = {}
-        for name in known:
-            note = _note(view.members.get(name), statuses.get(name))
-            if note:
-                notes[name] = note
-        present = {name: status for name, (status, _) in statuses.items() if name not in notes}
-        # 2. The robots whose text matches the filter.
-        search_texts = {name: notes.get(name) or _searched(present[name]) for name in known}
         controls = self._controls
-        shown_before, self._known = self._robots, known
-        self._robots = controls.shown(search_texts)
-        controls.follow(self._robots, shown_before)  # if the robot at the cursor is gone
-        # 3. Their poses on the map, each by the odometry of its robot: there is no shared frame.
-        poses, area = self._where()
-        shown_poses = {
-            name: poses[name] for name in self._robots if name in poses and name in present
+        # 1. All known robots. A silent robot has a note in place of its last status; every other
+        #    robot is in `present`, with its status.
+        self._known = sorted(view.members.keys() | statuses.keys() | view.roster)
+        all_notes = {
+            name: _note(view.members.get(name), statuses.get(name)) for name in self._known
         }
+        notes = {name: note for name, note in all_notes.items() if note}
+        present = {name: status for name, (status, _) in statuses.items() if name not in notes}
+        # 2. The shown robots, whose text matches the filter.
+        search_texts = {name: notes.get(name) or _searched(present[name]) for name in self._known}
+        shown_before = self._robots
+        self._robots = controls.shown(search_texts)
+        controls.follow(self._robots, shown_before)
+        # 3. The poses of shown robots, each by the odometry of its robot: no frame is shared.
+        poses, area = self._where()
+        located = poses.keys() & present.keys()
+        shown_poses = {name: poses[name] for name in self._robots if name in located}
         needs_attention = controls.mode is not Mode.LOOK or bool(controls.note)
         return Scene(
             title=self._title(view, present, notes),
@@ -209,10 +212,10 @@ class TerminalView:
             if not view.seconds:
                 return f"{swarm}: looking for robots"
             return f"{swarm}: no robot is heard; start swarmd, or see --swarm and --profile"
-        states = [one.state.value for one in statuses.values()]
+        states = [status.state.value for status in statuses.values()]
         counts = [f"{states.count(state)} {state}" for state in sorted(set(states))]
         counts += [f"{len(notes)} silent"] if notes else []
-        lost = sum(bool(lost_base(one)) for one in statuses.values())
+        lost = sum(bool(lost_base(status)) for status in statuses.values())
         counts += [f"{lost} WITHOUT THEIR BASE"] if lost else []
         parts = [f"{swarm}: {len(states) + len(notes)} robots: {', '.join(counts)}"]
         if controls.selected:
