@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.sim.experiments.results import Results, load_results
@@ -25,6 +26,8 @@ from swarmd.sim.experiments.statistics import (
 )
 from swarmd.sim.metrics.metric import Metric
 
+Indices = NDArray[np.intp]
+
 
 @dataclass(frozen=True, slots=True)
 class Side:
@@ -39,10 +42,11 @@ class Side:
 class Difference:
     """The comparison of one metric between side a and side b.
 
-    Only runs that have a value are compared. If `is_paired`, the run of the same seed on the
-    opposite side must have a value, too. If the metric is a time to an event that never happened in
-    some runs, the means are restricted to `horizon` s, and the log-rank test, which takes no pairs,
-    gives `p` from all finished runs.
+    A run is compared if it has a value. If `is_paired`, its pair, the run of the same seed on the
+    opposite side, must have a value, too.
+
+    For a time to an event that never happened in some runs, the means are restricted to `horizon`
+    s. Then `p` is that of the log-rank test, which takes no pairs, and uses all finished runs.
     """
 
     metric: str
@@ -198,21 +202,17 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     """Compare one metric of two sides: means, 95 % interval and p, without Holm's correction."""
     values_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
     values_b = b.results.metric(metric, b.variant)
-
-    # A time to an event that never happened in some runs: log-rank test and restricted means.
-    is_never_a, is_never_b = np.isnan(values_a), np.isnan(values_b)
+    # With equal planned seeds, runs of the same seed are pairs.
+    is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     horizon, p = None, None
+    is_never_a, is_never_b = np.isnan(values_a), np.isnan(values_b)
     if metric.is_time_to_event and (is_never_a.any() or is_never_b.any()):
         duration_a, duration_b = _duration(a), _duration(b)
         horizon = min(duration_a, duration_b)
         p = logrank_p(values_a, values_b, duration_a, duration_b)
         values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
-
-    # With equal planned seeds, runs of the same seed are pairs; a pair needs both values.
-    is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
-        seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
-        _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
+        indices_a, indices_b = _common_seeds(a, b)
         values_a, values_b = values_a[indices_a], values_b[indices_b]
         is_never_a, is_never_b = is_never_a[indices_a], is_never_b[indices_b]
         have_values = ~(np.isnan(values_a) | np.isnan(values_b))
@@ -221,12 +221,6 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     else:
         values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
         bounds = difference_interval(values_a, values_b)
-
-    # A side is better if the interval excludes 0: `in` looks from the lower to the upper bound.
-    better: Literal["a", "b"] | None = None
-    if bounds is not None and metric.better is not None and 0.0 not in bounds:
-        is_b_greater = bounds.low > 0.0
-        better = "b" if is_b_greater == (metric.better == "more") else "a"
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
     mean_a = float(values_a.mean()) if values_a.size else None
@@ -241,12 +235,28 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         difference=None if mean_a is None or mean_b is None else mean_b - mean_a,
         interval=bounds,
         is_paired=is_paired,
-        better=better,
+        better=_better(bounds, metric),
         never_a=int(is_never_a.sum()) if horizon is not None else 0,
         never_b=int(is_never_b.sum()) if horizon is not None else 0,
         horizon=horizon,
         p=p,
     )
+
+
+def _common_seeds(a: Side, b: Side) -> tuple[Indices, Indices]:
+    """The indices of the runs of side a, and of side b, that have a seed of both sides."""
+    seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
+    _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
+    return indices_a, indices_b
+
+
+def _better(bounds: Interval | None, metric: Metric) -> Literal["a", "b"] | None:
+    """The better side, from the interval of b - a; None if no side is better."""
+    if bounds is None or metric.better is None or 0.0 in bounds:
+        return None
+    is_b_greater = bounds.low > 0.0
+    is_more_better = metric.better == "more"
+    return "b" if is_b_greater == is_more_better else "a"
 
 
 def _duration(side: Side) -> float:
