@@ -1,9 +1,9 @@
 """The public suite of benchmark tasks: task files, patterns that fit a task, and the result table.
 
-A task file in `config/benchmark` has a head and a scenario. The head says what the robots shall do,
-the metric in words with its better direction, the seeds, and the patterns to try. The scenario has
-groups without a pattern: the judged pattern, which is tried in the task, runs there. A task file
-needs no other file. The runs of a pattern in a task are an experiment in a folder of its own.
+A task file in `config/benchmark` says what the robots shall do, the metric in words with its better
+direction, the seeds, and the patterns to try. Its scenario has groups without a pattern. These
+groups run the pattern that is tried in the task. A task file needs no other file. The runs of a
+pattern in a task are an experiment in a folder of its own.
 """
 
 from __future__ import annotations
@@ -324,27 +324,33 @@ def table_of(
     """The table of a benchmark, with median, interval, place and rank of each cell.
 
     `values`: the metric by (name of the table row, task) and by seed. `better`: the direction of
-    the metric of each task. The place follows from the median alone. The rank is the place if the
-    interval of the median overlaps the interval of no other row, else None. Rows are sorted by
-    their best place, then by the number of tasks, then by name.
+    the metric of each task. Rows are sorted by their best place, then by the number of tasks, then
+    by name.
     """
-    cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
-    ranked: Table = {}
-    for (row, task), cell in cells.items():
-        sign = 1.0 if better[task] == "less" else -1.0
+    summaries = {key: _summary(by_seed) for key, by_seed in values.items()}
+    table: Table = {}
+    for (row, task), summary in summaries.items():
         rivals = [
-            rival.summary
-            for (name, rival_task), rival in cells.items()
-            if rival_task == task and name != row
+            rival
+            for (rival_row, rival_task), rival in summaries.items()
+            if rival_task == task and rival_row != row
         ]
-        own = cell.summary.median
-        if own is not None:
-            medians = [rival.median for rival in rivals if rival.median is not None]
-            place = 1 + sum(sign * median < sign * own for median in medians)
-            rank = place if all(_is_apart(cell.summary, rival) for rival in rivals) else None
-            cell = Cell(cell.values, cell.summary, rank, place)
-        ranked.setdefault(row, {})[task] = cell
-    return dict(sorted(ranked.items(), key=_order))
+        place = _place(summary, rivals, better[task])
+        has_rank = math.isfinite(place) and all(_is_apart(summary, rival) for rival in rivals)
+        rank = int(place) if has_rank else None
+        table.setdefault(row, {})[task] = Cell(values[row, task], summary, rank, place)
+    return dict(sorted(table.items(), key=_order))
+
+
+def _place(
+    summary: statistics.Summary, rivals: Iterable[statistics.Summary], better: Better
+) -> float:
+    """The place by median among the rivals of a task, from 1 on; inf without a median."""
+    if summary.median is None:
+        return math.inf
+    sign = 1.0 if better == "less" else -1.0
+    medians = [rival.median for rival in rivals if rival.median is not None]
+    return 1 + sum(sign * median < sign * summary.median for median in medians)
 
 
 def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:

@@ -314,21 +314,23 @@ class Results:
         if self.kernels not in ("", "compiled"):
             lines.append(f"kernels: {self.kernels}")
         tables = {variant: self._summaries(variant, names) for variant in self.variants}
-        has_runs = {
-            metric.name
-            for table in tables.values()
-            for metric, summary in table
-            if summary.n or summary.never
-        }
-        # `names` were asked for; of all metrics, those without any value are one line.
-        shown = has_runs if names is None else {metric.name for metric in map(self.about, names)}
+        if names is not None:
+            shown = {metric.name for metric in map(self.about, names)}
+        else:
+            shown = {
+                metric.name
+                for table in tables.values()
+                for metric, summary in table
+                if summary.n or summary.never
+            }
         for variant, table in tables.items():
             lines += ["", variant] if variant else [""]
             rows = [row for row in table if row[0].name in shown]
             lines += statistics.aligned(statistics.HEADER, statistics.summary_rows(rows))
-        left_out = [name for name in self.metrics if name not in shown] if names is None else []
-        if self._rows and left_out:
-            lines += ["", f"without a value in any run: {', '.join(left_out)}"]
+        if names is None and self._rows:
+            left_out = [name for name in self.metrics if name not in shown]
+            if left_out:
+                lines += ["", f"without a value in any run: {', '.join(left_out)}"]
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -383,11 +385,11 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 
 @dataclass(frozen=True)
 class _Code:
-    """The code of a metric that the results in `folder` name, imported when a value is measured.
+    """The code of a metric that the results in `folder` name.
 
-    Not earlier: recorded values can be shown without the code. `digest`: SHA-256 of the code that
-    the runs used. ConfigError, when a value is measured, if the code is new, has changed or has
-    never been run by this user, unless `is_trusted`.
+    The code is imported when a value is measured, since recorded values can be shown without it.
+    `digest`: SHA-256 of the code that the runs used. If the code is new, has changed or has never
+    been run by this user, measuring raises ConfigError, unless `is_trusted`.
     """
 
     folder: Path

@@ -86,8 +86,8 @@ class HostSettings:
 class HostProcess:
     """One pattern host (child process), and the daemon's end of its socket.
 
-    `sandbox`: the accesses that the kernel denies the host. None until the host reports them, which
-    it does before any plugin code runs.
+    `sandbox`: the accesses that the kernel denies the host. The host reports them before any plugin
+    code runs; None until then.
     """
 
     def __init__(
