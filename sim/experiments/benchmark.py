@@ -157,7 +157,6 @@ def load_task(name: str) -> Task:
 
     ConfigError names the file, the key and the expected value.
     """
-    # 1. The file and its version.
     is_path = name.endswith(".yaml")
     path = user_path(name) if is_path else _folder() / f"{name}.yaml"
     if not is_path and name not in task_names():
@@ -165,12 +164,22 @@ def load_task(name: str) -> Task:
         raise ConfigError(f"{fault} (or give a path ending in .yaml)")
     layers = Layered((shown(path), read(path)))
     task = Task(path.stem, shown(path), layers.build(TaskFile))
-    file = task.file
-    if file.suite != SUITE:
-        text = f"suite is {file.suite}; this swarmd has version {SUITE} of the suite"
+    if task.file.suite != SUITE:
+        text = f"suite is {task.file.suite}; this swarmd has version {SUITE} of the suite"
         raise layers.error(("suite",), text)
+    _check_scenario(task.file, layers)
+    _check_metric(task.file, layers)
+    # ConfigError for faults that only a whole scenario shows: _STAND_IN is a pattern that runs on
+    # each robot, in place of the judged pattern.
+    task.scenario(_STAND_IN)
+    return task
 
-    # 2. The scenario: complete, and the groups that run the judged pattern have no pattern.
+
+def _check_scenario(file: TaskFile, layers: Layered) -> None:
+    """ConfigError unless the scenario is complete, and the judged groups have no pattern.
+
+    `layers`: the file, for messages.
+    """
     try:
         msgspec.convert(file.scenario, CompleteScenario)
     except msgspec.ValidationError as error:
@@ -191,8 +200,13 @@ def load_task(name: str) -> Task:
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
 
-    # 3. The metric: of the catalog or a package, since a Python file would run code of the task's
-    # author.
+
+def _check_metric(file: TaskFile, layers: Layered) -> None:
+    """ConfigError unless the metric is of the catalog or a package, with its unit and direction.
+
+    A metric of a Python file is refused: it would run code of the task's author. `layers`: the file
+    of the task, for messages.
+    """
     try:
         if names_file(file.metric.name):
             raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
@@ -202,11 +216,6 @@ def load_task(name: str) -> Task:
     if metric.better != file.metric.better or metric.unit != file.metric.unit:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
-
-    # 4. ConfigError for faults that only a whole scenario shows: _STAND_IN is a pattern that runs
-    # on each robot, in place of the judged pattern.
-    task.scenario(_STAND_IN)
-    return task
 
 
 def schema_text() -> str:

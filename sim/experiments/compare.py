@@ -200,29 +200,28 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     """Compare one metric of two sides: means, 95 % interval and p, without Holm's correction."""
-    values_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
-    values_b = b.results.metric(metric, b.variant)
-    # With equal planned seeds, runs of the same seed are pairs.
+    measured_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
+    measured_b = b.results.metric(metric, b.variant)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
-    horizon, p = None, None
-    is_never_a, is_never_b = np.isnan(values_a), np.isnan(values_b)
-    if metric.is_time_to_event and (is_never_a.any() or is_never_b.any()):
-        duration_a, duration_b = _duration(a), _duration(b)
-        horizon = min(duration_a, duration_b)
-        p = logrank_p(values_a, values_b, duration_a, duration_b)
+    has_never = bool(np.isnan(measured_a).any() or np.isnan(measured_b).any())
+    # None: no time to an event, or the event happened in each run.
+    horizon = min(_duration(a), _duration(b)) if metric.is_time_to_event and has_never else None
+    values_a, values_b = measured_a, measured_b
+    if horizon is not None:
         values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
+    # The runs that are compared: runs with a value, or pairs of runs with two values.
+    runs_a, runs_b = np.flatnonzero(~np.isnan(values_a)), np.flatnonzero(~np.isnan(values_b))
     if is_paired:
-        indices_a, indices_b = _common_seeds(a, b)
-        values_a, values_b = values_a[indices_a], values_b[indices_b]
-        is_never_a, is_never_b = is_never_a[indices_a], is_never_b[indices_b]
-        have_values = ~(np.isnan(values_a) | np.isnan(values_b))
-        values_a, values_b = values_a[have_values], values_b[have_values]
-        bounds = mean_interval(values_b - values_a)
-    else:
-        values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
-        bounds = difference_interval(values_a, values_b)
+        runs_a, runs_b = _pairs(a, b, runs_a, runs_b)
+    values_a, values_b = values_a[runs_a], values_b[runs_b]
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
+    else:
+        p = logrank_p(measured_a, measured_b, _duration(a), _duration(b))
+    if is_paired:
+        bounds = mean_interval(values_b - values_a)
+    else:
+        bounds = difference_interval(values_a, values_b)
     mean_a = float(values_a.mean()) if values_a.size else None
     mean_b = float(values_b.mean()) if values_b.size else None
     return Difference(
@@ -236,18 +235,21 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         interval=bounds,
         is_paired=is_paired,
         better=_better(bounds, metric),
-        never_a=int(is_never_a.sum()) if horizon is not None else 0,
-        never_b=int(is_never_b.sum()) if horizon is not None else 0,
+        never_a=0 if horizon is None else int(np.isnan(measured_a[runs_a]).sum()),
+        never_b=0 if horizon is None else int(np.isnan(measured_b[runs_b]).sum()),
         horizon=horizon,
         p=p,
     )
 
 
-def _common_seeds(a: Side, b: Side) -> tuple[Indices, Indices]:
-    """The indices of the runs of side a, and of side b, that have a seed of both sides."""
-    seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
-    _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
-    return indices_a, indices_b
+def _pairs(a: Side, b: Side, runs_a: Indices, runs_b: Indices) -> tuple[Indices, Indices]:
+    """Those of the runs `runs_a` and `runs_b` that have the same seed; equal places are pairs."""
+    seeds_a = np.array(a.results.seeds(a.variant), dtype=np.int64)[runs_a]
+    seeds_b = np.array(b.results.seeds(b.variant), dtype=np.int64)[runs_b]
+    _, places_a, places_b = np.intersect1d(
+        seeds_a, seeds_b, assume_unique=True, return_indices=True
+    )
+    return runs_a[places_a], runs_b[places_b]
 
 
 def _better(bounds: Interval | None, metric: Metric) -> Literal["a", "b"] | None:

@@ -190,9 +190,9 @@ def run_jobs(
             last_poll = now
             for pipe, worker in list(workers.items()):
                 if pipe in readable_pipes:
-                    result = worker.receive()
+                    result = worker.receive()  # None for a report of progress
                 else:
-                    result = worker.add_silence(silence, timeout)
+                    result = worker.add_silence(silence, timeout)  # None before the time-out
                 if result is None:
                     continue
                 if worker.is_alive and waiting:

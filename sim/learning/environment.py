@@ -99,30 +99,37 @@ def env(
         raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
     if render_mode is not None and find_spec("OpenGL") is None:
         raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
-    # 1. The scenario with the overrides.
-    if not isinstance(scenario, Scenario):
-        loaded = load_scenario(scenario, set, source="set")
-    elif set:
-        loaded = scenario_of(scenario.effective, set, source="set")
-    else:
-        loaded = scenario
-    # 2. The robots that learn, which must provide what the spec needs.
+    loaded = _scenario(scenario, set)
     learners = learners_of(loaded, agents)
     spec = spec or default_spec(loaded.robots[learners[0]])
     check_spec(spec)
-    for robot in learners:
-        missing = sorted(spec.needs - loaded.robots[robot].provides)
-        if missing:
-            raise ConfigError(
-                f"spec needs {', '.join(missing)}, which {robot} ({loaded.robots[robot].name})"
-                " does not provide; leave these parts out"
-            )
-    # 3. The reward: weights or a function.
+    _check_needs(spec, loaded, learners)
     chosen_reward = default_reward(loaded.name) if reward is None else reward
     if not callable(chosen_reward):
         check_weights(chosen_reward)
     learning = with_agents(loaded, learners)
     return SwarmEnv(learning, learners, spec, chosen_reward, seed, render_mode)
+
+
+def _scenario(scenario: str | Path | Scenario, overrides: Mapping[str, Any] | None) -> Scenario:
+    """The scenario with overrides by dotted key."""
+    if not isinstance(scenario, Scenario):
+        return load_scenario(scenario, overrides, source="set")
+    if overrides:
+        return scenario_of(scenario.effective, overrides, source="set")
+    return scenario
+
+
+def _check_needs(spec: PolicySpec, scenario: Scenario, learners: Sequence[str]) -> None:
+    """ConfigError if a robot that learns does not provide what the spec needs."""
+    for robot in learners:
+        platform = scenario.robots[robot]
+        missing = sorted(spec.needs - platform.provides)
+        if missing:
+            raise ConfigError(
+                f"spec needs {', '.join(missing)}, which {robot} ({platform.name})"
+                " does not provide; leave these parts out"
+            )
 
 
 @dataclass(slots=True)

@@ -285,9 +285,9 @@ class Lockstep:
         if process.count == 1 and not (self._flights or self._published):
             return
         # As bytes, since numpy takes 12 us to pickle and read two arrays.
-        commands = self.commands[process.rows].tobytes()
-        grips = self.world.grips[process.rows].tobytes()
-        outputs = commands, grips, self._flights, self._published
+        own_commands = self.commands[process.rows].tobytes()
+        own_grips = self.world.grips[process.rows].tobytes()
+        outputs = own_commands, own_grips, self._flights, self._published
         self._flights, self._published = [], []
         all_published: list[tuple[int, dict[str, Latch]]] = []
         for index, (commands, grips, flights, published) in enumerate(

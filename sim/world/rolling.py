@@ -71,7 +71,7 @@ class RollingScans:
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
         order, times = sweep_order(spec.bearings, sweep)
-        duration = min(sweep.duration, 1.0 / spec.rate)
+        duration = min(sweep.duration, 1.0 / spec.rate)  # the next scan must not begin before
         self._steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
         # A sector is measured each `sector_steps`, and the time of a ray is rounded to these steps.
         sector_steps = max(self._steps // sectors, 1)

@@ -6,8 +6,8 @@ has the pattern's code loaded, and may replace the host in use.
 `robot/pattern_run.py` has the deadlines of a load and a step.
 
 - The first host is a fork of the daemon (`forked.py`). A later host starts by exec: a fork beside
-  an open Zenoh session hung each time. Both start from the main thread, since the kernel takes the
-  end of the starting thread for the end of the parent.
+  an open Zenoh session hung each time. Both start from the main thread: a host ends with its
+  parent, and the kernel takes the end of the thread that starts a host for the end of the parent.
 - The socket does not block, and a frame is dropped if the socket is full. At most one step is
   outstanding. With a pipe, nine seconds of old commands piled up behind a frozen child.
 - A pidfd shows the end of the host, since a child that the pattern forks can keep the socket open.

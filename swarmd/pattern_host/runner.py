@@ -100,21 +100,16 @@ class ProcessRunner:
         secret: Sequence[Path] = (),
     ) -> None:
         """Start the first host."""
-        # The patterns: of packages, of `plugin_dir`, and pushed patterns. `overlay` is called for
-        # each load and each trial, and returns the patterns with the pushed patterns added.
-        self._installed = installed_patterns()
+        self._installed = installed_patterns()  # of packages
         self._plugin_dir = plugin_dir
-        self._overlay = overlay
-        # The events of hosts, until the daemon takes them. `wake` tells the daemon.
+        self._overlay = overlay  # called for each load and each trial
         self._loop = loop
         self._wake = wake
-        self._events: deque[host_messages.HostEvent] = deque()
+        self._events: deque[host_messages.HostEvent] = deque()  # until the daemon takes them
         self._generation = 0  # of the last command
-        # The start of a new host after the end of a host.
-        self._respawn_delay = MIN_RESPAWN_DELAY  # s
-        self._respawn: asyncio.TimerHandle | None = None  # due; None: no start is planned
+        self._respawn_delay = MIN_RESPAWN_DELAY  # s, before a new host starts
+        self._respawn: asyncio.TimerHandle | None = None  # the planned start of a new host
         self._is_closed = False
-        # The processes.
         self._dying: list[HostProcess] = []  # killed hosts that have not ended
         self._trial: TrialProcess | None = None  # of new code
         self.dropped = 0  # commands for which the socket had no room

@@ -87,8 +87,9 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
-    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`:
-      the robot measures the sweep while turning; until then each ray counts as old as the oldest.
+    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
+      robot measures the sweep while it turns; until it has done so, each ray counts as being as old
+      as the oldest ray.
     - `segments`: in how many segments the driver hands over a turn while the sensor measures it.
       Protection then uses rays before their turn is whole. 0: whole turns alone. Needs `sweep` with
       a direction. With a driver that hands over whole turns alone, the value has no effect.

@@ -5,7 +5,7 @@ This module imports no numpy: swarmctl reads swarm.yaml, too, for the network se
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -272,7 +272,7 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
         yield from _check_robot(("parameters", "robots", name), name, roster)
 
 
-def _check_label(file: DaemonFile, label: str, roster: Sequence[str]) -> Iterator[Fault]:
+def _check_label(file: DaemonFile, label: str, roster: list[str]) -> Iterator[Fault]:
     """Yield the faults of a label and its robots; `roster`: all ids, without ranges."""
     keys = ("labels", label)
     robots = file.labels[label]
