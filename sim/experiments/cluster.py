@@ -175,7 +175,6 @@ class Cluster:
         attempts: dict[str, _Attempt] = {}  # in progress, by key of the call
         last_usable = time.monotonic()  # when a worker last had a run, or was free for one
         while waiting or attempts:
-            # 1. Runs of lost workers wait again.
             self._update_workers()
             for key, attempt in [*attempts.items()]:  # a copy, since the loop removes attempts
                 if not self._is_alive(attempt.worker):
@@ -189,29 +188,34 @@ class Cluster:
                     f"the cluster at {self._address} has no worker left; finished runs are"
                     " kept: start workers and give the same command again"
                 )
-
-            # 2. Free workers get jobs.
             for worker in free_workers:
                 if waiting:
                     job = waiting.popleft()
                     call = partial(_perform, job, self._timeout, self._topic)
                     key, future = self._submit(call, worker)
                     attempts[key] = _Attempt(job, worker, future)
-
-            # 3. Progress, and the next answer of a worker: a result, or an error of the worker.
             running = {attempt.job.run for attempt in attempts.values()}
             # A copy of the items, since a thread of the client adds shares meanwhile.
             yield {run: share for run, share in [*self._shares.items()] if run in running}
             key, answer = self._receive()
-            if key in attempts:
-                attempt = attempts.pop(key)
-                if isinstance(answer, BaseException):
-                    self._check_scheduler()
-                    self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
-                    yield from self._repeat(attempt, waiting, attempt_counts)
-                else:
-                    result, trace_bytes = answer  # of `_perform`
-                    yield _write_trace(attempt.job, result, trace_bytes)
+            if key in attempts:  # else no run ended, or the attempt was given up before
+                yield from self._ended(attempts.pop(key), answer, waiting, attempt_counts)
+
+    def _ended(
+        self, attempt: _Attempt, answer: Any, waiting: deque[Job], attempt_counts: Counter[str]
+    ) -> Iterator[JobResult]:
+        """Yield the result of a run; if its call failed on the worker, repeat the run.
+
+        `answer`: the result of `_perform`, or an exception. `waiting`, `attempt_counts`: as of
+        `_repeat`.
+        """
+        if isinstance(answer, BaseException):
+            self._check_scheduler()
+            self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
+            yield from self._repeat(attempt, waiting, attempt_counts)
+        else:
+            result, trace_bytes = answer
+            yield _write_trace(attempt.job, result, trace_bytes)
 
     def _repeat(
         self, attempt: _Attempt, waiting: deque[Job], attempt_counts: Counter[str]

@@ -72,9 +72,9 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
     `plane`: the height in m of the scan plane; None: all footprints are visible. What a robot shows
     depends on the height of the plane:
 
-    - up to the top of its body: its footprint;
-    - above, up to its highest point: the housing of its lidar;
-    - higher: nothing.
+    - Up to the top of its body: its footprint.
+    - Above, up to its highest point: the housing of its lidar.
+    - Higher: nothing.
 
     Walls, boxes and poles are visible in any plane.
     """

@@ -180,7 +180,7 @@ def _left_out(builder: PartBuilder, name: str, error: BaseException) -> bool:
         return False
     text = f"is refused: {error_text(error)}"
     builder.faults.append(fault_at(("parts", name, "params", key), text))
-    params = {other: value for other, value in part.params.items() if other != key}
+    params = {param: value for param, value in part.params.items() if param != key}
     builder.document.parts[name] = msgspec.structs.replace(part, params=params)
     return True
 

@@ -88,7 +88,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
     - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
-      robot measures the sweep while it turns; until it has done so, each ray counts as being as old
+      robot measures the sweep while turning. Before the sweep is measured, each ray counts as old
       as the oldest ray.
     - `segments`: in how many segments the driver hands over a turn while the sensor measures it.
       Protection then uses rays before their turn is whole. 0: whole turns alone. Needs `sweep` with
@@ -180,7 +180,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
     - `words`: by driver, texts on what a robot does at a request, such as `stop`, or at an event,
-      such as `low battery`, if it does more than the word says. `describe` shows these texts.
+      such as `low battery`, if the robot does more than the word says. `describe` shows the texts.
     """
 
     description: str = ""
