@@ -167,7 +167,7 @@ class _Member(RunProcess):
     def _read(self, process: int, sent: int) -> tuple[int, bytes]:
         """The size of all data of a process, and the chunk behind the first `sent` bytes of them.
 
-        The chunk is empty if the data are shorter: then only those of other processes go on.
+        The chunk is empty if the data are shorter; the round then serves other processes.
         """
         slot = self._slot(process)
         (size,) = _HEAD.unpack_from(self._memory, slot)

@@ -29,19 +29,18 @@ class ObjectsAround:
 def detections_of(sensors: Array, around: ObjectsAround) -> tuple[Detection, ...]:
     """The objects that the sensors of a robot recognise, each once, without measurement errors.
 
-    `sensors` (s, 5): x, y, bearing, field of view and range in the base frame; a sensor that looks
-    all around has the bearing NaN and a field of view of 2 pi. A sensor recognises an object if the
-    object's middle is within the field of view and the range, and if the line of sight from the
-    sensor to the nearest point of the object is clear. Bearings and distances are measured from the
-    axle to the middle of the object. If there are more than MAX_DETECTIONS, the last objects of
-    `around` are left out.
+    `sensors` (s, 5): x, y, bearing, field of view and range in the base frame. The bearing NaN
+    means ahead. A sensor recognises an object if the object's middle is within the field of view
+    and the range, and if the line of sight from the sensor to the nearest point of the object is
+    clear. Bearings and distances are measured from the axle to the middle of the object. If there
+    are more than MAX_DETECTIONS, the last objects of `around` are left out.
     """
     pose, is_seen = around.pose, np.zeros(len(around.names), dtype=np.bool_)
     sensor_places = transform(sensors[:, :2], pose)
     for place, (_, _, bearing, view, reach) in zip(sensor_places, sensors, strict=True):
         offset = around.places - place
         distance = np.hypot(offset[:, 0], offset[:, 1])
-        axis = pose[2] + np.nan_to_num(bearing)  # with a view of 2 pi, any axis will do
+        axis = pose[2] + np.nan_to_num(bearing)  # NaN, ahead, becomes 0
         angle = np.arctan2(offset[:, 1], offset[:, 0]) - axis
         angle = np.abs(np.arctan2(np.sin(angle), np.cos(angle)))
         # False for an absent object, whose place is NaN.

@@ -53,7 +53,7 @@ class World:
     - `posed`: the rows of robots whose pose in the world is measured.
     - `measures_late`: if True, `arrived_scans` measures only the rays of rolling scans that end,
       and a later call of `measure_rays` measures all others. The results are equal. Without effect
-      if a platform has segments, which `arrived_scans` needs.
+      if a platform has segments: their rays must be measured before `arrived_segments`.
     """
 
     def __init__(
