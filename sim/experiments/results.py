@@ -302,17 +302,7 @@ class Results:
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
         """A table for each variant with the metrics `names`; None: all that have a value."""
-        failed = f", {len(self.failures)} failed" if self.failures else ""
-        part = f"part {self.plan.shard}, " if self.plan.shard else ""
-        count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
-        lines = [f"{self.plan.scenario}: {part}{count}{failed}"]
-        if (speed := self._speed()) is not None:
-            some = (
-                f"{speed['median']:.3g} times real time ({speed['min']:.3g} to {speed['max']:.3g})"
-            )
-            lines.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
-        if self.kernels not in ("", "compiled"):
-            lines.append(f"kernels: {self.kernels}")
+        lines = self._head_lines()
         tables = {variant: self._summaries(variant, names) for variant in self.variants}
         if names is not None:
             shown = {metric.name for metric in map(self.about, names)}
@@ -332,6 +322,20 @@ class Results:
             if left_out:
                 lines += ["", f"without a value in any run: {', '.join(left_out)}"]
         return "\n".join(lines)
+
+    def _head_lines(self) -> list[str]:
+        """The number of runs, the speed, and a line about kernels that are not compiled."""
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        part = f"part {self.plan.shard}, " if self.plan.shard else ""
+        count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
+        lines = [f"{self.plan.scenario}: {part}{count}{failed}"]
+        if (speed := self._speed()) is not None:
+            least_and_most = f"{speed['min']:.3g} to {speed['max']:.3g}"
+            each = f"{speed['median']:.3g} times real time ({least_and_most})"
+            lines.append(f"each run: {each}; all runs: {sum(row.wall for row in self._rows):.3g} s")
+        if self.kernels not in ("", "compiled"):
+            lines.append(f"kernels: {self.kernels}")
+        return lines
 
     def __str__(self) -> str:
         return self.text()
