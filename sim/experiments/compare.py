@@ -106,9 +106,10 @@ class Difference:
 def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]]:
     """The pairs of variants to compare. `a` and `b`: FOLDER, or FOLDER:VARIANT of a sweep.
 
-    Two folders with the same variants give a pair for each variant. ConfigError if `a` and `b` name
-    different variants, or if one names a single variant and the other names several.
-    `is_trusted`: metrics in Python files run even if the files are new or have changed.
+    Two single variants give one pair, also if their names differ. Two folders with the same
+    variants give a pair for each variant. ConfigError if the folders have different variants, or if
+    a single variant is compared with several. `is_trusted`: metrics in Python files run even if the
+    files are new or have changed.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:

@@ -51,10 +51,11 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
 def _first_cover(
     instants: NDArray[np.intp], places: Array, radius: float, cell: float, never: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The numbers (2,) of the first square of a grid, and the first instant of cover by square.
+    """The first instant at which each square of a grid is covered, and where the grid begins.
 
-    `places` (k, 2): positions in m at the index of time `instants` (k,). `never`: for squares that
-    no position covers.
+    `places` (k, 2): positions in m, at the instants with the indices `instants` (k,). Returns the
+    numbers (2,) of the lowest square along x and y, and an array (columns, rows) of indices of
+    instants; `never` for a square that no position covers.
     """
     own_squares = np.floor(places / cell).astype(np.int64)
     from_centres = places - (own_squares + 0.5) * cell
@@ -64,11 +65,11 @@ def _first_cover(
     first_in_square = _firsts(own_squares)
     first_in_fine_cell = _firsts(np.floor(places / (cell / 10.0)).astype(np.int64))
     covered_at = np.full(shape, never, dtype=np.int64)
-    # Of each position, the square `right` and `up` of its own square, in squares.
+    # Each pass looks at squares that lie `right` and `up` squares from the positions' own squares.
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
             farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
-            # True: each place of the own square is near enough, so the first position decides.
+            # True: all places in the own square cover that square, so the first position decides.
             covers_always = farthest_corner <= radius
             rows = first_in_square if covers_always else first_in_fine_cell
             x, y = right * cell - from_centres[rows, 0], up * cell - from_centres[rows, 1]

@@ -39,10 +39,12 @@ _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The radio between robots.
 
-    neighborhood: robots hear `all` robots, or robots within `range` m. line_of_sight: boxes, inner
-    walls and poles between two robots block the radio. loss: the share of messages that a receiver
-    misses. delay: s from sending to receiving. jitter: the delay varies uniformly by up to this
-    time in s, up and down. range_and_bearing: the hardware also senses where the neighbors are.
+    - `neighborhood`: robots hear `all` robots, or robots within `range` m.
+    - `line_of_sight`: boxes, inner walls and poles between two robots block the radio.
+    - `loss`: the share of messages that a receiver misses.
+    - `delay`: s from sending to receiving.
+    - `jitter`: the delay varies uniformly by up to this time in s, up and down.
+    - `range_and_bearing`: the hardware also senses where the neighbors are.
     """
 
     neighborhood: Literal["all", "range"] = "all"

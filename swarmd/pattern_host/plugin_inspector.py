@@ -101,7 +101,29 @@ def main() -> None:
     Imports plugin code and writes JSON lines for the verb `describe`, `check` or `mission`. The
     last line is `end`, or `error` with the text of an error of swarmd.
     """
-    # 1. The command line.
+    args = _parser().parse_args()
+    die_with_parent(args.parent)
+    output = InspectionOutput()
+    try:
+        # Memory is bounded and the sandbox entered before any plugin code is imported.
+        platform = load_platform(args.platform)
+        readable = [] if args.plugin_dir is None else [args.plugin_dir]
+        if args.verb != "describe":
+            readable.append(readable_beside(args.file.resolve()))
+        limit_growth(MAX_GROWTH)
+        confine(readable, args.secret)
+        if args.verb == "check":
+            _check_plugin(args.file.resolve(), frozenset(args.done), output)
+        elif args.verb == "describe":
+            _describe_patterns(args.names, args.plugin_dir, platform, output)
+        else:
+            _inspect_mission(args.file, platform, args.plugin_dir, output)
+        output.send(end=True)
+    except SwarmError as error:
+        output.send(error=str(error))
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
@@ -117,27 +139,7 @@ def main() -> None:
         "--done", nargs="*", default=[], help="rules that are not tested again"
     )
     verbs.add_parser("mission").add_argument("file", type=Path)
-    args = parser.parse_args()
-    die_with_parent(args.parent)
-    output = InspectionOutput()
-    try:
-        # 2. Bound memory and enter the sandbox, before any plugin code is imported.
-        platform = load_platform(args.platform)
-        readable = [] if args.plugin_dir is None else [args.plugin_dir]
-        if args.verb != "describe":
-            readable.append(readable_beside(args.file.resolve()))
-        limit_growth(MAX_GROWTH)
-        confine(readable, args.secret)
-        # 3. Carry out the verb.
-        if args.verb == "check":
-            _check_plugin(args.file.resolve(), frozenset(args.done), output)
-        elif args.verb == "describe":
-            _describe_patterns(args.names, args.plugin_dir, platform, output)
-        else:
-            _inspect_mission(args.file, platform, args.plugin_dir, output)
-        output.send(end=True)
-    except SwarmError as error:
-        output.send(error=str(error))
+    return parser
 
 
 def readable_beside(file: Path) -> Path:
