@@ -163,16 +163,16 @@ def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
         except RecursionError:
             raise  # a part that contains itself: each nested copy would add this fault again
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            if not _left_out(builder, name, error):
+            if not _leave_out(builder, name, error):
                 builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
                 return None
 
 
-def _left_out(builder: PartBuilder, name: str, error: BaseException) -> bool:
-    """True if `error` refuses a parameter in the section of part `name`, which is then left out.
+def _leave_out(builder: PartBuilder, name: str, error: BaseException) -> bool:
+    """Leave out the parameter of part `name` that `error` refuses, and add a fault; True if done.
 
-    Adds a fault for the parameter. False for a parameter whose value comes from a parameter of the
-    mission: the section does not decide it.
+    False for any error that does not refuse a parameter in the part's section of the file, such as
+    a parameter whose value comes from a parameter of the mission.
     """
     part = builder.document.parts[name]
     key = error.parameter if isinstance(error, ParameterError) else ""
