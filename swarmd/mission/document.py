@@ -28,7 +28,7 @@ class Document:
     path: Path
     description: str
     parts: dict[str, Part]
-    names: Collection[str]  # of all parts, the faulty ones included
+    names: Collection[str]  # of all parts, also of faulty parts that `parts` lacks
     maps: list[tuple[Keys, Map]]  # each with its place in the file
     report: Mapping[str, Reference]
     parameters: Mapping[str, Reference]
@@ -60,13 +60,15 @@ def read_document(path: Path) -> Document:
     file, faults = read(mission_keys, MissionFile, check)
     report, report_faults = valid_names("report", file.report, part_names)
     parameters, parameter_faults = valid_names("parameters", file.parameters, part_names)
-    expanded = _expanded(root_keys)  # with {part: NAME} in place of NAME alone
+    expanded = _expanded(root_keys)  # a part's NAME alone becomes {part: NAME}
     root, root_faults = read(expanded, Element, check)
     root_faults += check_names(expanded, (), part_names)
+    # Without the parts whose name is not valid; `check_whole` adds a fault for each of these.
+    valid_parts = {name: part for name, part in file.parts.items() if is_part_name(name)}
     document = Document(
         path=path,
         description=file.mission,
-        parts={name: part for name, part in file.parts.items() if is_part_name(name)},
+        parts=valid_parts,
         names=part_names,
         maps=maps,
         report=report,

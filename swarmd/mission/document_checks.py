@@ -78,8 +78,7 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
     `value`: an element (sequence, parallel, switch, fallback, part), a condition or a map. `keys`:
     its place in the file. `names`: the names of the mission's parts.
     """
-    # 1. Rules of each kind of value. A *drawn* condition is decided by a random draw at each step.
-    # Its negation, or a choice between branches by it, would change from step to step.
+    # 1. Rules of each kind of value.
     if isinstance(value, Element) and value.retry is not None and not _can_fail(value):
         yield fault_at((*keys, "retry"), "never counts, as nothing fails; give it a fails")
     match value:
@@ -92,6 +91,8 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
                 if branch.when is None:
                     text = "is missing; only the last branch may go without a condition"
                     yield fault_at((*keys, "switch", index, "when"), text)
+            # A drawn condition is decided by a random draw at each step, so the chosen branch would
+            # change from step to step.
             for index, branch in enumerate(value.children):
                 if branch.when is not None and is_drawn(branch.when):
                     yield fault_at((*keys, "switch", index, "when"), _DRAWN)
@@ -100,7 +101,7 @@ def check_value(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Faul
                 if not _can_fail(item):
                     text = "never fails, and more items follow; give it a fails"
                     yield fault_at((*keys, "fallback", index), text)
-        case Not() if is_drawn(value.condition):
+        case Not() if is_drawn(value.condition):  # the result would change from step to step
             yield fault_at((*keys, "not"), _DRAWN)
         case Done():
             yield from _check_part(value.part, (*keys, "done"), names)
@@ -301,7 +302,7 @@ def _check_targets(document: Document) -> Iterator[Fault]:
     for keys, mapping in document.maps:
         target = split(mapping.target)
         if target in mapped:
-            text = f"is {mapping.target}, which another map sets; keep entry"
+            text = f"is {mapping.target}, which another map sets; keep one"
             yield fault_at((*keys, "to"), text)
         mapped.add(target)
     first_setter = dict.fromkeys(mapped, "a map")  # or the name of a mission parameter
@@ -310,6 +311,6 @@ def _check_targets(document: Document) -> Iterator[Fault]:
         if part_parameter in _SHARED:
             yield fault_at(("parameters", parameter), _SHARED[part_parameter])
         if target in first_setter:
-            text = f"is {'.'.join(target)}, which {first_setter[target]} sets too; keep entry"
+            text = f"is {'.'.join(target)}, which {first_setter[target]} sets too; keep one"
             yield fault_at(("parameters", parameter), text)
         first_setter.setdefault(target, parameter)

@@ -76,10 +76,11 @@ def build_setters(
     """Make a setter for each map of the mission whose two parts are among `parts`.
 
     A map sets a parameter of the target part by the report of a source part. A value of a map that
-    the target refuses adds a fault to the builder. `opinions`: by voting part, the new number of
-    its opinions if a change of this parameter is under way; without an entry the present number
-    counts.
+    the target refuses adds a fault to the builder. `opinions`: the number of opinions of each part
+    whose parameter `opinions` is about to change; the number of any other voting part is its
+    present parameter.
     """
+    new_opinion_counts = opinions or {}
     setters = []
     for keys, mapping in builder.document.maps:
         source, target = split(mapping.source), split(mapping.target)
@@ -92,11 +93,12 @@ def build_setters(
             text = f"names {unknown('parameter', target_parameter, valid_names)} (of {target_part})"
             builder.faults.append(fault_at((*keys, "to"), text))
             continue
-        opinion_count: int | None = None  # None: the source is not the opinion of a vote
         pattern = parts[source_part]
-        if isinstance(pattern, VotingPattern) and source_report == OPINION:
+        is_opinion_of_a_vote = isinstance(pattern, VotingPattern) and source_report == OPINION
+        opinion_count: int | None = None
+        if is_opinion_of_a_vote:
             present_count = getattr(pattern.params, "opinions", 0)
-            opinion_count = (opinions or {}).get(source_part, present_count)
+            opinion_count = new_opinion_counts.get(source_part, present_count)
         values = _values(builder, keys, mapping, opinion_count)
         setters.append(Setter(source, target, _accepted(builder, keys, mapping, values)))
     return setters
@@ -171,8 +173,9 @@ def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
 def _leave_out(builder: PartBuilder, name: str, error: BaseException) -> bool:
     """Leave out the parameter of part `name` that `error` refuses, and add a fault; True if done.
 
-    False for any error that does not refuse a parameter in the part's section of the file, such as
-    a parameter whose value comes from a parameter of the mission.
+    Only a parameter whose value stands in the part's section of the file can be left out. False if
+    `error` refuses no parameter, or a parameter whose value comes from elsewhere, such as from a
+    parameter of the mission.
     """
     part = builder.document.parts[name]
     key = error.parameter if isinstance(error, ParameterError) else ""
@@ -202,21 +205,23 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
 
     `keys`: the place of the map in the file. `opinions`: the number of opinions of the source part;
     None if the source is not the opinion of a vote. Returns {}, and adds a fault, if the map has
-    too few values.
+    no value for an opinion, or if it is not known how many numbers the source may report.
     """
-    numbers_reported = mapping.count or opinions
     table: dict[BoundedScalar, BoundedScalar]
-    if isinstance(mapping.values, list):
+    if isinstance(mapping.values, list):  # values of the reported numbers 0, 1, 2 ...
         table = dict(enumerate(mapping.values))
-    elif mapping.values is not None:
+    elif mapping.values is not None:  # values by reported text
         table = dict(mapping.values.items())
-    elif numbers_reported is not None:
+    else:  # base + step * reported number
+        count = mapping.count or opinions
+        if count is None:
+            text = (
+                f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
+            )
+            builder.faults.append(fault_at(keys, text))
+            return {}
         base, step = mapping.base or 0.0, mapping.step or 0.0
-        table = {number: base + step * number for number in range(numbers_reported)}
-    else:
-        text = f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
-        builder.faults.append(fault_at(keys, text))
-        return {}
+        table = {number: base + step * number for number in range(count)}
     missing = [number for number in range(opinions or 0) if number not in table]
     if missing:
         source_part, _ = split(mapping.source)

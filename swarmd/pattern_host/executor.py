@@ -67,7 +67,10 @@ class PatternExecutor:
             )
         )
         if isinstance(assembled, _Fault):
-            return host_messages.LoadRefused(load.generation, *assembled)
+            fault = assembled
+            return host_messages.LoadRefused(
+                load.generation, fault.text, fault.refusal, fault.parameter
+            )
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
             return host_messages.LoadRefused(load.generation, until.text, _condition_refusal(until))

@@ -466,9 +466,8 @@ def _inspect_mission(
 def _other_owner(path: Path, origin: Origin | None) -> str:
     """The file or package of another pattern with the name of the mission `path`; empty if none.
 
-    `origin`: where a pattern of this name was found: its source, and as `rival` a second source
-    with the same name. Either of them may be the mission's own file. None: there is no such
-    pattern.
+    `origin`: the source of the pattern with this name; None: there is no such pattern. If two
+    sources have the name, the second is the `rival`. The mission's own file may be either source.
     """
     if origin is None:
         return ""

@@ -332,28 +332,30 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
       `_required(x)` refuses the call if the loaded value is not x.
     """
     yield from _checked_architecture(architecture)
-    # System calls that are refused, or seem absent, whatever their arguments.
+    # Calls that are refused (_DENIED), or seem absent (_ABSENT), whatever their arguments.
     for table, result in ((_DENIED, _REFUSE), (_ABSENT, _UNKNOWN)):
         for numbers in table.values():
             yield from _if_called(numbers[column], [], result)
-    # Signals only to the own process.
+    # kill and tgkill: refused, except for the own process.
     for numbers in (_KILL, _TGKILL):
         own_process = [*_argument(0), *_allowed(os.getpid())]
         yield from _if_called(numbers[column], own_process, _REFUSE)
-    # prctl, fcntl and ioctl without the listed commands.
+    # prctl, fcntl and ioctl: permitted, except for the listed commands.
     for numbers, argument_index, commands in _REFUSED_COMMANDS:
         refusals = chain.from_iterable(map(_refused, commands))
         block = [*_argument(argument_index), *refusals]
         yield from _if_called(numbers[column], block, _ALLOW)
     yield from _if_called(_PRLIMIT[column], _reading_own_limits(), _REFUSE)
-    # clone without new namespaces, and without a child of the daemon.
-    has_refused_flag = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)  # without: skip the refusal
-    clone = [*_argument(0), has_refused_flag, (_RETURN, 0, 0, _REFUSE)]
+    # clone: permitted, except for new namespaces and for a child of the daemon. If none of these
+    # flags is set, the jump by 1 skips the refusal.
+    refused_flags = _NAMESPACES | _OF_PARENT
+    clone = [*_argument(0), (_ANY_BIT, 0, 1, refused_flags), (_RETURN, 0, 0, _REFUSE)]
     yield from _if_called(_CLONE[column], clone, _ALLOW)
+    # open and openat: permitted, except for modes that Landlock does not restrict.
     for numbers, argument_index in ((_OPEN, 1), (_OPENAT, 2)):
         yield from _if_called(numbers[column], _refused_modes(argument_index), _ALLOW)
     yield from _if_called(_SOCKETPAIR[column], _permitted_pairs(), _REFUSE)
-    yield _RETURN, 0, 0, _ALLOW
+    yield _RETURN, 0, 0, _ALLOW  # all other calls
 
 
 def _checked_architecture(architecture: int) -> Iterator[_Instruction]:
@@ -379,10 +381,10 @@ def _reading_own_limits() -> list[_Instruction]:
 
 
 def _refused_modes(argument_index: int) -> list[_Instruction]:
-    """A block that refuses two modes of open that Landlock lets pass.
+    """A block that refuses two modes of open that Landlock does not restrict.
 
-    The access mode 3 (neither read nor write) permits ioctl. Before Linux 6.2 Landlock ignores that
-    a reader truncates the file.
+    - The access mode 3, neither read nor write, which permits ioctl.
+    - Reading with O_TRUNC, which empties the file: Landlock restricts this from Linux 6.2 on.
     """
     mode = [*_argument(argument_index), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
     modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)

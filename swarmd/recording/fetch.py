@@ -101,9 +101,10 @@ def fetch(
             present.rename(_unused(present))  # of another recording with the same name
     if path.exists():
         present_size = path.stat().st_size
-        # A recording without a checksum (a daemon that was killed left it unfinished) may grow.
-        is_complete = file.crc is not None or present_size >= file.size
-        if is_complete:
+        # A copy with a checksum got its name `path` only after its checksum had been compared. A
+        # recording without a checksum, left by a killed daemon, may have grown since its copy.
+        has_grown = file.crc is None and present_size < file.size
+        if not has_grown:
             return Copy(path, received=0, size=present_size, is_whole=True)
         path.rename(partial)
     copied = _append(ask, robot, file, partial, on_progress)

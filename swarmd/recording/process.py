@@ -79,10 +79,10 @@ class Converter:
                 self._text(entry, "/dropped", {"count": entry.count})
 
     def _memory_part(self, entry: frames.MemoryEntry, stamp: float) -> None:
-        """Keep a part of the robot's memory (its serialised state); write it after the last part.
+        """Keep a part of the robot's memory (its serialised state); write the memory once complete.
 
-        Earlier parts of another memory (of another time `at`), and repeated parts, are dropped.
-        `stamp`: s since 1970.
+        Of the parts kept so far, those of another memory (with another time `at`) are dropped, and
+        those that do not precede this part. `stamp`: s since 1970.
         """
         earlier = (part for part in self._memory if part.at == entry.at and part.part < entry.part)
         self._memory = [*earlier, entry]

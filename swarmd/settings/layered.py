@@ -57,10 +57,14 @@ class Layered:
 def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fault]]:
     """Convert `data` (from YAML) to the type `kind`; returns the value, and all faults in order.
 
-    For a union of structs, the data is read as the struct whose tag is a key of the data. A faulty
-    item of a list or mapping, or a faulty field of the outermost struct, is left out of the value.
-    An inner struct with a faulty field is left out as a whole. The value is None if nothing is
-    left. `check` yields further faults of a struct.
+    For a union of structs, the data is read as the struct whose tag is a key of the data. `check`
+    yields further faults of a struct. Left out of the value are
+
+    - a faulty item of a list or mapping,
+    - a faulty field of the outermost struct,
+    - the whole of an inner struct with a faulty field.
+
+    The value is None if nothing is left.
     """
     reader = _Reader(check)
     is_struct = isinstance(data, dict) and _is_struct(kind)

@@ -302,8 +302,8 @@ def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fau
 def _check_file(file: PlatformFile) -> Iterator[Fault]:
     """Yield the faults of a whole platform file: keys that contradict each other.
 
-    Each fault is the path of the wrong key, and a text that begins with the key. A check that needs
-    valid keys ends this function if a key is not valid.
+    Each fault is the path of the wrong key, and a text that begins with the key. After a fault of a
+    key that later checks need, the later checks are left out.
     """
     yield from _check_drivers(file)
     yield from _check_sensors(file)
