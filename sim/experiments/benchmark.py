@@ -202,7 +202,7 @@ def _check_scenario(file: TaskFile, layers: Layered) -> None:
 
 
 def _check_metric(file: TaskFile, layers: Layered) -> None:
-    """ConfigError unless the metric is of the catalog or a package, with its unit and direction.
+    """ConfigError unless the catalog or a package has the task's metric in its unit and direction.
 
     A metric of a Python file is refused: it would run code of the task's author. `layers`: the file
     of the task, for messages.

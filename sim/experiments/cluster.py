@@ -206,8 +206,8 @@ class Cluster:
     ) -> Iterator[JobResult]:
         """Yield the result of a run; if its call failed on the worker, repeat the run.
 
-        `answer`: the result of `_perform`, or an exception. `waiting`, `attempt_counts`: as of
-        `_repeat`.
+        `answer`: the result of `_perform`, or an exception. `waiting`: the jobs that wait for a
+        worker. `attempt_counts`: the number of failed attempts by run.
         """
         if isinstance(answer, BaseException):
             self._check_scheduler()

@@ -204,8 +204,8 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     measured_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
     measured_b = b.results.metric(metric, b.variant)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
+    # A time to an event that never happened in some runs: means are restricted to the horizon.
     has_never = bool(np.isnan(measured_a).any() or np.isnan(measured_b).any())
-    # None: no time to an event, or the event happened in each run.
     horizon = min(_duration(a), _duration(b)) if metric.is_time_to_event and has_never else None
     values_a, values_b = measured_a, measured_b
     if horizon is not None:
@@ -217,7 +217,7 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     values_a, values_b = values_a[runs_a], values_b[runs_b]
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
-    else:
+    else:  # all finished runs, without pairs: the test is for independent samples
         p = logrank_p(measured_a, measured_b, _duration(a), _duration(b))
     if is_paired:
         bounds = mean_interval(values_b - values_a)

@@ -100,10 +100,10 @@ class MissionSpace(Missions):
         ranges: Mapping[str, tuple[float, float]],
         folder: Path,
     ) -> None:
-        """`modules`: names of patterns. `ranges`: by condition, the least and greatest bound.
+        """`modules`: names of patterns. Missions are written into `folder`.
 
-        Conditions: timeout, nearer, probability, neighbors, reading:NAME. A candidate has a bound
-        within the range, such as 0.5 m of `nearer`. Missions are written into `folder`.
+        `ranges`: by condition (timeout, nearer, probability, neighbors, reading:NAME), the least
+        and the greatest value of its number, such as 0.3 and 1.5 m for `nearer`.
         """
         self.groups = tuple(groups)
         self.modules = tuple(modules)
@@ -230,14 +230,14 @@ class MissionFileSpace(Missions, ParameterSpace):
         parameters: Sequence[Parameter],
         folder: Path,
         *,
-        is_present: bool,
+        is_in_scenario: bool,
     ) -> None:
-        """`data`: contents of the file at `path`. `is_present`: the scenario runs this file."""
+        """`data`: contents of the file at `path`. `is_in_scenario`: the scenario runs this file."""
         super().__init__(parameters)
         self.groups, self.folder = tuple(groups), folder
         self._path = path
         self._data = data
-        self._is_present = is_present
+        self._is_in_scenario = is_in_scenario
 
     @property
     def text(self) -> list[str]:
@@ -248,7 +248,7 @@ class MissionFileSpace(Missions, ParameterSpace):
     @property
     def present(self) -> dict[str, Any] | None:
         """The file's values; None if the scenario does not run the file, or one is out of range."""
-        return super().present if self._is_present else None
+        return super().present if self._is_in_scenario else None
 
     def mission(self, values: Mapping[str, Any]) -> str:
         """The file of the mission with these values."""
@@ -282,7 +282,8 @@ def mission_file_space(
                 f"--mission and pattern {pattern} of {scenario.plugin_dir}: candidates lie in a"
                 " folder of their own; install this pattern as a package"
             )
-    # The candidates replace the file; if no group runs the file, they replace all patterns.
+    # The candidates replace the file in the groups that run it. If no group runs the file, the
+    # candidates replace the pattern of each group that runs a pattern from the start.
     groups_of_file = _groups_of_file(scenario, path)
     groups = groups_of_file or _groups(scenario)
     _check_groups(scenario, groups, path.stem)
@@ -294,8 +295,8 @@ def mission_file_space(
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
     check_keys(parameters)
-    is_present = bool(groups_of_file)
-    space = MissionFileSpace(groups, path, data, parameters, folder, is_present=is_present)
+    is_in_scenario = bool(groups_of_file)
+    space = MissionFileSpace(groups, path, data, parameters, folder, is_in_scenario=is_in_scenario)
     _check_values(space, path, find)
     return space
 

@@ -367,10 +367,10 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
 
 
 def _has_byte(read_end: int) -> bool:
-    """True if a pipe, whose writer has ended, holds a byte.
+    """True if a pipe holds a byte; called when the child that writes the byte has ended.
 
-    A process that the pattern has forked may still hold the writing end. Then a read of an empty
-    pipe would block, so the read end is set to raise BlockingIOError.
+    A process that the child's pattern has forked may still hold the writing end. Then a read of an
+    empty pipe would block, so the read end is set to raise BlockingIOError.
     """
     os.set_blocking(read_end, False)
     with suppress(BlockingIOError):

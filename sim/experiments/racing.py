@@ -63,9 +63,9 @@ def losers(losses: Array, level: float) -> list[int]:
     sums = ranks.sum(axis=0)
     freedom = (seeds - 1) * (candidates - 1)
     scatter = max(seeds * float((ranks**2).sum()) - float((sums**2).sum()), 0.0)
-    error = 2.0 * scatter / freedom
+    variance = 2.0 * scatter / freedom  # of the difference of two rank sums
     quantile = float(t.isf(level / (candidates - 1), freedom))
-    bound = max(quantile * math.sqrt(error), _ROUNDING)
+    bound = max(quantile * math.sqrt(variance), _ROUNDING)
     return [column for column in range(candidates) if sums[column] - sums.min() > bound]
 
 

@@ -57,10 +57,10 @@ def rerun(
       temporary folder.
     - `processes`: runs at a time.
     - `timeout`: a run fails after this time in s without progress.
-    - `is_trusted`: Python files that the manifest names run unchecked.
+    - `is_trusted`: the Python files that the manifest names run unchecked.
 
-    ConfigError if `folder` is no experiment, has no finished run, or is `out`. ConfigError also if
-    a Python file is not trusted (see `warnings` above).
+    ConfigError if `folder` is no experiment, has no finished run, or is `out`. Unless `is_trusted`,
+    ConfigError also if such a Python file is new, has changed or has never been run by this user.
     """
     before = load_results(folder)
     if not before.runs:

@@ -95,17 +95,17 @@ class Results:
         kernels: str = "",
         custom: CustomMetrics | None = None,
     ) -> None:
-        """`rows`: the finished runs. `failures`: the reason of each failed run, by run.
+        """`rows`: the finished runs in the order of `plan`.
 
-        `metrics`: the names of the columns with metrics. `kernels`: a text about the compiled code.
-        `custom`: metrics beyond the catalog.
+        `custom`: the metrics beyond the catalog, whether their code is trusted, and the units of
+        reports; None: the catalog alone. All other arguments become attributes.
         """
-        custom = custom or CustomMetrics({}, {})
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
         self.metrics = tuple(metrics)
         self.kernels = kernels
+        custom = custom or CustomMetrics({}, {})
         self.errors = {run: dict(reasons) for run, reasons in custom.errors.items()}
         self._custom = dict(custom.by_name)
         self._is_trusted = custom.is_trusted
@@ -157,11 +157,11 @@ class Results:
         return metric_of(which, report_units=self.report_units)
 
     def asked(self, name: str | Metric) -> Metric:
-        """The metric of a name that the user gives: as `about`, but with the present code.
+        """The metric that the user asks for by name; that of a Python file has its present code.
 
-        The code of a metric of a Python file may have changed since the runs, and the user means
-        the present code. ConfigError if the file is new, has changed or has never been run by this
-        user, unless these results are trusted.
+        The code may have changed since the runs, and the user means the present code. ConfigError
+        if the file is new, has changed or has never been run by this user, unless these results are
+        trusted. For all other names the result is that of `about`.
         """
         known = self._custom.get(name) if isinstance(name, str) else None
         file = known.origin.rpartition(":")[0] if known is not None else ""

@@ -328,7 +328,9 @@ def _parameter(
     if not equals:
         if known is None:
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if known.exclusion and not known.parameter.choices:  # choices need no bounds
+        # By its name, also a parameter is searched that is not searched by default. Without bounds
+        # or choices there is nothing to search.
+        if known.exclusion and not known.parameter.choices:
             raise ConfigError(f"{SOURCE} {key}: {known.exclusion}; give {key}=LO..HI")
         return known.parameter
     if known is None and "." not in key:
@@ -338,7 +340,8 @@ def _parameter(
     parameter = (
         Parameter(key, key, present=_present(data, key)) if known is None else known.parameter
     )
-    if _RANGE.fullmatch(text) is None:
+    is_range = _RANGE.fullmatch(text) is not None
+    if not is_range:
         return _with_choices(parameter, word, f"{key}={text}")
     if parameter.choices:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")

@@ -174,9 +174,10 @@ def run_experiment(
     in the folder, and a later call does the rest. SwarmError if the folder cannot be used or the
     disk is full.
     """
-    # `digests`: of the user's patterns and missions by path, and of the metrics by origin. The user
-    # runs their code, so `exp rerun` may run the code later. The file of a mission holds no code.
+    # SHA-256 of the user's patterns and missions by path, and of custom metrics by origin.
     digests = manifest.plugins
+    # The user runs this code now, so `exp rerun` may run the same code later. The file of a mission
+    # holds no code.
     remember_code(digest for name, digest in digests.items() if not name.endswith(MISSION))
     metric_digests = {metric.origin: digests.get(metric.origin, "") for metric in manifest.metrics}
     columns = (*METRICS, *(metric.name for metric in manifest.metrics))
@@ -220,10 +221,10 @@ class _Work:
         self._to_end -= self._work[run]
 
     def done_and_left(self) -> tuple[float, float]:
-        """The work that is simulated, and the work that is left.
+        """The work that is simulated, and the work that is left, in robot-seconds.
 
-        The work left is at least the longest run's rest on all workers, since workers without a
-        further run wait for the end of this run.
+        At the end of an experiment some workers have no further run, and wait until the longest run
+        ends. So the work left is at least the rest of the longest run for each run in progress.
         """
         begun = sum(self._work[run] * share for run, share in self.shares.items())
         rests = [self._work[run] * (1.0 - share) for run, share in self.shares.items()]

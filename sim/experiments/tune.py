@@ -433,25 +433,27 @@ class _Tuner:
             recorded = recorded_races[index] if index < len(recorded_races) else None
             # Drawn for a recorded race, too: the sampler continues as without interruption.
             drawn = self._draw(study, self._drawn_count(index, recorded))
-            if not drawn and not is_first:
+            # In race 0 the values of the scenario are new, too.
+            new = [present, *drawn] if is_first else drawn
+            earlier_best = [] if is_first else [best]
+            if not new:
                 break  # the budget is used, or the sampler draws no further values
 
-            racing = [best, *drawn]
+            racing = [*earlier_best, *new]
             self.races.append([candidate.number for candidate in racing])
             if recorded is None:
-                self._race(racing, index)
+                self._race(new, earlier_best, index)
             else:
-                self._recall(racing, recorded)
+                self._recall(new, recorded)
 
-            # The sampler has learned the loss of `best` after an earlier race, except in race 0.
-            for candidate in racing if is_first else drawn:
+            for candidate in new:
                 _tell(study, candidate, racing, self.space)
             finishers = (candidate for candidate in racing if not candidate.is_out)
             best = min(finishers, key=lambda candidate: mean_loss(candidate.losses))
             if recorded is None:
                 self._record()
-            if not drawn:  # race 0 had candidate 0 alone
-                break
+            if not drawn:
+                break  # race 0 had the values of the scenario alone
         return Tuning(
             folder=self.folder,
             metric=self.metric,
@@ -468,8 +470,9 @@ class _Tuner:
     def _drawn_count(self, index: int, recorded: Sequence[object] | None) -> int:
         """The number of candidates to draw for race `index`, from 0 on.
 
-        `recorded`: the candidates of the race in an interrupted tuning; None: the race is new, and
-        has as many candidates as it may have and as the budget allows.
+        `recorded`: the candidates of this race in an interrupted tuning, as many as are drawn
+        again; None: the race is new, and gets `per_race` candidates, or fewer if the budget does
+        not allow as many.
         """
         affordable = (self.budget - self._runs) // len(self.seeds)
         count = min(self.per_race, affordable) if recorded is None else len(recorded)
@@ -484,13 +487,15 @@ class _Tuner:
         and `document` of the tuning, and writes the result files.
         """
         tuning.held_out = held_out
+        present = self.candidates[0]  # the values of the scenario
+        has_better_values = tuning.best is not present
         if held_out:
-            variants = {PRESENT: self.candidates[0].effective}
-            if tuning.best.number != 0:
+            variants = {PRESENT: present.effective}
+            if has_better_values:
                 variants[TUNED] = tuning.best.effective
             nominal = self._run_held_out(HELD_OUT, held_out, variants)
-            if TUNED in variants:
-                tuning.gain = self._difference(nominal, PRESENT, nominal, TUNED)
+            if has_better_values:
+                tuning.gain = self._difference((nominal, PRESENT), (nominal, TUNED))
             if pseudo_reality:
                 # A scenario may give its own bounds of pseudo-reality; True: the default bounds.
                 varied = {
@@ -499,12 +504,13 @@ class _Tuner:
                 }
                 pseudo = self._run_held_out(f"{HELD_OUT}_pseudo_reality", held_out, varied)
                 tuning.drops = {
-                    name: self._difference(nominal, name, pseudo, name) for name in variants
+                    name: self._difference((nominal, name), (pseudo, name)) for name in variants
                 }
         tuning.document = tuned_document(tuning, self.scenario, self.sets, self.manifest())
         write_whole(self.folder / RESULT, tuning.document)
-        if isinstance(self.space, Missions) and tuning.best.number:
-            comments = [x for x in tuning.document.splitlines() if x.startswith("#")]
+        if isinstance(self.space, Missions) and has_better_values:
+            lines = tuning.document.splitlines()
+            comments = [line for line in lines if line.startswith("#")]
             text = self.space.mission(tuning.best.values)
             write_whole(self.folder / MISSION, "\n".join([*comments, text]))
 
@@ -514,19 +520,21 @@ class _Tuner:
         named = named or {"0": plain(self.loaded.effective)}
         return self._manifest(named, self.seeds, traces=False)
 
-    def _race(self, racing: Sequence[Candidate], number: int) -> None:
+    def _race(
+        self, new: Sequence[Candidate], earlier_best: Sequence[Candidate], number: int
+    ) -> None:
         """Run the new candidates of a race in blocks of seeds, and set their losses.
 
-        After each block, a rank test ends the candidates that are significantly worse than the
-        leader (`is_out`). The best candidate of the race before is compared with the new
-        candidates, too. Since all its losses are known, it neither runs again nor ends early.
-        `number`: of the race, from 0 on. SwarmError if no run of the first block has a value.
+        After each block except the last, a rank test ends the new candidates that are significantly
+        worse than the leader (`is_out`). SwarmError if no run of the first block has a value.
+
+        `earlier_best`: the best candidate of the race before; empty in race 0. All losses of this
+        candidate are known, so it takes part in the tests, but neither runs nor ends. `number`: of
+        the race, from 0 on.
         """
-        new = [candidate for candidate in racing if not candidate.losses]
-        earlier_best = [candidate for candidate in racing if candidate.losses]  # none in race 0
+        racing = [*earlier_best, *new]
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
-        # No comparison after all seeds: no run is left to save.
         comparison_counts = looks(len(self.seeds))
         for count in (*comparison_counts, len(self.seeds)):
             alive = [candidate for candidate in new if not candidate.is_out]
@@ -535,7 +543,7 @@ class _Tuner:
             self._run_block(manifest, alive, number, count)
             if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
                 raise SwarmError(self._why_all_failed(number))
-            if count < len(self.seeds):
+            if count < len(self.seeds):  # after all seeds no run is left to save
                 # Bonferroni: the level is divided by the number of comparisons.
                 level = ALPHA / len(comparison_counts)
                 _end_losers(alive, earlier_best, count, level)
@@ -609,10 +617,11 @@ class _Tuner:
             summarized=[self.metric],
         )
 
-    def _difference(self, a: Results, name_a: str, b: Results, name_b: str) -> Difference:
+    def _difference(self, a: tuple[Results, str], b: tuple[Results, str]) -> Difference:
+        """The difference in the metric between two variants, each as (results, name)."""
         first, second = (
             Side(f"{results.folder}:{_variant(name)}", results, _variant(name))
-            for results, name in ((a, name_a), (b, name_b))
+            for results, name in (a, b)
         )
         return compare_sides(first, second, [self.metric])[0]
 
@@ -767,9 +776,8 @@ class _Tuner:
             ])  # fmt: skip
         write_json(self.folder / STATE, {**self._head(), "races": races})
 
-    def _recall(self, racing: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
-        """Set the losses of new candidates from a recorded race, without runs."""
-        new = [candidate for candidate in racing if not candidate.losses]
+    def _recall(self, new: Sequence[Candidate], known: Sequence[Mapping[str, Any]]) -> None:
+        """Set the losses of the new candidates of a race from the recorded race, without runs."""
         drawn = [(candidate.number, plain(candidate.values)) for candidate in new]
         if drawn != [(row["candidate"], row["values"]) for row in known]:
             path = self.folder / STATE
@@ -782,10 +790,10 @@ class _Tuner:
 def _end_losers(
     alive: Sequence[Candidate], earlier_best: Sequence[Candidate], count: int, level: float
 ) -> None:
-    """Set `is_out` of the candidates `alive` that lose after `count` seeds.
+    """Set `is_out` of those of the candidates `alive` that lose the rank test after `count` seeds.
 
-    `earlier_best`: the candidate that is compared, too, but does not end; empty in race 0. `level`:
-    of significance.
+    `earlier_best`: the best candidate of the race before, which takes part in the test but does not
+    end; empty in race 0. `level`: of significance.
     """
     compared = [*alive, *earlier_best]
     table = np.array([candidate.losses[:count] for candidate in compared]).T

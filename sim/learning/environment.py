@@ -214,8 +214,8 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         """Begin a run, and simulate until each robot has its first scan; `options` has no effect.
 
         Returns the observations and infos by agent. Equal seeds give equal runs, bit by bit.
-        Without `seed`, the seed is drawn by a random generator that the last given seed has
-        started. ConfigError if there is no room for the robots.
+        Without `seed`, a random generator draws the seed; the last given seed is the seed of this
+        generator. ConfigError if there is no room for the robots.
         """
         self.seed = self._seed(seed)
         # Each learner's pattern exchanges observations and actions by a seat.
@@ -223,18 +223,20 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
         self.close()  # not before the new run exists: after a ConfigError the old run goes on
-        is_present = {robot: robot not in self.scenario.absent for robot in self._learners}
+        present_robots = [robot for robot in self._learners if robot not in self.scenario.absent]
+        # The first life of a robot that is present now has begun; that of an absent robot has not.
+        lives = {robot: 1 if robot in present_robots else 0 for robot in self._learners}
         self._episode = _Episode(
             swarm=swarm,
             seats=seats,
             rewards=Rewards(self._reward, self.scenario, self.seed, swarm.world),
             episodes=ContactEpisodes(),
-            lives={robot: int(there) for robot, there in is_present.items()},
+            lives=lives,
             contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
-            present=is_present,
+            present={robot: robot in present_robots for robot in self._learners},
         )
-        self._await_inputs(swarm, [seats[robot] for robot, there in is_present.items() if there])
-        self._episode.contacts[:] = 0
+        self._await_inputs(swarm, [seats[robot] for robot in present_robots])
+        self._episode.contacts[:] = 0  # contacts while inputs were awaited belong to no step
         # The agent of a robot's first life has the robot's name.
         self.agents = [robot for robot in self._learners if self._episode.lives[robot]]
         state = self._state(0.0)

@@ -117,19 +117,23 @@ class Lockstep:
     ) -> None:
         """Start the robots of a scenario at time 0.
 
-        `process`: this process of the run; None: the only process. `patterns`: classes by name,
-        which are preferred to installed patterns.
+        `process`: this process of the run; None: the only process. `patterns`: classes by name, in
+        place of installed patterns with the same names.
         """
         scenario = drawn(scenario, seed)
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
         self.world = world_of(scenario, seed)
-        self.world.measures_late = self._process.count > 1  # while the other processes finish
+        # With several processes `exchange` measures the rays of scans in progress, before it waits
+        # for the other processes.
+        self.world.measures_late = self._process.count > 1
+        # As robots assume them in a world of this realism.
         self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
         # Made on first use: listing the installed patterns takes as long as a simulated second.
         installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
         self._radio = radio_of(scenario, seed)
+        # A fence needs the pose of each robot in the world.
         self.world.posed = frozenset(
             row
             for row, platform in enumerate(self._platforms)
@@ -143,7 +147,8 @@ class Lockstep:
         self._flights: list[Flight] = []
         self._published: list[tuple[int, dict[str, Latch]]] = []
         ids = self.world.ids
-        self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
+        present_rows = [row for row, robot in enumerate(ids) if robot not in scenario.absent]
+        self.start(present_rows)
         self._timeline = EventTimeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
 
@@ -278,12 +283,15 @@ class Lockstep:
 
         All processes receive the outputs of all: commands, gripper commands, messages in transit
         (flights), and published latches (emergency stops that hold until a reset). With a single
-        process, too, messages and latches take effect only here. `meanwhile`: work without outputs,
-        which several processes do before they wait for each other.
+        process, too, messages and latches take effect only here.
+
+        `meanwhile`: work without outputs, which several processes do before they wait for each
+        other; a single process leaves it out.
         """
         process = self._process
-        if process.count == 1 and not (self._flights or self._published):
-            return
+        has_sent = bool(self._flights or self._published)
+        if process.count == 1 and not has_sent:
+            return  # commands of a single process are in place
         # As bytes, since numpy takes 12 us to pickle and read two arrays.
         own_commands = self.commands[process.rows].tobytes()
         own_grips = self.world.grips[process.rows].tobytes()
@@ -302,7 +310,7 @@ class Lockstep:
             all_published += published
         # In order of rows, so that the number of processes has no effect.
         for row, latches in sorted(all_published, key=itemgetter(0)):
-            # Removed first, so that the latches of the robot that published last come last.
+            # Removed and added again: `_peer_latches` is in the order of the last publications.
             self._peer_latches.pop(row, None)
             if latches:
                 self._peer_latches[row] = latches

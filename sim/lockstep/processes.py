@@ -111,10 +111,8 @@ class _Member(RunProcess):
         self._memory = memory
         self._ready = ready
         self._children = children
-        # Two halves of the memory are written in turn: before a process writes a half again, all
-        # processes have read it.
-        self._half = 0
-        self._pid: int | None = None
+        self._half = 0  # the half of the memory that is in use (see `_exchange_bytes`)
+        self._pid: int | None = None  # of this process, from the first exchange on
 
     def exchange(self, part: T, meanwhile: Callable[[], None] = _nothing) -> list[T]:
         data = pickle.dumps(part, pickle.HIGHEST_PROTOCOL)
@@ -136,11 +134,15 @@ class _Member(RunProcess):
         """Exchange `data` in rounds of _CHUNK bytes until the longest data are sent.
 
         Returns the data by process, empty for this process; empty for all processes unless `keeps`.
-        Successive rounds use the two halves of the memory in turn: a peer that is still reading
-        the last round does not lose its data.
+        `meanwhile` is called once, before this process waits for the others.
+
+        Rounds use the two halves of the memory in turn. When a process writes round k, all peers
+        have written round k - 1. So they have read round k - 2, whose half is overwritten.
         """
-        self._pid = self._pid or os.getpid()
-        if self._pid != os.getpid():  # a process that a pattern has forked is no part of the run
+        # A process that a pattern has forked is no part of the run.
+        if self._pid is None:
+            self._pid = os.getpid()
+        if self._pid != os.getpid():
             os._exit(0)
         peers = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
@@ -238,9 +240,9 @@ class _Children:
     def check(self, process: int, seconds: float) -> None:
         """Check the children while the first process waits for `process`.
 
-        `seconds`: the waiting time since the last call. Raises the error that ended a child,
-        SwarmError for a child that ended without an error, and SwarmError if the silence of
-        `process` has lasted for the time-out.
+        `seconds`: the waiting time since the last call. If a child has ended, raises the error that
+        ended it, or SwarmError for a child without an error. SwarmError also if the first process
+        has waited for `process` as long as the time-out.
         """
         for number, pid in list(self._pids.items()):
             has_ended, code = _ended(pid)

@@ -53,8 +53,9 @@ def _first_cover(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The first instant at which each square of a grid is covered, and where the grid begins.
 
-    `places` (k, 2): positions in m, at the instants with the indices `instants` (k,). Returns the
-    numbers (2,) of the lowest square along x and y, and an array (columns, rows) of indices of
+    `places` (k, 2): positions in m. `instants` (k,): the index of the instant of each position.
+    Squares have numbers along x and y; square 0 begins at the origin. Returns the numbers (2,) of
+    the square at the low end of the grid along x and y, and an array (columns, rows) of indices of
     instants; `never` for a square that no position covers.
     """
     own_squares = np.floor(places / cell).astype(np.int64)
@@ -62,14 +63,15 @@ def _first_cover(
     margin = math.ceil(radius / cell)
     lowest = own_squares.min(axis=0) - margin
     shape = own_squares.max(axis=0) + margin + 1 - lowest
+    # Examined positions: the first in each square, or in each cell of a ten times finer grid.
     first_in_square = _firsts(own_squares)
     first_in_fine_cell = _firsts(np.floor(places / (cell / 10.0)).astype(np.int64))
     covered_at = np.full(shape, never, dtype=np.int64)
     # Each pass looks at squares that lie `right` and `up` squares from the positions' own squares.
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
+            # If all positions in the own square cover the other square, the first decides.
             farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
-            # True: all places in the own square cover that square, so the first position decides.
             covers_always = farthest_corner <= radius
             rows = first_in_square if covers_always else first_in_fine_cell
             x, y = right * cell - from_centres[rows, 0], up * cell - from_centres[rows, 1]

@@ -269,10 +269,10 @@ class Wheels:
         reported: cython.double[:, ::1],
         measured: cython.double[:, ::1],
     ):
-        """Fill `reported` and `measured` (m, 3): odometry's poses and twists of `rows` (m,).
+        """Fill `reported` and `measured` (m, 3): odometry's poses and twists of robots `rows` (m,).
 
         `poses` and `twists` (n, 3): the true poses in the world frame and the true twists of all
-        robots.
+        robots. Before the twist, a row of `measured` holds the motion since the last reading.
         """
         if not cython.compiled:
             rows, poses, twists = memoryview(rows), memoryview(poses), memoryview(twists)
@@ -289,7 +289,7 @@ class Wheels:
                 self._truth[row, k] = poses[row, k]
                 reported[index, k] = self._reported[row, k]
             reported[index, 2] = _wrapped(reported[index, 2])
-            # The twist takes the place of the measured motion, which the reported pose has now.
+            # The motion is in the reported pose now: the twist takes its place in `measured`.
             self._measure(row, index, twists[row, 0], twists[row, 1], twists[row, 2], measured)
 
     @cython.cfunc

@@ -137,9 +137,9 @@ def _speeds_along(
 ) -> Array:
     """(c, 2) m/s of each surface at a contact towards the other surface.
 
-    `normals`: along x and y in the first two columns, from the first body to the second. `points`:
-    x and y of the contacts. `rows` (c, 2): of the bodies; the arena has the last row. `qpos`,
-    `qvel`: as of `ContactReader.after_step`.
+    `normals`: x and y of the unit vector from the first body to the second, in the first two
+    columns. `points`: x and y of the contacts. `rows` (c, 2): the rows of both bodies; the arena
+    has the row after the last body. `qpos`, `qvel` (3 k,): poses and velocities of all k bodies.
     """
     arena = np.zeros((1, 3))  # neither moves nor turns
     poses = np.concatenate((qpos.reshape(-1, 3), arena)).take(rows, axis=0)

@@ -54,7 +54,8 @@ class Items:
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
         # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
         self._is_flat = np.array([kind.mass is None for kind in kinds], np.bool_)[self._kind_of]
-        self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)
+        self.has_flat = bool(self._is_flat.any())
+        self._pucks = np.flatnonzero(~self._is_flat)
         inert = np.array([_inertia(kind) for kind in kinds]).reshape(-1, 3)
         self._inert = inert[self._kind_of][self._pucks]
         self._dofs = slice(0, 0)  # of the pucks in MuJoCo's memory; `begin` sets it

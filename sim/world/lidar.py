@@ -116,9 +116,10 @@ def _padded(polygons: Sequence[Array]) -> Array:
 class SortedRays:
     """The rays of a scan in order of bearing, repeated over four revolutions.
 
-    So the rays of any interval of bearings have consecutive indices. Each array has an element for
-    each index: `number` of the ray in the scan, `bearings` in rad, and their `cos` and `sin`.
-    `is_even`: bearings differ by equal steps of `step` rad.
+    So the rays between two bearings have consecutive indices, also if the bearings are not within
+    one revolution. Each array has an element for each index: `number` of the ray in the scan,
+    `bearings` in rad, and their `cos` and `sin`. `is_even`: bearings differ by equal steps of
+    `step` rad.
     """
 
     def __init__(self, bearings: Array) -> None:

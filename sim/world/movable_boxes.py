@@ -41,7 +41,8 @@ class MovableBoxes:
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
         # (m,) the force of friction in N.
         self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
-        # (m, 3) what this force is multiplied with along x and y (1) and about yaw (m).
+        # (m, 3) the greatest friction along x, along y and about yaw for each N of this force: 1, 1
+        # and the lever in m.
         lever = np.array([_lever(box) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
         # (m, 3) inertia along x, y and yaw: the mass in kg twice, the moment in kg m2.

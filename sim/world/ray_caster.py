@@ -126,8 +126,9 @@ class Caster:
         """Take the rays of a sensor, and the shapes of `lidar.Shapes` as arrays; lengths in m.
 
         - `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`).
-        - `walls` (w, 5): start, vector to the end, and -`range_max` times the length. A wall is in
-          reach if its `side` (see `_meet_surface`) is at least the last number.
+        - `walls` (w, 5): start, vector to the end, and the `side` (see `_meet_surface`) at which
+          the wall's line is `range_max` from the sensor. With a lower `side` the wall is out of
+          reach.
         - `poles` (p, 3): x, y, radius.
         - `edges` (b, k, 4) of polygons: start, and vector to the end. `polygon_owners` (b,): the
           rows of the robots or boxes that have the polygons.
@@ -530,19 +531,21 @@ class Caster:
 
         (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
         (`along_x`, `along_y`): the vector from the start to the end. `side`: their cross product
-        x * along_y - y * along_x in m2. The caller has checked that `side` is negative: the sensor
-        is in front of the surface, -`side` / length from its line.
+        x * along_y - y * along_x in m2: minus the length of the surface, times the distance of the
+        sensor from its line. The caller has checked that `side` is negative, so that the sensor is
+        in front of the surface.
         """
         # The surface covers the bearings from `high - width` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
         width: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
-        # With cross products, 1 / distance = (ray x surface) / (start x surface). The divisor is
-        # `side`. The quotient is a sum of the ray's cosine and sine, weighted by the two numbers
-        # below.
+        # A ray in the direction `d` meets the line of the surface at the distance
+        # cross(start, along) / cross(d, along), so 1 / distance = cross(d, along) / side. This is a
+        # weighted sum of the cosine and the sine of the ray's bearing, with the weights:
         by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
         first: cython.Py_ssize_t = self._ray_index((high - width) - _BEARING_MARGIN)
         rays: cython.Py_ssize_t = self._ray_index(high + _BEARING_MARGIN) - first
+        # `first` counts over the four revolutions, the argument from the sector's first ray.
         return self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
 
     @cython.cfunc
@@ -557,8 +560,9 @@ class Caster:
     ) -> cython.int:
         """Note a flat surface at `rays` rays from ray `begin` on. Returns 0.
 
-        `begin` counts from the sector's first ray, around the full circle. The rays may pass the
-        sector's first ray again, so the loop runs a second time for the rays behind it.
+        Rays count from the sector's first ray on, around the full circle. Those of the surface may
+        begin behind the sector, and go on past a full circle into the sector. So a first pass notes
+        the rays from `begin` on, and a second pass the rays past a full circle.
         """
         end: cython.Py_ssize_t = begin + rays
         i: cython.Py_ssize_t
@@ -577,20 +581,21 @@ class Caster:
 
     @cython.cfunc
     def _meet_circle(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.int:
-        """Note the distance of a circle at each ray of the sector that hits it. Returns 0.
+        """Note the distance of a circle at each ray of the sector that hits the circle. Returns 0.
 
-        `x`, `y`: its centre in the world frame. A circle around the sensor is left out: no sensor
-        sees its own housing.
+        `x`, `y`: the centre of the circle in the world frame. A circle around the sensor is left
+        out: no sensor sees its own housing.
         """
         x -= self._x
         y -= self._y
+        # m2: the square of the distance along a tangent from the sensor to the circle.
         tangent_squared: cython.double = x * x + y * y - radius * radius
         middle: cython.double
         half: cython.double
         first: cython.Py_ssize_t
         rays: cython.Py_ssize_t
         is_around_sensor: cython.bint = not tangent_squared > 0.0
-        if is_around_sensor or self._is_outside(x, y, radius):
+        if is_around_sensor or self._is_outside(x, y, radius):  # outside the sector's cone
             return 0
         # The circle covers the bearings `middle` +- `half` (rad).
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
@@ -626,6 +631,7 @@ class Caster:
         i: cython.Py_ssize_t
         index: cython.Py_ssize_t
         aside: cython.double  # the distance of the centre from the ray
+        farther: cython.double
         inverse: cython.double
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
@@ -633,9 +639,9 @@ class Caster:
                 if index >= self._rays:
                     index -= self._rays
                 aside = self._cos[index] * left - self._sin[index] * ahead
-                inverse = self._cos[index] * ahead + self._sin[index] * left
-                inverse += sqrt(max(radius * radius - aside * aside, 0.0))
-                inverse /= tangent_squared
+                farther = self._cos[index] * ahead + self._sin[index] * left
+                farther += sqrt(max(radius * radius - aside * aside, 0.0))
+                inverse = farther / tangent_squared
                 if inverse > self._inverse[i]:
                     self._inverse[i] = inverse
             begin, end = 0, end - self._rays
@@ -672,8 +678,8 @@ def _radii(edges, discs):
 class Sweeps:
     """The scans in progress of one kind of rotating sensor, in order of their first steps.
 
-    A sector is the rays of one step of a sweep. The scans are kept here, since arrays of all scans
-    at each step took 5 % of the time of a run with 7 robots.
+    A sector is the rays of one step of a sweep. The kernel keeps the scans from step to step: to
+    hand them over in arrays at each step took 5 % of the time of a run with 7 robots.
     """
 
     _caster: Caster
@@ -689,9 +695,9 @@ class Sweeps:
     def __init__(self, caster: Caster, first, counts, ranges) -> None:
         """Start without scans; `caster` casts their rays.
 
-        `first`, `counts` (steps + 1,): of the sector of each step since the begin of a scan, the
-        index of its first ray in order of bearing, and its number of rays. `ranges` (2 n, rays) in
-        m of n robots: the rows into which scans are cast, in the order of the scan's rays.
+        `first`, `counts` (steps + 1,): the first ray and the number of rays of each sector. The
+        sectors count by steps from the begin of a scan, the rays by bearing. `ranges` (2 n, rays)
+        in m of n robots: the rows into which scans are cast, in the order of the scan's rays.
         """
         self._caster, self._steps = caster, len(counts) - 1
         self._first, self._counts = memoryview(first), memoryview(counts)
@@ -715,29 +721,32 @@ class Sweeps:
         scans that do not end are left to a later call for this step.
         """
         i: cython.Py_ssize_t
+        robot: cython.Py_ssize_t
+        row: cython.Py_ssize_t
         sector: cython.Py_ssize_t
         ended: list = []
         caster: Caster = self._caster
         if not cython.compiled:
             poses = memoryview(poses)
         for i in range(self._count):
-            sector = step - self._scans[i, 1]
+            robot, row = self._scans[i, 0], self._scans[i, 2]
+            sector = step - self._scans[i, 1]  # the steps since the scan began
             if sector == self._steps:
-                ended.append((self._scans[i, 0], self._scans[i, 2]))
+                ended.append((robot, row))
             elif ends_only:
                 break  # scans end in the order of their begins, so no later scan ends at this step
             if self._counts[sector]:
-                if caster._step != step:
+                if caster._step != step:  # once for all scans and calls of a step
                     caster._set_bodies(poses)
                     caster._step = step
                 Caster._cast_sector(
                     caster,
                     poses,
-                    self._scans[i, 0],
+                    robot,
                     self._first[sector],
                     self._counts[sector],
                     self._ranges,
-                    self._scans[i, 2],
+                    row,
                 )
         if ended:
             self._remove_first(len(ended))
@@ -758,7 +767,7 @@ class Sweeps:
 @cython.auto_pickle(False)
 @cython.cclass
 class Errors:
-    """The errors of all sensors with one number of rays, and the encoding by their drivers.
+    """The errors of all sensors with the same number of rays, and what their drivers report.
 
     `normal` (rays,) and `uniform` (rays + blocks,) are buffers: before each `measure`, the caller
     writes standard normal numbers, and numbers that are uniform from 0 to 1, into them.
@@ -787,9 +796,11 @@ class Errors:
         self._normal, self._uniform = memoryview(normal), memoryview(uniform)
 
     def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
-        """Replace exact `ranges` (rays,) in m of robot `row` by its measurements, encoded.
+        """Replace the exact `ranges` (rays,) in m of robot `row` by those that its driver reports.
 
-        Rays without a return (inf) stay. A block of _BLOCK rays may drop out together.
+        A ray without a return (inf) has no error. A measurement nearer than range_min becomes -inf,
+        and beyond range_max inf; `encode` replaces both. A ray drops out alone, or with its block
+        of _BLOCK rays.
         """
         i: cython.Py_ssize_t
         rays: cython.Py_ssize_t = ranges.shape[0]
@@ -799,6 +810,7 @@ class Errors:
         range_min: cython.double = self._reach[row, 0]
         range_max: cython.double = self._reach[row, 1]
         block_dropout: cython.double = self._block_dropout[row]
+        drops_out: cython.bint
         if not cython.compiled:
             ranges = memoryview(ranges)
         for i in range(rays):
@@ -818,10 +830,11 @@ class Errors:
                 r = -HUGE_VAL
             if r > range_max:
                 r = HUGE_VAL
-            if (
+            drops_out = (
                 self._uniform[i] < self._dropout
                 or self._uniform[rays + i // _BLOCK] < block_dropout
-            ):
+            )
+            if drops_out:
                 r = self._lost[row]
             ranges[i] = r
         self.encode(row, ranges)

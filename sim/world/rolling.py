@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.core.values import Array, Platform
+from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.lidar import Lidar, sweep_order
 
@@ -70,34 +70,24 @@ class RollingScans:
         """
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
-        order, times = sweep_order(spec.bearings, sweep)
+        order, times = sweep_order(spec.bearings, sweep)  # rays in the order of the sweep
         duration = min(sweep.duration, 1.0 / spec.rate)  # the next scan must not begin before
-        self._steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
+        self._sweep_steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
         # A sector is measured each `sector_steps`, and the time of a ray is rounded to these steps.
-        sector_steps = max(self._steps // sectors, 1)
-        steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
-        steps = np.minimum(steps, self._steps)  # of each ray, in the order of the sweep
-        # (steps + 1,) the number of rays measured up to each step since the begin of a scan.
-        ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
+        sector_steps = max(self._sweep_steps // sectors, 1)
+        ray_steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
+        # (rays,) the step of each ray since the begin of a scan, in the order of the sweep.
+        ray_steps = np.minimum(ray_steps, self._sweep_steps)
+        # (sweep steps + 1,) the number of rays measured up to each step since the begin of a scan.
+        ray_counts = np.searchsorted(ray_steps, np.arange(self._sweep_steps + 1), side="right")
         # (rays,) the age in s of each ray at the end of a scan.
         self._ages = np.empty(len(order))
-        self._ages[order] = (self._steps - steps) * dt
+        self._ages[order] = (self._sweep_steps - ray_steps) * dt
         self._ages.flags.writeable = False
-        # By its last step. The last segment of a sweep is left out: it comes with the whole scan.
-        self._segments: dict[int, _Segment] = {}
         self.segments: list[MeasuredSegment] = []  # of the last `advance`
-        first_ray = 0
-        for number in range(1, spec.segments):
-            last_step = number * self._steps // spec.segments
-            end_ray = int(ends[last_step])
-            if end_ray > first_ray:
-                segment = _segment(
-                    spec.bearings, order[first_ray:end_ray], steps[first_ray:end_ray], dt
-                )
-                self._segments[last_step] = segment
-            first_ray = end_ray
+        self._segments = _segments(platform.scan, order, ray_steps, ray_counts, dt)
         self._begin_rows(n, len(order))
-        self._sweeps = lidar.sweeps(ends, self._ranges)
+        self._sweeps = lidar.sweeps(ray_counts, self._ranges)
 
     def _begin_rows(self, n: int, rays: int) -> None:
         """Make two rows of ranges for each of `n` robots, which its scans use in turn.
@@ -108,7 +98,7 @@ class RollingScans:
         self._ranges = np.full((2 * n, rays), np.inf)
         self._last_row = list(range(n))
         # A first scan may begin at step 0, as if another scan ended there.
-        self._last_begun = [-self._steps] * n
+        self._last_begun = [-self._sweep_steps] * n
         self._waiting: set[int] = set()
 
     def begin(self, robot: int) -> None:
@@ -119,13 +109,13 @@ class RollingScans:
         """Measure the rays of `step`; returns the scans that this step completes.
 
         Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
-        `ends_only`: the rays of scans that do not end, and segments, are left to a second call for
-        this step.
+        `ends_only`: this call measures only the rays of scans that end, and no segments; a second
+        call for this step measures the rest.
         """
         if self._waiting:
             self._start(step)
         completed = [
-            CompleteScan(robot, self._ranges[row], self._ages, step - self._steps)
+            CompleteScan(robot, self._ranges[row], self._ages, step - self._sweep_steps)
             for robot, row in self._sweeps.advance(poses, step, ends_only)
         ]
         if self._segments:
@@ -151,12 +141,34 @@ class RollingScans:
         return ended
 
     def _start(self, step: int) -> None:
-        ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)
+        ready = sorted(r for r in self._waiting if self._last_begun[r] + self._sweep_steps <= step)
         self._waiting.difference_update(ready)
         for robot in ready:
             row = (self._last_row[robot] + self._n) % len(self._ranges)
             self._last_begun[robot], self._last_row[robot] = step, row
             self._sweeps.begin(robot, step, row)
+
+
+def _segments(
+    spec: ScanSpec, order: Indices, ray_steps: Indices, ray_counts: Indices, dt: float
+) -> dict[int, _Segment]:
+    """The segments of a sweep by their last steps, without the last segment and empty segments.
+
+    The last segment comes with the whole scan. `order`: the rays in the order of the sweep.
+    `ray_steps`: the step of each ray in this order. `ray_counts`: the number of rays up to each
+    step. `dt`: s of a step.
+    """
+    segments: dict[int, _Segment] = {}
+    sweep_steps = len(ray_counts) - 1
+    first_ray = 0
+    for number in range(1, spec.segments):
+        last_step = number * sweep_steps // spec.segments
+        end_ray = int(ray_counts[last_step])
+        if end_ray > first_ray:
+            rays = slice(first_ray, end_ray)
+            segments[last_step] = _segment(spec.bearings, order[rays], ray_steps[rays], dt)
+        first_ray = end_ray
+    return segments
 
 
 def _segment(all_bearings: Array, rays: Indices, steps: Indices, dt: float) -> _Segment:

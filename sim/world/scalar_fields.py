@@ -79,8 +79,8 @@ def sample(
 ) -> dict[str, Array]:
     """The value (k,) of each reading at `places` (k, 2) in m; fields of one name add up.
 
-    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear`: as
-    of `LightField.at`.
+    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear` are
+    arguments of `LightField.at`.
     """
     values: dict[str, Array] = {}
     for field in fields:
@@ -108,9 +108,10 @@ def readings_at(
 ) -> dict[str, float]:
     """The readings of a robot at `pose` (3,), by name.
 
-    `sensors`: by name of the field (k, 3) x, y and bearing in the base frame; the bearing of a
-    sensor of all directions is NaN. A field with sensors has the reading `<name>_1`, `<name>_2` ...
-    of each sensor, and their mean as `<name>`. A field without sensors is sampled at the axle.
+    `sensors`: the sensors of the robot by name of the field, (k, 3) x, y and bearing in the base
+    frame. The bearing is NaN for a sensor that senses all directions. A field with sensors has a
+    reading for each sensor, `<name>_1`, `<name>_2` ..., and their mean as `<name>`. A field without
+    sensors is sampled at the axle.
     """
     at_axle = [field for field in fields if field.name not in sensors]
     readings = {

@@ -51,9 +51,10 @@ class World:
     - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
-    - `measures_late`: if True, `arrived_scans` measures only the rays of rolling scans that end,
-      and a later call of `measure_rays` measures all others. The results are equal. Without effect
-      if a platform has segments: their rays must be measured before `arrived_segments`.
+    - `measures_late`: of the rolling scans in progress, True lets `arrived_scans` measure only the
+      scans that end; the caller then measures the others by `measure_rays`. The ranges are equal.
+      Without effect if a platform has segments: their rays must be measured before
+      `arrived_segments`.
     """
 
     def __init__(
