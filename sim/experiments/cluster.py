@@ -383,7 +383,7 @@ def _software(
 
 
 def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | None]:
-    """Run a job in this worker; returns the result and the bytes of its trace file, or None.
+    """Run a job in this worker; returns the result, and the bytes of the trace file or None.
 
     `timeout`: the longest time in s without progress of the run. Progress is reported to the client
     under `topic`. RuntimeError if the client has cancelled the job or is gone.

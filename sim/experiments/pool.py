@@ -107,8 +107,8 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
     """
     start_time = time.perf_counter()
     try:
-        # Less than the pool's time-out, so that the error of `simulate_run` comes before that of
-        # the pool: it names the process of the run that hangs.
+        # Less than the pool's time-out: the error of `simulate_run`, which names the process of the
+        # run that hangs, then comes before the error of the pool.
         timeout = _SHARE_OF_TIMEOUT * job.timeout
         scenario = scenario_of(job.effective)
         trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=timeout)

@@ -242,8 +242,9 @@ def _declared(scenario: Scenario) -> list[Declared]:
         platform = scenario.robots[robot]
         platform_defaults = {**derived_defaults(params_type, platform)}
         layers = (("platform", platform_defaults), *scenario.layers(robot, pattern))
-        _, present = build(params_type, layers)  # (value, source) by name
+        _, values_and_sources = build(params_type, layers)  # by name of the parameter
         for spec in schema(params_type):
+            present, _ = values_and_sources[spec.name]
             name = spec.name if count[spec.name] == 1 else f"{pattern}.{spec.name}"
             parameter = Parameter(
                 _key(scenario, pattern, spec.name),
@@ -251,7 +252,7 @@ def _declared(scenario: Scenario) -> list[Declared]:
                 pattern=pattern,
                 param=spec.name,
                 unit=spec.unit,
-                present=present[spec.name][0],
+                present=present,
             )
             declared.append(_with_bounds(parameter, spec, platform))
     return declared

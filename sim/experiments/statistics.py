@@ -90,8 +90,8 @@ def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool =
     if not known.size:
         return Summary(n=0, never=never)
     if never:
-        # The time of an event that never happened is longer than each run. So the median is still
-        # known if most runs have the event, but the mean is not.
+        # The time of an event that never happened is longer than each run, but not known. So the
+        # least time is known, and if most runs have the event, the median; all else is not.
         median = float(np.median(np.where(np.isnan(values), np.inf, values)))
         return Summary(
             n=known.size,

@@ -281,7 +281,7 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         end = episode.swarm.world.time
         # The end of the scenario, to the nearest whole period.
         episode.is_over = end > self.scenario.duration - 0.5 * self.spec.period
-        present_robots = [robot for robot, there in episode.present.items() if there]
+        present_robots = [robot for robot, is_present in episode.present.items() if is_present]
         agents_after = [name_of(robot, episode.lives[robot]) for robot in present_robots]
         joined = [agent for agent in agents_after if agent not in agents_before]
         # The results are those of all agents that were present before or after the step.
@@ -356,12 +356,16 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
     def _follow_daemons(self) -> None:
         """Update `present` and `lives`; clear the seats of robots that have left."""
         episode = self._running()
-        for robot, there in zip(episode.swarm.world.ids, episode.swarm.has_daemon, strict=True):
-            if episode.present.get(robot, there) != there:
-                episode.present[robot] = there
-                episode.lives[robot] += there
-                if not there:
-                    episode.seats[robot].leave()
+        swarm = episode.swarm
+        for robot, has_daemon in zip(swarm.world.ids, swarm.has_daemon, strict=True):
+            is_learner = robot in episode.present
+            if not is_learner or episode.present[robot] == has_daemon:
+                continue
+            episode.present[robot] = has_daemon
+            if has_daemon:
+                episode.lives[robot] += 1
+            else:
+                episode.seats[robot].leave()
 
     def _observed(self, agent: str) -> Observation:
         """The observation from the newest inputs; zeros before an agent has any."""

@@ -315,7 +315,8 @@ def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = 
     if count == 1:
         return work(RunProcess())
     context = get_context("fork")
-    memory = mmap.mmap(-1, 2 * count * _SLOT)  # shared with the forks; two slots a process
+    # Shared with the forks. Each process has a slot in each half (see `_exchange_bytes`).
+    memory = mmap.mmap(-1, 2 * count * _SLOT)
     try:
         # By writer and reader of the data.
         ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]

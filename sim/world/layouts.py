@@ -200,7 +200,7 @@ def chain(
                 yield _headed(np.array([*place, yaw]), heading)
 
     spacing_text = f"{near:g} to {far:g} m from the nearest"
-    _place_each(placement, robots, candidates(), 0.0, spacing_text)
+    _place_each(placement, robots, candidates(), clearance=0.0, spacing_text=spacing_text)
 
 
 def _place_each(

@@ -460,8 +460,8 @@ class Caster:
         sensor_column = cython.cast(
             cython.Py_ssize_t, floor((self._x - self._west) / self._cell_size)
         )
-        # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. `east` is at
-        # least `west`, so that a sensor outside the grid gets an empty range of members.
+        # Columns `west` to `east` - 1 and rows `south` to `north` - 1 of the grid. For a sensor far
+        # outside the grid, `east` equals `west` or `north` is not above `south`: no members.
         west = min(max(sensor_column - 1, 0), self._grid_columns)
         east = max(min(sensor_column + 2, self._grid_columns), west)
         south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)

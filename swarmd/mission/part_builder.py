@@ -134,8 +134,9 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
         `further_names`: what the place may name besides the reports of the part.
         """
         part, report = reference
-        valid_names = reports.get(part, set()) | further_names
-        if reports.get(part) and report not in valid_names:
+        known_reports = reports.get(part, set())
+        valid_names = known_reports | further_names
+        if known_reports and report not in valid_names:
             text = f"names {unknown('report', report, valid_names)} (of {part})"
             builder.faults.append(fault_at(keys, text))
 

@@ -47,6 +47,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     latches: Mapping[str, Latch]
     cleared: tuple[str, ...] = ()  # ids of latches that were reset
     goals: GoalRecord = GoalRecord()
+    # Further settings:
     fence: FenceSettings | None = None
     on_low_battery: LowBatterySettings | None = None
 

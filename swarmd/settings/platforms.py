@@ -167,8 +167,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     - `extends`: another platform or file. This file then holds only the differences.
     - `ranges`: a ring of further range sensors, for objects that the lidar does not see, with the
-      keys of `scan`. Without fresh values of the ring the robot is held. None: `ranges` of a driver
-      count as the scan.
+      keys of `scan`. Without fresh values of the ring the robot is held. None: there is no ring,
+      and the sensors in a driver's option `ranges` give the scan.
     - `footprint`: convex outline in m, counter-clockwise. If it is too small, the robot collides.
       If it is too large, the robot stops earlier, and avoids gaps that it could pass.
     - `provides`: inputs that patterns may need. Patterns that need other inputs are refused.
