@@ -100,8 +100,8 @@ def mark_pattern(
     """Run the lesson's experiment with the pattern in a pupil's folder, and check its targets.
 
     `plan`: of `plan_of_lesson`, in which the pupil's pattern replaces the pattern _STAND_IN.
-    `timeout`: wall time in s of all runs together. The first run that fails ends the experiment,
-    and the reason is `why` of the result.
+    `processes`: runs at a time. `timeout`: wall time in s of all runs together. The first run that
+    fails ends the experiment, and the reason is `why` of the result.
     """
     run_by_id = {run.id: run for run in plan.runs}
     # `guest` confines the process of the run to the pupil's folder.

@@ -224,7 +224,8 @@ class _Work:
         """The work that is simulated, and the work that is left, in robot-seconds.
 
         At the end of an experiment some workers have no further run, and wait until the longest run
-        ends. So the work left is at least the rest of the longest run for each run in progress.
+        ends. So the work left is at least the rest of the longest run, times the number of runs in
+        progress.
         """
         begun = sum(self._work[run] * share for run, share in self.shares.items())
         rests = [self._work[run] * (1.0 - share) for run, share in self.shares.items()]

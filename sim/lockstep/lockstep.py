@@ -289,9 +289,9 @@ class Lockstep:
         other; a single process leaves it out.
         """
         process = self._process
-        has_sent = bool(self._flights or self._published)
-        if process.count == 1 and not has_sent:
-            return  # commands of a single process are in place
+        has_to_send = bool(self._flights or self._published)
+        if process.count == 1 and not has_to_send:
+            return  # the commands of a single process are in place
         # As bytes, since numpy takes 12 us to pickle and read two arrays.
         own_commands = self.commands[process.rows].tobytes()
         own_grips = self.world.grips[process.rows].tobytes()

@@ -53,12 +53,14 @@ def _first_cover(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The first instant at which each square of a grid is covered, and where the grid begins.
 
+    A square with sides of `cell` m is covered when a position is within `radius` m of its centre.
     `places` (k, 2): positions in m. `instants` (k,): the index of the instant of each position.
+
     Squares have numbers along x and y; square 0 begins at the origin. Returns the numbers (2,) of
     the square at the low end of the grid along x and y, and an array (columns, rows) of indices of
     instants; `never` for a square that no position covers.
     """
-    own_squares = np.floor(places / cell).astype(np.int64)
+    own_squares = np.floor(places / cell).astype(np.int64)  # (k, 2) of each position
     from_centres = places - (own_squares + 0.5) * cell
     margin = math.ceil(radius / cell)
     lowest = own_squares.min(axis=0) - margin

@@ -207,9 +207,10 @@ class Caster:
         ranges: cython.double[:, ::1],
         row: cython.Py_ssize_t,
     ) -> cython.int:
-        """Cast `count` rays from index `first` on, in order of bearing, into a row of `ranges`.
+        """Cast `count` rays of a robot into row `row` of `ranges`. Returns 0, always.
 
-        `_set_bodies` must have been called with `poses`. Returns 0, always.
+        The rays are those from index `first` on, in order of bearing. `_set_bodies` must have been
+        called with `poses`.
         """
         i: cython.Py_ssize_t
         self._first, self._count = first, count
@@ -562,7 +563,8 @@ class Caster:
 
         Rays count from the sector's first ray on, around the full circle. Those of the surface may
         begin behind the sector, and go on past a full circle into the sector. So a first pass notes
-        the rays from `begin` on, and a second pass the rays past a full circle.
+        the rays from `begin` on, and a second pass the rays past a full circle. 1 / distance is the
+        sum of the cosine and the sine of the bearing, with the weights `by_cos` and `by_sin`.
         """
         end: cython.Py_ssize_t = begin + rays
         i: cython.Py_ssize_t
@@ -806,7 +808,7 @@ class Errors:
         rays: cython.Py_ssize_t = ranges.shape[0]
         r: cython.double
         spread: cython.double  # standard deviation in m
-        factor: cython.double = self._factors[row]
+        factor: cython.double = self._factors[row]  # 1 plus the bias of the robot's sensor
         range_min: cython.double = self._reach[row, 0]
         range_max: cython.double = self._reach[row, 1]
         block_dropout: cython.double = self._block_dropout[row]

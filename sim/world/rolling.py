@@ -71,7 +71,7 @@ class RollingScans:
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
         order, times = sweep_order(spec.bearings, sweep)  # rays in the order of the sweep
-        duration = min(sweep.duration, 1.0 / spec.rate)  # the next scan must not begin before
+        duration = min(sweep.duration, 1.0 / spec.rate)  # ends before the next scan begins
         self._sweep_steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
         # A sector is measured each `sector_steps`, and the time of a ray is rounded to these steps.
         sector_steps = max(self._sweep_steps // sectors, 1)
@@ -85,7 +85,7 @@ class RollingScans:
         self._ages[order] = (self._sweep_steps - ray_steps) * dt
         self._ages.flags.writeable = False
         self.segments: list[MeasuredSegment] = []  # of the last `advance`
-        self._segments = _segments(platform.scan, order, ray_steps, ray_counts, dt)
+        self._segments = _segments_of_sweep(spec, order, ray_steps, ray_counts, dt)
         self._begin_rows(n, len(order))
         self._sweeps = lidar.sweeps(ray_counts, self._ranges)
 
@@ -149,7 +149,7 @@ class RollingScans:
             self._sweeps.begin(robot, step, row)
 
 
-def _segments(
+def _segments_of_sweep(
     spec: ScanSpec, order: Indices, ray_steps: Indices, ray_counts: Indices, dt: float
 ) -> dict[int, _Segment]:
     """The segments of a sweep by their last steps, without the last segment and empty segments.

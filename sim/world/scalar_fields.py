@@ -111,7 +111,7 @@ def readings_at(
     `sensors`: the sensors of the robot by name of the field, (k, 3) x, y and bearing in the base
     frame. The bearing is NaN for a sensor that senses all directions. A field with sensors has a
     reading for each sensor, `<name>_1`, `<name>_2` ..., and their mean as `<name>`. A field without
-    sensors is sampled at the axle.
+    sensors is sampled at the axle. `is_clear`: an argument of `LightField.at`.
     """
     at_axle = [field for field in fields if field.name not in sensors]
     readings = {

@@ -160,7 +160,8 @@ class Mission(CombinedPattern[Params]):
 def mission_class(path: Path, find: Find) -> type[Mission]:
     """Make the pattern class of a mission file, checked as far as possible without a robot.
 
-    ConfigError for the first fault of the file, with file and line.
+    `find`: gives the class of a pattern by its name. ConfigError for the first fault of the file,
+    with file and line.
     """
     document = read_document(path)
     # Both calls add faults to `document`.

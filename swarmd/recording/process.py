@@ -114,7 +114,10 @@ class Converter:
         self._for_viewers(entry, input, stamp)
 
     def _for_viewers(self, entry: frames.InputEntry, input: events.Input, stamp: float) -> None:
-        """Write an input as a ROS message if ROS has the type, else as JSON."""
+        """Write an input as a ROS message if ROS has the type, else as JSON.
+
+        `stamp`: s since 1970. Inputs without a use for viewers are left out.
+        """
         match input:
             case events.OdometryInput():
                 self._write(entry, "/odometry", messages.odometry_message(input.odometry))
@@ -135,7 +138,7 @@ class Converter:
                 message = messages.requested_message(twist, scan_seq, stamp)
                 self._write(entry, "/command/requested", message)
             case (
-                events.SegmentInput()  # the whole turn follows
+                events.SegmentInput()  # the rays of a segment come again with the whole scan
                 | events.HostInput()
                 | events.NoteInput()
                 | events.TickInput()
