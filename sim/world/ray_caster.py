@@ -126,9 +126,8 @@ class Caster:
         """Take the rays of a sensor, and the shapes of `lidar.Shapes` as arrays; lengths in m.
 
         - `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`).
-        - `walls` (w, 5): start, vector to the end, and the `side` (see `_meet_surface`) at which
-          the wall's line is `range_max` from the sensor. With a lower `side` the wall is out of
-          reach.
+        - `walls` (w, 5): start, vector to the end, and the least `side` (see `_meet_surface`) of a
+          wall in reach.
         - `poles` (p, 3): x, y, radius.
         - `edges` (b, k, 4) of polygons: start, and vector to the end. `polygon_owners` (b,): the
           rows of the robots or boxes that have the polygons.
@@ -532,9 +531,8 @@ class Caster:
 
         (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
         (`along_x`, `along_y`): the vector from the start to the end. `side`: their cross product
-        x * along_y - y * along_x in m2: minus the length of the surface, times the distance of the
-        sensor from its line. The caller has checked that `side` is negative, so that the sensor is
-        in front of the surface.
+        x * along_y - y * along_x in m2. The caller has checked that `side` is negative: the sensor
+        is in front of the surface.
         """
         # The surface covers the bearings from `high - width` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw

@@ -52,7 +52,7 @@ class World:
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
     - `measures_late`: of the rolling scans in progress, True lets `arrived_scans` measure only the
-      scans that end; the caller then measures the others by `measure_rays`. The ranges are equal.
+      scans that end. The caller then measures the others by `measure_rays`. The ranges are equal.
       Without effect if a platform has segments: their rays must be measured before
       `arrived_segments`.
     """
