@@ -46,8 +46,8 @@ def measured_cost(folder: Path) -> Cost:
     for path in manifests[:_NEWEST]:
         try:
             manifest = read_manifest(path.parent)
-            has_other_cores = {"--cores", "--scheduler"} & {*manifest.command}
-            if manifest.made_with != software or has_other_cores:
+            used_other_cores = any(arg in ("--cores", "--scheduler") for arg in manifest.command)
+            if manifest.made_with != software or used_other_cores:
                 continue
             plan = manifest.plan
             rows = read_table(path.parent, plan)[1].values()

@@ -123,8 +123,8 @@ def _git(
     `no_match`: what is returned for exit code 1, by which `git config` reports that no key matches.
     The folder may come from a stranger, and its git configuration may name programs that git runs.
     So hooks, the file system monitor, downloads and the filters of the keys `no_filters` are
-    switched off. The words of `_STATUS` keep git from entering submodules, whose configuration may
-    name further programs.
+    switched off. The configuration of a submodule may name further programs: `git status` is called
+    with the options in `_STATUS`, by which git does not enter submodules.
     """
     settings = (*_NO_PROGRAMS, *(f"{key}=" for key in no_filters))
     options = [word for setting in settings for word in ("-c", setting)]

@@ -75,8 +75,8 @@ def lines(rows: Iterable[Sequence[str]]) -> str:
 def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row]]:
     """Read runs.csv: the names of the metrics, and the rows by run id in the order of the plan.
 
-    A last line that was not written completely is skipped. ConfigError with file and line if the
-    file differs in any other way from what `lines` writes.
+    A last line that was not written completely is skipped. ConfigError with file and line for any
+    other damage: wrong columns, an unknown run, a run that appears twice, or a wrong cell.
     """
     path = folder / TABLE
     try:

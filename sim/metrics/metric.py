@@ -78,10 +78,10 @@ def _mean_of(series: Series, part: Callable[[Trace], Trace]) -> Value:
 
 
 def over_time(values: Array, t: Array, word: str) -> float | None:
-    """The statistic `word` (of TIMES) of values (T,) at instants `t` (T,), without NaN.
+    """The statistic `word` (of TIMES) of values (T,) at instants `t` (T,); NaN values are left out.
 
     `start` and `end`: the value at the first and the last instant. `late`: the mean as in
-    `late_mean`. None without a value.
+    `late_mean`. None if no value is left.
     """
     if word == "start":
         values = values[:1]

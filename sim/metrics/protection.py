@@ -37,8 +37,9 @@ def protection_duty(trace: Trace) -> float | None:
     """The share of scans on which protection replaced or reduced the requested command.
 
     The share is over the scans of all robots, since the protection of Kaiser et al. 2022 decides on
-    every scan. If the trace does not count scans, the share is over the instants at which robots
-    run: those at which protection changed the command (`active`). None without data or decision.
+    every scan. If the trace does not count scans, the result is the share of instants at which
+    protection changed the command (`active`), over all instants at which a robot runs. None without
+    data or decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)
@@ -67,10 +68,10 @@ def protection_duties(trace: Trace) -> Array | None:
 def alterations(trace: Trace) -> Array | None:
     """(T, n) the difference of safe and requested command, as a share of full speed.
 
-    |safe - requested| / v_max, where the angular speed counts as the speed of the footprint's
-    farthest corner. Safety barrier certificates minimise |u - u_requested| (Wang, Ames and
-    Egerstedt, IEEE T-RO 2017). Our scale makes turns and platforms comparable. NaN where the robot
-    does not run. None without requested commands or `meta["v_max"]`.
+    The difference is |safe - requested| / v_max. In it the angular speed counts as the speed of the
+    footprint's farthest corner, so that turns and platforms are comparable. Safety barrier
+    certificates minimise |u - u_requested|, without our scale (Wang, Ames and Egerstedt, IEEE T-RO
+    2017). NaN where the robot does not run. None without requested commands or `meta["v_max"]`.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:

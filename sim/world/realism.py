@@ -149,8 +149,9 @@ def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Reali
 def configured(platform: Platform, realism: Realism) -> Platform:
     """The platform that robots assume in a world of this realism.
 
-    Without scan noise a repeated scan is no sign of a frozen sensor (`is_noisy` False). Without
-    rolling scans all rays are measured at once (no `sweep`, no `segments`).
+    In a world without scan noise `is_noisy` is False, since equal scans are then no sign of a
+    frozen sensor. In a world without rolling scans `sweep` is None and `segments` is 0, since all
+    rays of a scan are measured at once.
     """
     lidar = realism.lidar
     scan = replace(

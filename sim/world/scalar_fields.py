@@ -79,8 +79,8 @@ def sample(
 ) -> dict[str, Array]:
     """The value (k,) of each reading at `places` (k, 2) in m; fields of one name add up.
 
-    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear`: as
-    of `LightField.at`.
+    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear` are
+    arguments of `LightField.at`.
     """
     values: dict[str, Array] = {}
     for field in fields:
@@ -108,9 +108,10 @@ def readings_at(
 ) -> dict[str, float]:
     """The readings of a robot at `pose` (3,), by name.
 
-    `sensors`: by name of the field (k, 3) x, y and bearing in the base frame; the bearing of a
-    sensor of all directions is NaN. A field with sensors has the reading `<name>_1`, `<name>_2` ...
-    of each sensor, and their mean as `<name>`. A field without sensors is sampled at the axle.
+    `sensors`: the sensors of the robot by name of the field, (k, 3) x, y and bearing in the base
+    frame. The bearing is NaN for a sensor that senses all directions. A field with sensors has a
+    reading for each sensor, `<name>_1`, `<name>_2` ..., and their mean as `<name>`. A field without
+    sensors is sampled at the axle. `is_clear`: an argument of `LightField.at`.
     """
     at_axle = [field for field in fields if field.name not in sensors]
     readings = {
@@ -128,10 +129,11 @@ def readings_at(
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform, which also provides `reading:<name>` of each field, and of its sensors.
+    """The platform with the readings of `fields` added to what it provides.
 
-    The reading of sensor i of a field is `reading:<name>_<i>`. If the platform has sensors for a
-    kind of input of OPTION_INPUTS (such as seen tags), the result also provides this kind.
+    A field gives `reading:<name>`, and `reading:<name>_<i>` for each sensor i that the platform has
+    for the field. A kind of OPTION_INPUTS, such as seen tags, is added if the platform has sensors
+    for it.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

@@ -105,14 +105,15 @@ def sensors_due(
 ) -> Iterator[tuple[int, SensorInput]]:
     """Yield the row and the input of each measurement that is due at the world's time.
 
-    `needs(row)`: the needs of the pattern that the robot runs; None: no daemon takes its inputs.
-    `own`: selects the rows whose scans this process simulates. `stamp`: the stamp of poses in s.
+    `needs(row)`: the needs of the pattern that robot `row` runs; None: nothing takes the inputs of
+    this robot, and only its scans are measured. `own`: selects from rows those whose scans this
+    process simulates. `stamp`: the stamp of poses in s.
     """
     now = world.time
-    # 1. Scans of lidars begin now, and arrive when they are complete.
-    rows = own(times.scans.due(now))
-    if len(rows):
-        world.begin_scans(np.asarray(rows, dtype=np.intp))
+    # 1. Scans that are due begin now, and arrive when they are complete.
+    scanning_rows = own(times.scans.due(now))
+    if len(scanning_rows):
+        world.begin_scans(np.asarray(scanning_rows, dtype=np.intp))
     for row, scan in world.arrived_scans():
         yield row, ScanInput(scan)
     for row, segment in world.arrived_segments():
@@ -122,14 +123,16 @@ def sensors_due(
         row = world.rings[ring]
         if needs(row) is not None:
             yield row, RangesInput(world.ring_scan(row))
-    # 3. All other sensors. A pattern without the need of a sensor gets its `unwanted` input.
+    # 3. All other sensors. A sensor with a `need` is measured only for patterns with this need; all
+    # other patterns get the input `unwanted` of the sensor.
     for sensor, schedule in times.others:
         for due_row in schedule.due(now):
             row = int(due_row)
             pattern_needs = needs(row)
             if pattern_needs is None:
                 continue
-            is_wanted = not sensor.need or sensor.need in pattern_needs
+            is_for_every_pattern = not sensor.need
+            is_wanted = is_for_every_pattern or sensor.need in pattern_needs
             input = sensor.measure(world, row, stamp) if is_wanted else sensor.unwanted
             if input is not None:
                 yield row, input

@@ -51,8 +51,10 @@ class World:
     - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
-    - `measures_late`: `arrived_scans` measures only the rays that end a scan, and leaves all other
-      rays of rolling scans to `measure_rays`. The results are equal. No effect with segments.
+    - `measures_late`: of the rolling scans in progress, True lets `arrived_scans` measure only the
+      scans that end. The caller then measures the others by `measure_rays`. The ranges are equal.
+      Without effect if a platform has segments: their rays must be measured before
+      `arrived_segments`.
     """
 
     def __init__(

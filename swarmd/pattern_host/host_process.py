@@ -6,13 +6,14 @@ has the pattern's code loaded, and may replace the host in use.
 `robot/pattern_run.py` has the deadlines of a load and a step.
 
 - The first host is a fork of the daemon (`forked.py`). A later host starts by exec: a fork beside
-  an open Zenoh session hung each time. Both start from the main thread, since the kernel takes the
-  end of the starting thread for the end of the parent.
+  an open Zenoh session hung each time.
+- The kernel ends a host when the thread ends that started the host. So the main thread starts all
+  hosts, and they end with the daemon.
 - The socket does not block, and a frame is dropped if the socket is full. At most one step is
   outstanding. With a pipe, nine seconds of old commands piled up behind a frozen child.
 - A pidfd shows the end of the host, since a child that the pattern forks can keep the socket open.
-- The daemon has short time slices (`core/processes.py`), the host has the default. With default
-  slices the daemon waited 0.46 ms (p50) and 6 ms (p90) for an answer on a busy machine; with short
+- The daemon has short time slices (`core/processes.py`), the host has default slices. With default
+  slices the daemon waited 0.46 ms (p50) and 6 ms (p90) for an answer on a busy machine, with short
   slices 0.08 ms and 0.5 ms.
 - The sandbox (`sandbox.py`) costs 3 ms of processor time at the start.
 """
@@ -86,8 +87,8 @@ class HostSettings:
 class HostProcess:
     """One pattern host (child process), and the daemon's end of its socket.
 
-    `sandbox`: the accesses that the kernel denies the host. None until the host reports them, which
-    it does before any plugin code runs.
+    `sandbox`: the accesses that the kernel denies the host. The host reports them before any plugin
+    code runs; None until then.
     """
 
     def __init__(

@@ -3,15 +3,14 @@
 A robot notes the times at which it sent a query and received the answer. The answer has the peer's
 time, which the peer's clock showed between these two moments. So the offset is known from the
 middle of the round trip, to within half of the round trip, however unequal the delays of query and
-answer were (Cristian, Probabilistic clock synchronization, Distributed Computing 3, 1989).
-Marzullo's algorithm intersects such intervals (Marzullo, Owicki 1983). Of several exchanges in a
-window of time, the exchange with the shortest round trip is kept (the clock filter of NTP, RFC
-5905, section 10).
+answer were (Cristian, Probabilistic clock synchronization, Distributed Computing 3, 1989). Of
+several exchanges in a window of time, the exchange with the shortest round trip is kept (the clock
+filter of NTP, RFC 5905, section 10).
 
 Since clocks drift, the offset changes with time. We fit a line (offset over time) through the kept
-exchanges of two robots, and bound the error of the line. NTP instead intersects the intervals of
-many servers at one moment; here all exchanges of a run are known afterwards. If an exchange
-contradicts the line, the whole contradiction is added to the bound.
+exchanges of two robots, and bound the error of the line. If an exchange contradicts the line, the
+whole contradiction is added to the bound. NTP instead intersects the intervals of many servers at
+one moment (Marzullo, Owicki 1983); here all exchanges of a run are known afterwards.
 """
 
 from __future__ import annotations
@@ -70,15 +69,15 @@ class ClockLine:
         return self.at + (time - self.at - self.offset) / (1.0 + self.drift)
 
     def error(self, time: float) -> float:
-        """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
+        """The largest possible error of `forward(time)` in s.
 
-        The exchanges of the two clocks bound the error at their times (`bounds`). The least of
-        these bounds at `time` counts:
+        `bounds` limits the error at the times of the exchanges. From these times the limits are
+        carried over to `time` in two ways, and the least limit counts:
 
-        1. from each single exchange: its bound, plus MAX_DRIFT and the drift of the line for the
-           time since or until the exchange,
-        2. from each pair of exchanges: the bound on the line through both bounds, since the error
-           is a line in time, too.
+        1. From each exchange: its bound grows by MAX_DRIFT + |drift| per second, the fastest change
+           of the error.
+        2. From each pair of exchanges: the error is a linear function of time, so the bounds of
+           both exchanges are interpolated or extrapolated to `time`.
         """
         # 1. One exchange.
         away = np.abs(time - self.times)
@@ -174,20 +173,28 @@ def align(
         paths[clock] = path
         for neighbor in neighbors[clock]:
             if neighbor not in paths:
-                line = lines[min(neighbor, clock), max(neighbor, clock)]
-                begin, end = float(line.times.min()), float(line.times.max())
-                line_error = max(line.error(begin), line.error(end))
-                heapq.heappush(candidates, (path_error + line_error, (*path, neighbor)))
+                error = path_error + _largest_error(lines[_pair(clock, neighbor)])
+                heapq.heappush(candidates, (error, (*path, neighbor)))
     return {
         clock: _along(paths[clock], lines, span) for clock, span in spans.items() if clock in paths
     }
 
 
+def _pair(a: str, b: str) -> tuple[str, str]:
+    """Two clocks in sorted order, by which lines are found."""
+    return min(a, b), max(a, b)
+
+
+def _largest_error(line: ClockLine) -> float:
+    """The larger bound of a line's error at its first and its last exchange, in s."""
+    return max(line.error(float(line.times.min())), line.error(float(line.times.max())))
+
+
 def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
     """The line from the first to the second clock, by pair of clock ids in sorted order.
 
-    Fits the line through the queries of both directions. Leaves out exchanges of a clock with
-    itself, and answers before their query.
+    A line is fitted through the exchanges of both directions. Exchanges of a clock with itself are
+    left out, and exchanges whose answer came before the query was sent.
     """
     measured: dict[tuple[str, str], list[tuple[float, float, float]]] = defaultdict(list)
     for exchange in exchanges:
@@ -211,7 +218,7 @@ def _along(
     ends, errors = list(span), [0.0, 0.0]
     rate = 1.0
     for clock, next_clock in pairwise(reversed(path)):
-        line = lines[min(clock, next_clock), max(clock, next_clock)]
+        line = lines[_pair(clock, next_clock)]
         is_forward = clock < next_clock  # a line leads from the first clock in order to the second
         rate *= 1.0 + line.drift if is_forward else 1.0 / (1.0 + line.drift)
         for k, time in enumerate(ends):

@@ -24,8 +24,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     """The head of a recording: the robot, and the settings that decide its behaviour.
 
     `clock`: the id of the robot's clock, see `core/clock.py`. `machine`: the processor type, such
-    as x86_64. `layers`: parameters by pattern and source, weakest first. The fields from `revision`
-    on describe the robot when the recording began. `cleared`: the ids of reset latches.
+    as x86_64. `layers`: parameters by pattern and source, the weakest source first.
     """
 
     robot: str
@@ -42,11 +41,13 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     layers: Mapping[str, Layers]
     touch: Mapping[str, TouchZone]
     accepts: Accepts
+    # The state of the robot when the recording began:
     revision: int
     generation: int
     latches: Mapping[str, Latch]
-    cleared: tuple[str, ...] = ()
+    cleared: tuple[str, ...] = ()  # ids of latches that were reset
     goals: GoalRecord = GoalRecord()
+    # Further settings:
     fence: FenceSettings | None = None
     on_low_battery: LowBatterySettings | None = None
 

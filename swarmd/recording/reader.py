@@ -51,7 +51,7 @@ class RecordedMessage:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """The content of a recording file. `fault`: its missing or damaged part; empty if whole.
+    """The content of a recording file. `fault`: what is missing or damaged; empty if nothing is.
 
     `about`: texts on the robot. In a merged file `about` concerns all robots, and `robots` has the
     texts on each robot.

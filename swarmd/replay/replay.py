@@ -1,11 +1,12 @@
 """Replays a recorded run: the same inputs at the same times, through the same `Robot`.
 
 The replayed robot gets the recorded sensor data, and the recorded commands of the pattern. So a
-difference of the replayed pattern causes no difference of protection. The replayed pattern gets its
-inputs from the replayed robot. These are sensor data, not commands of protection, so a difference
-of protection causes no difference of the pattern. The robot begins with its recorded memory.
-Without a memory, or with other settings, the replay begins with a new robot, and the recording must
-begin outside a run.
+difference of the replayed pattern causes no difference of protection. The replayed pattern gets the
+sensor data from the replayed robot, and no commands of protection. So a difference of protection
+causes no difference of the pattern.
+
+The replay begins with the recorded memory of the robot. Without a usable memory, or on another
+platform, the replay begins with a new robot, and the recording must begin outside a run.
 """
 
 from __future__ import annotations
@@ -95,9 +96,7 @@ class Parity:
 class Replay:
     """A robot that replays a recording, from its recorded memory or from the recording's head.
 
-    `platform`: replaces the recorded platform. `origins`: by pattern, its `module:Class` or path,
-    and True for a path. `recalls`: begin with the recorded memory (the serialised robot), which the
-    caller has found readable; else with a new robot by the head.
+    `safe` and `requested`: the comparison of the commands of protection, and of the pattern.
     """
 
     def __init__(
@@ -109,26 +108,34 @@ class Replay:
         *,
         recalls: bool = False,
     ) -> None:
-        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory."""
+        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory.
+
+        - `head`, `about`: the head of the recording, and the texts of its files on the robot.
+        - `origins`: by pattern, its `module:Class` or path, and True for a path.
+        - `platform`: replaces the recorded platform.
+        - `recalls`: begin with the recorded memory (the serialised robot), which the caller has
+          found readable; else with a new robot by the head.
+        """
         self._head, self._about = head, about
         self._platform = platform or head.platform
-        self._recalls = recalls
-        self._waits = recalls  # inputs are skipped until the next recorded memory
-        # The replayed robot, and its pattern, which is stepped from its load on.
-        self._robot: Robot
-        self._loader = PatternLoader({})
         self._origins = origins
+        self._recalls = recalls
+        self._robot: Robot
+        self._actions: Actions | None = None  # the last actions of the replayed robot
+        # True: inputs are skipped until the next recorded memory.
+        self._awaits_memory = recalls
+        # Whether the running pattern is replayed. False after a memory: the memory holds the robot,
+        # but not its pattern, so the pattern is replayed from its next load on.
+        self._steps_pattern = not recalls
+        self._loader = PatternLoader({})
         self._executor = PatternExecutor(self._loader)
-        self._has_pattern = not recalls  # False: the load of the pattern was not replayed
-        self._steps: deque[SentEvent] = deque()  # replayed answers to steps, oldest first
+        self._steps: deque[SentEvent] = deque()  # answers of the replayed pattern, oldest first
         self._inputs = InputReader()
         self._begin: float | None = None  # time of the first message, s
-        self._actions: Actions | None = None  # after the last input that gave any
-        # The comparison: of the commands of protection, and of those of the pattern.
         self.safe, self.requested = Compared(), Compared()
         self._notes: dict[str, None] = {}  # in their order, each once
-        # True once the replayed robot ran while the recorded robot did not, or vice versa.
-        self._has_parted = False
+        # Whether a note says that only one of the recorded and the replayed robot is running.
+        self._has_noted_state = False
 
     def _make_robot(self, now: float) -> Robot:
         head = self._head
@@ -175,15 +182,15 @@ class Replay:
         input = self._inputs.read(message)
         if message.topic == "/dropped":
             at = now - (self._begin or now)
-            self._waits = self._recalls
-            after = "are compared from the next memory on" if self._waits else "may differ"
+            self._awaits_memory = self._recalls
+            after = "are compared from the next memory on" if self._awaits_memory else "may differ"
             self._note(f"at {at:.3f} s entries were dropped; commands after it {after}")
-        elif message.topic == MEMORY and self._waits:
+        elif message.topic == MEMORY and self._awaits_memory:
             self._robot = recall(memory_in(message), settings_of(self._head))
             self._actions = None
-            self._waits = False
-            self._has_pattern = False
-        elif self._waits:
+            self._awaits_memory = False
+            self._steps_pattern = False
+        elif self._awaits_memory:
             pass
         elif message.topic == "/decision":
             self._compare(messages.message_on(message.topic, message.kind, message.payload), now)
@@ -204,7 +211,7 @@ class Replay:
 
     def _compare_requested(self, event: Stepped, now: float) -> None:
         """Compare the answer of the pattern here with the recorded answer `event`."""
-        if not self._has_pattern:
+        if not self._steps_pattern:
             self._note(
                 "a recording has no memory of the pattern that runs when it begins or goes on after"
                 " a loss: what patterns request is compared from the next run on"
@@ -223,8 +230,8 @@ class Replay:
         command = actions.host
         if command is None or isinstance(command, KillHost | StartTrial):
             return
-        self._has_pattern |= isinstance(command, Load)
-        if not self._has_pattern:
+        self._steps_pattern |= isinstance(command, Load)
+        if not self._steps_pattern:
             return
         if isinstance(command, Load):
             self._loader.begin(self._origins)
@@ -239,9 +246,10 @@ class Replay:
         if self._actions is None:
             return
         at = now - (self._begin or now)
-        is_other = (self._robot.state is State.RUNNING) != (message.state == State.RUNNING)
-        if is_other and not self._has_parted:
-            self._has_parted = True
+        runs_here = self._robot.state is State.RUNNING
+        ran_there = message.state == State.RUNNING
+        if runs_here != ran_there and not self._has_noted_state:
+            self._has_noted_state = True
             self._note(
                 f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
                 f" {self._robot.state}"

@@ -57,10 +57,14 @@ class Layered:
 def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fault]]:
     """Convert `data` (from YAML) to the type `kind`; returns the value, and all faults in order.
 
-    For a union of structs, the data is read as the struct whose tag is a key of the data. A faulty
-    item of a list or mapping, or a faulty field of the outermost struct, is left out of the value.
-    An inner struct with a faulty field is left out as a whole. The value is None if nothing is
-    left. `check` yields further faults of a struct.
+    For a union of structs, the data is read as the struct whose tag is a key of the data. `check`
+    yields further faults of a struct. Left out of the value are
+
+    - a faulty item of a list or mapping,
+    - a faulty field of the outermost struct,
+    - the whole of an inner struct with a faulty field.
+
+    The value is None if nothing is left.
     """
     reader = _Reader(check)
     is_struct = isinstance(data, dict) and _is_struct(kind)
@@ -262,13 +266,7 @@ def _described(node: inspect.Type) -> str:
         case inspect.LiteralType():
             return " or ".join(map(str, node.values))
         case inspect.UnionType():
-            # All scalar types together get one text. A list comes last: its items end the text.
-            arms = sorted(node.types, key=lambda arm: isinstance(arm, inspect.ListType))
-            texts = []
-            if {type(arm) for arm in arms} >= _SCALARS:
-                texts.append("a number, text, true or false")
-                arms = [arm for arm in arms if type(arm) not in _SCALARS]
-            return " or ".join(dict.fromkeys([*texts, *map(_described, arms)]))
+            return _described_union(node)
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"
         case inspect.ListType() | inspect.VarTupleType():
@@ -279,6 +277,17 @@ def _described(node: inspect.Type) -> str:
             return f"keys and values: {', '.join(field.encode_name for field in node.fields)}"
         case _:
             return "keys and values"
+
+
+def _described_union(node: inspect.UnionType) -> str:
+    """The types of a union in words; all scalar types together get one text."""
+    texts = []
+    # A list comes last, since the text of a list ends with that of its items.
+    arms = sorted(node.types, key=lambda arm: isinstance(arm, inspect.ListType))
+    if {type(arm) for arm in arms} >= _SCALARS:
+        texts.append("a number, text, true or false")
+        arms = [arm for arm in arms if type(arm) not in _SCALARS]
+    return " or ".join(dict.fromkeys([*texts, *map(_described, arms)]))
 
 
 def _bounds(node: inspect.FloatType | inspect.IntType) -> str:

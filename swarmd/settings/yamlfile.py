@@ -105,8 +105,9 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 def text_of(data: Any, *, flow: bool | None = False, width: float = 80) -> str:
     """The data as YAML text that `read` reads back unchanged: text such as 08 is quoted.
 
-    `flow` True: lists and mappings in brackets, such as [1, 2]. False: an item a line. None: only
-    the innermost in brackets. ConfigError for a path that is not UTF-8.
+    `flow`: which lists and mappings are written in brackets, such as [1, 2], instead of an item on
+    each line. True: all. False: none. None: those without lists or mappings inside. ConfigError
+    for a path that is not UTF-8.
     """
     text: str = yaml.dump(
         data,
