@@ -448,7 +448,7 @@ class MeasuredSweep:
         needed_errors = np.where(
             self._candidates.is_neighbor(best), _ERRORS_OF_NEIGHBOR, _STANDARD_ERRORS
         )
-        is_worse = votes.mean(axis=0) > needed_errors * standard_errors
+        is_worse: NDArray[np.bool_] = votes.mean(axis=0) > needed_errors * standard_errors
         is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * rows.mean(axis=0)[best]
         is_worse &= (worse_by[is_left].mean(axis=0) > 0.0) & (worse_by[~is_left].mean(axis=0) > 0.0)
         return is_worse
