@@ -239,7 +239,7 @@ class CrazyflieDriver:
     # The connection
 
     async def _connection(self) -> str:
-        """Connect to the drone, and serve it until the connection ends; returns why it ended.
+        """Connect to the drone, and serve the drone until the connection ends; returns the cause.
 
         When cancelled, lands a drone that was commanded.
         """

@@ -41,7 +41,7 @@ class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     - `field`: the number in a message of `type`, by names and indices with dots: `data.0`.
     - `list`: a list in the message, each of whose items has the field.
-    - `means`: the hazard (its kind, and its place if known), such as `bump` or `bump front left`.
+    - `means`: a hazard, which is a kind and the place if known: `bump`, or `bump front left`.
       The number means the hazard while it is above `above` or below `below`; without `above` and
       `below`, while it is not zero. Or a mapping from whole numbers to the hazard of each.
     - `place_field`: a text in the message that names the place, such as `header.frame_id`.
@@ -80,8 +80,7 @@ class TopicHazard(TopicEntry):
         """The hazards in a message; a text with the reason if a number is not measured.
 
         A number above the upper limit of the hazard counts even if the message marks the number as
-        not measured. An example is a floor sensor over a cliff: it has no return, and its range is
-        beyond the sensor's range.
+        not measured, such as the number of a floor sensor over a cliff, which has no return.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
         hazards: dict[Hazard, None] = {}

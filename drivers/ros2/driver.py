@@ -550,7 +550,8 @@ class RosDriver:
         A hub is the Zenoh router or bridge that the session is linked to, by its id. A hub that was
         started again has another id.
         """
-        hubs, last_hubs, was_linked = linked_hubs(session), self._hubs, self._was_linked
+        last_hubs, was_linked = self._hubs, self._was_linked
+        hubs = linked_hubs(session)
         self._hubs, self._was_linked = hubs or last_hubs, bool(hubs)
         if hubs and (not was_linked or hubs != last_hubs):
             self._gate.repeat_zero(now)  # the base may have missed the last zero

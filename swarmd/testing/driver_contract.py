@@ -538,7 +538,8 @@ class DriverContract:
 
             async def half_arrives() -> bool:
                 """Publish for `seconds` s; True if at least half of the scans arrive."""
-                arrived_before, begin, sent = len(sink.scans), loop.time(), 0
+                arrived_before, begin = len(sink.scans), loop.time()
+                sent = 0
                 while (elapsed := loop.time() - begin) < seconds:
                     rig.publish_odometry()
                     is_scan_due = elapsed * rate >= sent
