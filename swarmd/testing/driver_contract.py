@@ -38,7 +38,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 
-TIMEOUT = 30.0
+TIMEOUT = 60.0
 """Seconds that a test waits for a condition before it fails."""
 POLL_PERIOD = 0.01
 SETTLE_TIME = 0.3
