@@ -250,11 +250,11 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """By how much a repeat of the recording must raise sequence numbers, and stamps in s.
+    """What a repeat of the recording must add to sequence numbers, and to stamps in s.
 
-    So numbers and stamps rise from one repeat to the next, too. The first is the greatest sequence
-    number plus 1. The second is the span of the stamps: the longest of the spans of all kinds of
-    input, since each kind may have a clock of its own.
+    With these additions numbers and stamps rise from one repeat to the next, too. Numbers get the
+    greatest number plus 1. Stamps get the span of the stamps. Each kind of input may have a clock
+    of its own, so the longest span of all kinds counts.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

@@ -193,22 +193,8 @@ class SimulatedDriver:
 
         `frames`: all that one read of the socket gave, in order; a name is a kind of input.
         """
-        take_late = self._take_late  # not None: the robot rests; a message may end the rest
-        newest: dict[str, bytes] = {}
-        for name, payload in frames:
-            if name == "received":
-                self._kinds.add(name)
-                self._take_messages(sink, payload)
-            elif name not in hw_codec.KINDS:
-                sink.dropped("hw/unknown")
-            else:
-                # Odometry of a resting robot gathers in the socket until the next scan.
-                is_gathered = take_late is not None and name == _ODOMETRY
-                if name in newest and not is_gathered:
-                    sink.dropped(f"hw/{name}:overtaken")
-                if name == _SEGMENT:  # a segment after a whole turn belongs to the next turn
-                    newest.pop(name, None)
-                newest[name] = payload
+        take_late = self._take_late  # kept, since a message of `frames` may end the rest
+        newest = self._newest_inputs(sink, frames, is_resting=take_late is not None)
         last_read, self._last_read = self._last_read, monotonic()
         waited = 0.0 if take_late is None else self._odometry_wait(frames)
         batch = _Batch(take_late, waited, last_read)
@@ -219,10 +205,38 @@ class SimulatedDriver:
         finally:
             self._is_taking = False
 
+    def _newest_inputs(
+        self, sink: Sink, frames: Sequence[Frame], *, is_resting: bool
+    ) -> dict[str, bytes]:
+        """The newest frame of each kind of input, by kind; hands over all messages of patterns.
+
+        An input with a newer input of its kind is reported as dropped, except odometry of a resting
+        robot, which gathers in the socket until the next scan.
+        """
+        newest: dict[str, bytes] = {}
+        for name, payload in frames:
+            if name == "received":
+                self._kinds.add(name)
+                self._take_messages(sink, payload)
+                continue
+            if name not in hw_codec.KINDS:
+                sink.dropped("hw/unknown")
+                continue
+            is_gathered = is_resting and name == _ODOMETRY
+            if name in newest and not is_gathered:
+                sink.dropped(f"hw/{name}:overtaken")
+            if name == _SEGMENT:
+                # A segment that came after a whole turn belongs to the next turn, so it must also
+                # come after the turn in `newest`: a new key of a dict is the last.
+                newest.pop(name, None)
+            newest[name] = payload
+        return newest
+
     def _odometry_wait(self, frames: Sequence[Frame]) -> float | None:
         """Seconds for which the newest odometry of a resting robot has waited in the socket.
 
-        None if not known: the link knows only the wait of the last frame that was read.
+        None if not known: the link measures the wait of the last of `frames` alone, and this frame
+        may be no odometry.
         """
         is_last_frame = frames[-1].name == _ODOMETRY
         return self._link.age if is_last_frame and self._link is not None else None

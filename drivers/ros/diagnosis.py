@@ -244,6 +244,8 @@ class Graph:
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
+        # Of two announced nodes with one name, one may have crashed. Messages that come too often
+        # show that both are alive.
         is_too_fast = bool(too_fast(stats, spec))
         if several := self._several_nodes(publishers, f"publish {topic}", are_alive=is_too_fast):
             return several
@@ -608,10 +610,10 @@ class DriverCheck:
     def _of_topic(self, stats: TopicStats) -> Iterator[Finding]:
         """The findings of a topic: under its own name, and under each further entry that reads it.
 
-        A topic that the robot does not need, that no entry and no option `imu` or `battery` names,
-        and on which no message has come, has no finding of its own.
+        A topic has a finding of its own in three cases: the robot needs the topic, the user has
+        named the topic, or a message has come.
         """
-        # A topic that only entries read is named by the user: an entry is written by the user.
+        # The user names a topic by an entry, or by one of the options `imu` and `battery`.
         is_named = stats.has_only_entries or stats.name in ("imu", "battery")
         has_come = bool(stats.count or stats.faults)  # readable messages, or unreadable ones
         if stats.is_needed or is_named or has_come:
@@ -711,10 +713,10 @@ class DriverCheck:
         return Finding("last_word", True, self._silent_publishers() + self._actions())
 
     def _silent_publishers(self) -> str:
-        """Which nodes may publish commands although they are silent now, and which multiplexer.
+        """The text on nodes that publish no commands now but may do so, and on a multiplexer.
 
-        A multiplexer is a subscriber of the commands with `mux` in its name. The multiplexer
-        decides whose commands reach the base.
+        A multiplexer decides whose commands reach the base. A subscriber of the commands with `mux`
+        in its name counts as a multiplexer.
         """
         own_topic, *further_topics = self.foreign.topics
         owners_of = {own_topic: sorted(self.foreign_publishers)}

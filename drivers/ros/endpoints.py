@@ -58,21 +58,21 @@ def with_nodes(
 
     Args:
         announced: the endpoints; an endpoint of rmw_zenoh, without a bridge, names its node.
-        listed: an endpoint for each node that a bridge lists. The endpoint is not routed in the
-            result if the bridge does not pass the topic on between DDS and Zenoh: the topic is not
-            announced, or no listed node has the announced type.
+        listed: an endpoint for each node that a bridge lists. In the result `is_routed` is False if
+            the topic is not announced, or if no listed node has the announced type: the bridge then
+            does not pass the topic on between DDS and Zenoh.
         listed_at: s, the time of the list.
     """
-    # By bridge, direction and topic.
-    unannounced = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
+    # By bridge, direction and topic; after the loop, the nodes whose topic is not announced.
+    remaining = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
     for end in listed:
-        unannounced[end.zid, end.is_publisher, end.topic].append(end)
+        remaining[end.zid, end.is_publisher, end.topic].append(end)
     merged: list[Endpoint] = []
     for end in announced:
         if end.node:
             merged.append(end)
             continue
-        nodes = unannounced.pop((end.zid, end.is_publisher, end.topic), [])
+        nodes = remaining.pop((end.zid, end.is_publisher, end.topic), [])
         # The nodes of an endpoint that was announced after the list may have left since.
         is_outdated = end.since > listed_at
         if is_outdated or not nodes:
@@ -80,7 +80,7 @@ def with_nodes(
             continue
         is_routed = any(node.type == end.type for node in nodes)
         merged += [replace(node, quality=end.quality, is_routed=is_routed) for node in nodes]
-    merged += [replace(end, is_routed=False) for ends in unannounced.values() for end in ends]
+    merged += [replace(end, is_routed=False) for ends in remaining.values() for end in ends]
     return merged
 
 

@@ -103,7 +103,8 @@ class ForeignCommands:
     def source(self, now: float) -> str:
         """The topic of the commands, or of the action's status, that drives the base now.
 
-        Empty if no other node drives. An action counts before commands: zeros do not end a goal.
+        Empty if no other node drives. If both drive, the action counts: commands of zero do not end
+        the goal of an action.
         """
         driving = [topic for topic, until in self._until.items() if now < until]
         acting = [topic for topic in driving if topic in self.actions]

@@ -77,11 +77,12 @@ class Namespaces:
     def candidates(self, alike: Collection[str]) -> Candidates:
         """The proposals for a missing topic; `alike`: the announced topics with its type.
 
-        1. With the option `namespace`: the topics of `alike` in this namespace. While no topic of
-           the namespace is announced, the option may be wrong: all announced namespaces, too.
-        2. Without the option: the topics of `alike` that may be this robot's. If they are in
-           several namespaces, or several whole robots are announced, the user has to choose the
-           robot: the proposals are the namespaces then, without topics.
+        1. With the option `namespace` the proposals are the topics of `alike` in this namespace. If
+           no topic of the namespace is announced, the option may be wrong: all announced namespaces
+           are proposed, too.
+        2. Without the option the proposals are the topics of `alike` that may be this robot's. If
+           these topics are in several namespaces, or if several whole robots are announced, the
+           user has to choose the robot: the proposals are the namespaces, without topics.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

@@ -221,7 +221,7 @@ def read_options(
 ) -> O:
     """The options with `{robot}` replaced; ConfigError names the option that is wrong.
 
-    `platform`: the options must fit it; None: this is not checked.
+    `platform`: the platform that the options must fit; None: the fit is not checked.
     """
     read = Layered((f"driver {driver}", options)).build(kind)
     own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)

@@ -87,7 +87,7 @@ class Subscriptions:
 
         An entry, such as `readings.light`, reads a value from the messages of a topic. `_inputs`:
         by option, the object that collects the values of all entries of the option. `_entries_of`:
-        by topic, each entry that reads the topic, behind the object that collects its value.
+        by topic, the pairs of such an object and an entry that reads the topic.
         """
         entries = options.topic_entries
         self._inputs = {
@@ -120,12 +120,14 @@ class Subscriptions:
         if stats.has_only_entries:
             if is_kept and stats.stamps:
                 stamp = stats.stamps[-1]  # an older stamp would look like a second publisher
-            stats.record(now, stamp or now, entries_text or stats.summary)
+            measured_at = stamp or now  # some messages have no stamp
+            summary = entries_text or stats.summary  # a copy that no entry takes has no text
+            stats.record(now, measured_at, summary)
             return deliver_entries
         if is_kept:  # only the entries of a standard topic, such as odometry, take a kept message
             return deliver_entries
-        deliver, summary = self._value(stats, message, now)
-        stats.record(now, stamp, ", ".join(filter(None, (summary, entries_text))))
+        deliver, value_text = self._value(stats, message, now)
+        stats.record(now, stamp, ", ".join(filter(None, (value_text, entries_text))))
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
         return partial(_deliver_all, (deliver, deliver_entries)) if entries_text else deliver
@@ -157,7 +159,7 @@ class Subscriptions:
         }
 
     def forget(self, topic: str | None = None) -> None:
-        """Drop the values that never become stale, of a topic or (None) of all topics.
+        """Drop the values of `topic` that never become stale; None: those of all topics.
 
         Called when a message may have been missed, such as after the publisher has left.
         """
@@ -203,9 +205,10 @@ class Subscriptions:
         return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
 
     def _value(self, stats: TopicStats, message: Any, now: float) -> tuple[Deliver, str]:
-        """How to deliver the value of a message to a sink, and the value as text for a check.
+        """The function that delivers a message's value to a sink, and the value as text.
 
-        For the messages of the standard topics: scan, ranges, odometry, shared pose, imu, battery.
+        The message is of a standard topic: scan, ranges, odometry, shared pose, imu or battery. The
+        text is for a check.
         """
         if stats.message_type is messages.LaserScan:
             return self._scan_value(stats, message), ""
@@ -290,9 +293,14 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
         scan = TopicStats("scan", "scan", scan_topic, messages.LaserScan, is_needed=True)
         topics.insert(0, scan)
     needs_odometry = "odometry" in platform.provides
-    odometry_topic = topic(options.odometry)
     topics.append(
-        TopicStats("odometry", "odometry", odometry_topic, messages.Odometry, needs_odometry)
+        TopicStats(
+            "odometry",
+            "odometry",
+            topic(options.odometry),
+            messages.Odometry,
+            is_needed=needs_odometry,
+        )
     )
     for option, name, message_type in (
         ("imu", options.imu, messages.Imu),
@@ -303,8 +311,8 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
             topics.append(TopicStats(option, option, topic(name), message_type))
     by_topic = {stats.topic: stats for stats in topics}
     entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
-    # Several sensors in the messages of one topic, such as `data.*`, are entries with one option,
-    # topic, type and `stale_after`: the map keeps one of these entries.
+    # The sensors of a list in a message, such as `data.*`, are several entries of one option, with
+    # equal topic, type and `stale_after`. The option counts once.
     for option, entry in {entry.option: entry for entry in entries}.items():
         if entry.topic in by_topic:
             by_topic[entry.topic].further.append(option)

@@ -49,9 +49,10 @@ class InputEncoder(Protocol):
         """Each topic with its message class."""
 
     def encode(self, value: Any, stamp: float, /) -> Sequence[object | None]:
-        """A message for each topic, in their order, or None.
+        """A message for each of `topics`, in their order; None for a topic without a value.
 
-        `value`: the content of the input. `stamp` in s of the last odometry, for values without.
+        `value`: the content of the input. `stamp`: s, of the last odometry; the stamp of the
+        messages if the value has no stamp of its own.
         """
 
 
@@ -183,7 +184,7 @@ class TagEncoder:
         )
 
     def taken_for(self, kind: str, name: str) -> str:
-        """The kind that a driver reads for the tag of an object of this kind and name.
+        """The kind that a driver reads from the tag of an object with this `kind` and `name`.
 
         It differs from `kind` if option `kinds` gives the tag's number another kind.
         """

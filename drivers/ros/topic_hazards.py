@@ -41,9 +41,10 @@ class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     - `field`: the number in a message of `type`, by names and indices with dots: `data.0`.
     - `list`: a list in the message, each of whose items has the field.
-    - `means`: a hazard, which is a kind and the place if known: `bump`, or `bump front left`.
-      The number means the hazard while it is above `above` or below `below`; without `above` and
-      `below`, while it is not zero. Or a mapping from whole numbers to the hazard of each.
+    - `means`: the hazard, by its kind and, if known, its place: `bump`, or `bump front left`. The
+      hazard is present while the number is above `above` or below `below`; without `above` and
+      `below`, while the number is not zero. For several hazards `means` is a mapping from whole
+      numbers to hazards.
     - `place_field`: a text in the message that names the place, such as `header.frame_id`.
     - `stale_after`: s without a message after which the robot is held, as for a hazard. `never` is
       for a topic that is published on change: its last message counts while its publisher is there,
@@ -79,8 +80,8 @@ class TopicHazard(TopicEntry):
     def read(self, message: Any) -> tuple[Hazard, ...] | str:
         """The hazards in a message; a text with the reason if a number is not measured.
 
-        A number above the upper limit of the hazard counts even if the message marks the number as
-        not measured, such as the number of a floor sensor over a cliff, which has no return.
+        A number above the upper limit counts even if the message marks the number as not measured.
+        A floor sensor, for instance, has no return over a cliff.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
         hazards: dict[Hazard, None] = {}

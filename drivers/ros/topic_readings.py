@@ -112,11 +112,11 @@ def topic_readings(
         message_type = types.kind(options.type)
     # 2. The fields of a message: `count` items of a list, or a single field.
     has_any_index = _ANY in options.field.split(".")
-    if (options.count is not None) != has_any_index:
-        text = "is missing beside" if options.count is None else "needs"
-        raise ConfigError(
-            f"{option}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
-        )
+    fields_with_index = f"a field with the index {_ANY}, such as data.{_ANY}"
+    if has_any_index and options.count is None:
+        raise ConfigError(f"{option}.count is missing beside {fields_with_index}")
+    if options.count is not None and not has_any_index:
+        raise ConfigError(f"{option}.count needs {fields_with_index}")
     fields = [options.field.replace(_ANY, str(index)) for index in range(options.count or 1)]
     with faults_of(f"{option}.field is {options.field!r}"):
         paths = {field: number_path(types, message_type, field) for field in fields}
@@ -180,9 +180,10 @@ def value_at(message: Any, path: Sequence[Step]) -> Any:
 
 
 def _step(fielddefs: Mapping[str, Any], node: Any, detail: Any, part: str) -> tuple[Step, Any]:
-    """The step from a value to its part `part`, and the type of the part as rosbags' node.
+    """The step from a value to its part `part`, and the type of the part.
 
-    `node` and `detail`: the type of the value. Raises ConfigError without such a part.
+    A part is a field of a message, an item of a list, or its length. rosbags describes a type by a
+    pair: `node` (a message, a list or a base type) and `detail`. ConfigError without such a part.
     """
     if node is Nodetype.NAME:
         fields = dict(fielddefs[detail][1])

@@ -5,10 +5,10 @@ input, and reports the state of the ROS master. It needs Python 3.8, rospy and t
 of this project it imports only `master.py`, which lies beside it. The driver imports this module
 for the layout of the packets:
 
-    to the driver   D topic arrival bytes  a message; topic: its index in `topics`; arrival in s on
-                                           CLOCK_MONOTONIC; indices behind those of `topics` are
-                                           commands of other nodes on `command_topics`, with empty
-                                           bytes unless a Twist or TwistStamped
+    to the driver   D topic arrival bytes  a message; arrival: s on CLOCK_MONOTONIC; topic: an index
+                                           in the list of `topics` and then `command_topics`. A
+                                           message on `command_topics` is a command of another node;
+                                           its bytes are empty unless a Twist or TwistStamped
                     J {...}                an event as JSON: state, foreign, gone, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
@@ -67,9 +67,9 @@ class KeptTopic:
     """The last message of a topic that is published on change, sent until the driver has taken it.
 
     The message is valid only while its publisher is there, so the class also reports the end of
-    the publisher. rospy connects again with the same connection object, which therefore does not
-    show the end. Each connection has a header object of its own: once no open connection has the
-    header of the message, its publisher has ended.
+    the publisher. The connection object does not show this end, since rospy uses the object again
+    for the next connection. The header object does, since each connection has its own: once no
+    open connection has the header of the message, the publisher of the message has ended.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:

@@ -317,17 +317,19 @@ class NodeList:
         if answers is None:
             answers, late = {}, {*before}
         complete = {zid: answer for zid, answer in self._decode(answers).items() if zid not in late}
-        kept = {
+        earlier = {
             zid: answer
             for zid, answer in before.items()
             if zid in late and now - self._heard_at[zid] <= MAX_AGE
         }
-        self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(complete, now)
-        valid = kept | complete
-        if valid != before:  # comparing 2000 endpoints takes 40 ms, with decoding them
-            self._replace(valid, now)
+        by_bridge = earlier | complete
+        heard_before = {zid: self._heard_at[zid] for zid in earlier}
+        self._heard_at = heard_before | dict.fromkeys(complete, now)
+        if by_bridge != before:  # comparing 2000 endpoints takes 40 ms, with decoding them
+            self._replace(by_bridge, now)
         self._update_strays(now)
-        # A bridge's list is settled, thus complete, if two answers in a row were equal.
+        # A bridge's list is settled, thus complete, once two answers in a row were equal. The list
+        # stays settled while the bridge answers.
         unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
         self._settled = frozenset(unchanged | (self._settled & self._by_bridge.keys()))
 
@@ -338,10 +340,11 @@ class NodeList:
         return self._read if answers else {}
 
     def _update_strays(self, now: float) -> None:
-        """Set `strays`: readers without a node, once the node's name can no longer come.
+        """Set `strays`: the readers for which no node will be announced any more.
 
-        A process that is no ROS process has no nodes. The node of a ROS process may be announced up
-        to NAMING_TIME after its readers.
+        These are the readers of a process that is no ROS process, which has no nodes. In a ROS
+        process the node may be announced up to NAMING_TIME after its readers; a reader that has no
+        node then is a stray, too.
         """
         by_bridge = self._by_bridge.values()
         unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
@@ -472,10 +475,11 @@ class _DdsEnds(NamedTuple):
 
 
 def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnds:
-    """The DDS entities in the `answers` of a bridge, the payloads by the end of their keys.
+    """The DDS entities that a bridge lists.
 
-    CycloneDDS states the name of a process. The participants of other implementations are called
-    _NAMELESS.
+    `answers`: the payloads by the end of their keys, which is `<participant>` or
+    `<participant>/reader/...`. CycloneDDS states the name of a process. The participants of other
+    implementations are called _NAMELESS.
     """
     ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():

@@ -282,7 +282,8 @@ class RosDriver:
         Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
         callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
-        # The receivers of last messages of kept topics, from publishers' caches (name with KEPT).
+        # The last message of a kept topic counts until the next message. Publishers keep this
+        # message in a cache; a receiver takes it from there, under the topic's name with KEPT.
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
@@ -310,9 +311,10 @@ class RosDriver:
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Query the announcements; the base stays lost until the answer is complete.
 
-        Zenoh's receiving thread runs direct callbacks (`indirect=False`) in the order of the link.
-        So the end of the answer comes after all tokens of `_subscribe`. Indirect callbacks would
-        have a thread of their own: a scan could overtake the token with the base's command type.
+        The answer must end after all tokens of the subscription in `_subscribe` have come. So both
+        have direct callbacks (`indirect=False`), which Zenoh's receiving thread runs in the order
+        of the link. Indirect callbacks would have a thread of their own: a scan could overtake the
+        token with the base's command type.
         """
         self._graph_query = query = object()
         errors: list[zenoh.ReplyError] = []
@@ -349,29 +351,41 @@ class RosDriver:
         if end is None:
             return
         now = asyncio.get_running_loop().time()
-        self._foreign_ends = None  # merge anew
-        # Announcements of other topics must not fill the table before those of this robot.
-        max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
-        if is_declared and len(self._endpoints) < max_endpoints:
-            self._endpoints.setdefault(token, replace(end, since=now))
-        elif not is_declared:
+        self._foreign_ends = None  # `_foreign_graph` merges the endpoints again
+        if is_declared:
+            # Half of the table is only for topics of this robot, so that announcements of other
+            # topics cannot fill the table.
+            is_of_robot = end.topic in self._needed()
+            max_endpoints = 2 * _MAX_ENDPOINTS if is_of_robot else _MAX_ENDPOINTS
+            if len(self._endpoints) < max_endpoints:
+                self._endpoints.setdefault(token, replace(end, since=now))
+        else:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
         if end.is_publisher and end.topic in self._foreign.actions:
             self._on_action_server(end.topic, now)
-        if not end.is_publisher and end.topic == self._cmd_vel:  # a base has come or left
-            if not is_declared:
-                self._gate.require_zero()  # the next base gets zero first
-            self._command_type = self._wanted_type()
-            self._bridges.renew()
+        if not end.is_publisher and end.topic == self._cmd_vel:
+            self._on_base(has_left=not is_declared)
         if end.is_publisher and end.topic in self._kept and self._session:
             self._on_kept_publisher(self._session, end.topic, has_left=not is_declared)
+
+    def _on_base(self, *, has_left: bool) -> None:
+        """Take the arrival or the end of a base, which is a subscription of commands.
+
+        After the end of a base the next base gets zero first. In both cases the type of commands
+        may change, and the bridges are queried for the nodes behind them.
+        """
+        if has_left:
+            self._gate.require_zero()
+        self._command_type = self._wanted_type()
+        self._bridges.renew()
 
     def _on_action_server(self, topic: str, now: float) -> None:
         """Take a change of the servers that publish the states of an action's goals on `topic`.
 
-        When the last server has left, no state will say that a goal has ended. So all goals end,
-        once now and again after a state that comes late (`_ended_servers`).
+        When the last server has left, no state will say that a goal has ended. So all goals end
+        now. A state may still come late; `_ended_servers` has the topic, so that goals end then,
+        too.
         """
         self._ended_servers.discard(topic)
         if not self._foreign_graph().publishers(topic):
@@ -524,9 +538,11 @@ class RosDriver:
         self._report_state(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened_at: float) -> None:
-        """Detect changes of hub, topics and base, each _PERIOD; times in s of the loop's clock.
+        """Detect changes of hub, topics and base; called each _PERIOD.
 
-        The first change that applies closes the gate (the base counts as lost), or is reported.
+        A loss closes the gate, and the base counts as lost. Without a loss, a changed conflict or a
+        changed link is reported. `now`, `opened_at`: s of the loop's clock; the session was opened
+        at `opened_at`.
         """
         was_linked, is_same_hub = self._was_linked, self._watch_hub(session, now)
         if self._gate.is_open:
@@ -545,10 +561,10 @@ class RosDriver:
             self._explain(sink, now)
 
     def _watch_hub(self, session: zenoh.Session, now: float) -> bool:
-        """Set `_was_linked`, and `_hubs` to the last linked hubs; False if the hub is another now.
+        """False if the session is linked to another hub than before.
 
         A hub is the Zenoh router or bridge that the session is linked to, by its id. A hub that was
-        started again has another id.
+        started again has another id. Sets `_was_linked`, and `_hubs`, the last linked hubs.
         """
         last_hubs, was_linked = self._hubs, self._was_linked
         hubs = linked_hubs(session)

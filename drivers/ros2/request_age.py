@@ -4,13 +4,13 @@ A request carries no age. The hub (bridge or router) and TCP keep a request whil
 process is frozen, or while the link is cut. So this process probes the hub all the time, and takes
 an upper bound of the age from the answers:
 
-1. The link keeps the order of requests and answers. So a request that comes after the answer to a
-   probe passed the hub after that probe was sent: it waited on the link for no longer than since
-   then.
+1. The link keeps the order of what the hub sends. So a request that arrives after the answer to a
+   probe left the hub after this answer, and thus after the probe was sent. The request has waited
+   on the link for at most the time since the probe was sent.
 2. A hub that was frozen answers the probes first, and then passes on the requests that wait in its
-   input. Each may have waited there as long as the slowest answer took. So the slowest answer of
-   the last SETTLE_TIME is added to the age. After a gap of MAX_AGE between two answers, the age is
-   unknown for SETTLE_TIME.
+   input. Such a request has waited in the hub for at most as long as the slowest answer took. So
+   this time, the longest of the last SETTLE_TIME, is added to the age. After a gap of MAX_AGE
+   between two answers, the age is unknown for SETTLE_TIME.
 3. After a loss of the link no probe counts as answered.
 
 A hub that answers all the time may still hold requests back for longer. Such a wait is not

@@ -26,8 +26,8 @@ def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[s
     TwistStamped have the same key, the zero has the class `wanted`.
 
     While `wanted` is empty, this zero is a TwistStamped with an empty frame. A base that takes a
-    Twist reads 5e-324 m/s in its bytes. In those of a TwistStamped with the frame `base_link` it
-    would read 1e180 m/s to the side.
+    Twist reads 5e-324 m/s in the bytes of this zero. With the frame `base_link` the base would read
+    1e180 m/s to the side.
     """
     topic = options.topic(options.cmd_vel)
     # The class `wanted` comes last, and so takes the place of another class with the same key.

@@ -159,8 +159,8 @@ def _range(robot: tuple[float, float]) -> float:
 def _may_be_lost(view: _Surroundings, received: int) -> bool:
     """True if few robots are in sight, and further robots may be out of sight.
 
-    `received`: the number of robots that are heard. No robot is out of sight if robots are heard,
-    and as many are in sight.
+    `received`: the number of robots that are heard. If robots are heard, but no more than are in
+    sight, no further robot is assumed.
     """
     are_all_in_sight = 0 < received <= view.seen
     return view.seen <= _FEW_ROBOTS and not are_all_in_sight
@@ -290,6 +290,7 @@ class Attraction(FieldPattern[AttractionParams]):
         """
         if len(view.robots) == 0:
             return "search"
+        # 1. A roll or a lead continues for its time, unless it has reached its aim.
         in_state_s = now - self._since
         sees_more_than_ever = view.seen > self._most_seen
         if sees_more_than_ever:
@@ -298,20 +299,21 @@ class Attraction(FieldPattern[AttractionParams]):
         is_incomplete = _is_incomplete(view, received)
         if self.state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
-        # A robot that leads gathers once it sees more robots: it has found the rest of the swarm.
-        if self.state == "lead" and not sees_more_than_ever and in_state_s < _LEAD_TIME:
+        has_found_more = self.state == "lead" and sees_more_than_ever
+        if self.state == "lead" and not has_found_more and in_state_s < _LEAD_TIME:
             return "lead"
-        is_gathering = self.state == "gather" or (self.state == "lead" and sees_more_than_ever)
+        # 2. The pull moves the robot; a robot at rest needs a stronger pull.
+        is_gathering = self.state == "gather" or has_found_more
         is_pulled = view.free > (_STOP_PULL if is_gathering else _START_PULL)
-        # A robot in a line rolls once before it settles. A settled robot tries several times.
-        is_line_roll = is_in_line and is_gathering and not self._has_tried
-        may_try_again = (
-            self.state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
-        )
-        if (is_line_roll or may_try_again) and in_state_s > self._rest_time:
+        # 3. A robot in a line rolls once before it settles. A settled robot tries again and again
+        # to roll or to lead, until `_rest_time`, which each try doubles, is too long.
+        rolls_in_line = is_in_line and is_gathering and not self._has_tried
+        is_settled = self.state == "settled" and not is_pulled
+        tries_again = is_settled and self._rest_time < _MAX_REST_TIME
+        if (rolls_in_line or tries_again) and in_state_s > self._rest_time:
             if self._rest_time > _LEAD_REST_TIME and _may_be_lost(view, received):
                 return self._try("lead", view)
-            if is_line_roll or is_incomplete:
+            if rolls_in_line or is_incomplete:
                 return self._try("roll", view)
         return "gather" if is_pulled else "settled"
 

@@ -63,7 +63,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
         return default_outcomes
 
     def lost_share(params: Mapping[str, Value]) -> Joined:
-        """By how much fewer runs join with these parameters than with the defaults, as a share."""
+        """The share of joined runs with the defaults, less their share with these parameters."""
         changed_runs = each(run, [(seed, params) for seed in seeds], jobs)
         return difference_of(map(_is_joined, runs), map(_is_joined, changed_runs))
 

@@ -51,6 +51,8 @@ _MIN_GAP, _ARRIVAL = 0.8, 1.3
 # In multiples of the same distance: explorers drive _LANE to the right of the chain, and a member
 # within _SLACK of its place rests.
 _LANE, _SLACK = 0.6, 0.2
+# m to the target from which on an explorer drives at full speed.
+_FULL_SPEED_M = 0.25
 # In multiples of `sight`: a member that has seen the goal counts it as seen up to this distance.
 _SIGHT_HYSTERESIS = 1.2
 Vector = tuple[float, float]
@@ -263,10 +265,11 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return self._keep_place(member.before, before_place, is_first=hops == 1)
 
     def _must_yield(self, member: _Member, leads: bool, is_tail: bool) -> bool:
-        """True if another member of a lower rank keeps the place of this robot in the chain.
+        """True if a rival keeps the place of this robot in the chain, and goes before this robot.
 
-        The lowest rank has a member that leads to the goal, then a member with a chain behind it,
-        then the member with the lower id. `member`, `leads`, `is_tail`: of this robot.
+        A rival is near, and has the same member before it. A member that leads to the goal goes
+        first, then a member with a chain behind it, then the member with the lower id. `member`,
+        `leads`, `is_tail`: of this robot.
         """
         own_rank = (not leads, is_tail, self.context.robot)
         return any(
@@ -312,7 +315,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         The waypoint is the member that the robot drives to. At a tail, or at the nest if the robot
         starts a new chain, the robot joins at the rate `join`: the command is zero, and
         `_membership` is set. At the tail of a chain that leads to the goal the robot rests, with
-        the command zero.
+        the command zero. A robot on the way home neither joins nor rests.
         """
         params, places = self.params, self._places
         if self._waypoint not in places:
@@ -334,9 +337,10 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
                 self._membership = _Member(member.hops + 1, waypoint, False, inputs.now)
                 return ZERO
         x, y = self._way(is_at_end=is_at_end)
-        # The length of (x, y) becomes the share of the speed: 1 from 0.25 m on, less when nearer.
+        # `steer` takes the length of a vector for the share of the speed.
         length = math.hypot(x, y)
-        scale = min(1.0, 4.0 * length) / length if length > 1e-6 else 0.0
+        speed_share = min(1.0, length / _FULL_SPEED_M)
+        scale = speed_share / length if length > 1e-6 else 0.0
         no_obstacles = NearPoints(())
         return no_obstacles.steer(
             scale * x, scale * y, params.speed, params.turn, spacing=0.0, brake=1.0
@@ -345,9 +349,9 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
     def _way(self, *, is_at_end: bool) -> Vector:
         """The vector in m in the base frame along which an explorer drives.
 
-        To the waypoint, to the right of the chain so that robots that come back pass. `is_at_end`:
-        the robot waits to join at the waypoint: it circles the nest to start a chain, or drives to
-        the next place of the chain.
+        On the way (not `is_at_end`) the vector leads to the waypoint, to the right of the chain, so
+        that robots that come back can pass. At the end of the way the robot circles the nest if it
+        starts a chain. Otherwise the vector leads to the next place of the chain.
         """
         distance = self.params.distance
         x, y = self._places[self._waypoint]

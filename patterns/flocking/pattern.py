@@ -7,11 +7,12 @@ distances and, by priority, straight on or a turn.
 Law "elastic" is ours. Springs tie each robot to the few nearest robots. The force along the heading
 changes the speed, and the force across the heading turns the robot (Ferrante et al.,
 "Self-organized flocking with a mobile robot swarm: a novel motion control method", Adaptive
-Behavior 20, 2012). Springs alone align headings slowly and not for long, since the lidars and
-bodies of other robots are behind their axles. So the robot also turns to the direction in which the
-other robots move (aligning: Vicsek et al., Phys. Rev. Lett. 75, 1995). This direction is measured
-from scans a second apart and the robot's odometry; without odometry only the springs act. Walls
-push like springs; a wall is an object that is wider than a robot.
+Behavior 20, 2012). Springs alone align headings slowly and not for long: a robot turns about its
+axle, and the lidar and the body, which other robots see, are behind the axle. So the robot also
+turns to the direction in which the other robots move (aligning: Vicsek et al., Phys. Rev. Lett. 75,
+1995). This direction is measured from scans a second apart and the robot's odometry; without
+odometry only the springs act. Walls push like springs; a wall is an object that is wider than a
+robot.
 
 Limits: a pillar counts as a robot, a robot within about 0.2 m of a wall as a part of the wall. A
 robot that sees no other robot drives straight on.
@@ -346,10 +347,11 @@ class Flocking(MovementPattern[FlockingParams]):
     def _away_from_near(
         self, ranges: Array, bearings: Array, sector: NDArray[np.int64]
     ) -> tuple[str, bool] | None:
-        """The state, and whether the robot drives, because of a near object; None without any.
+        """The state by which the robot turns away from a near object; None without a near object.
 
-        `ranges`, `bearings`, `sector`: (n,) m, rad, and the sector of each ray. The width of an
-        object is the angle in rad that its rays fill in a sector.
+        The result also says whether the robot drives while it turns. `ranges`, `bearings`,
+        `sector`: (n,) m, rad, and the sector of each ray. All near rays of a sector count as one
+        object; their angle in rad is its width.
         """
         ahead, left, _, right = _filled(sector, ranges < self.params.near)
         if ahead > _NEAR_WIDTH:  # turn away from the nearest point ahead, without driving
@@ -367,8 +369,9 @@ class Flocking(MovementPattern[FlockingParams]):
     def _toward_far(
         self, ranges: Array, sector: NDArray[np.int64], range_max: float
     ) -> tuple[str, bool] | None:
-        """The state, and whether the robot drives, because of a far object; None without any.
+        """The state by which the robot turns to a far object; None without a far object.
 
+        The result also says whether the robot drives while it turns.
         `ranges`, `sector`: (n,) m, and the sector of each ray. `range_max`: m, of the sensor. From
         afar a robot is narrower than _NEAR_WIDTH, so a wider object is a wall and does not count.
         """

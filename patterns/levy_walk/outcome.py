@@ -68,7 +68,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> l
     twice_as_many = searches(1.1, robots=2 * ROBOTS)
     levy, slow = searches(2.0), searches(4.0)
     number_ratio = ratio_of(_times(ballistic), _times(twice_as_many))
-    displacement_ratio = ratio_of(*([run.displaced for run in runs] for runs in (ballistic, slow)))
+    displacement_ratio = ratio_of(_displacements(ballistic), _displacements(slow))
     return [
         *by_law,
         as_law("mu 1.1, 20 robots", twice_as_many),
@@ -82,6 +82,10 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_slow: bool = True) -> l
 
 def _times(runs: Sequence[Search]) -> list[float]:
     return [run.mean for run in runs]
+
+
+def _displacements(runs: Sequence[Search]) -> list[float]:
+    return [run.displaced for run in runs]
 
 
 def _of_law(runs: Sequence[Search]) -> Joined:

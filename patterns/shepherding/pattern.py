@@ -1,11 +1,12 @@
 """Shepherding: a robot, the shepherd, drives a herd of robots, the sheep, to a goal.
 
 Source: Strombom, Mann, Wilson, Hailes, Morton, Sumpter and King, "Solving the shepherding problem:
-heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014. The
-shepherd collects a sheep that is farther from the herd's centre than r_a N^(2/3), from r_a behind
-the sheep. Without such a sheep the shepherd drives the herd, from r_a sqrt(N) behind the centre. A
-sheep with the shepherd within r_s flees the shepherd, keeps r_a from other sheep and goes to the
-centre of its nearest sheep. The weights are those of the source.
+heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014. With N
+sheep, a sheep is astray if it is farther than r_a N^(2/3) from the herd's centre. The shepherd goes
+to the far side of such a sheep, at the distance r_a, so that the sheep flees back. If no sheep is
+astray, the shepherd drives the herd from behind its centre, at the distance r_a sqrt(N). A sheep
+keeps r_a from other sheep. A sheep flees a shepherd that is nearer than r_s, and then also goes to
+the centre of its nearest sheep. The weights are those of the source.
 
 Ours: a robot with a third role, the goal, stands at the goal, so that no shared frame is needed.
 The robots send their roles. Sheep are slower by the factor `pace`, as in the source.

@@ -88,14 +88,15 @@ def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     if slope <= 3.0 * slope_deviation:
         return Figure(why="it brakes within the scatter of its odometry"), delay_figure
 
-    # 2. The deceleration. To first order its relative deviation is that of the slope. Two estimates
-    # of that deviation are made, and the greater counts: the scatter of the fast stops, each error
-    # divided by `slope * speed` (the part of distance / speed that is due to braking), and the
-    # relative deviation of the fitted slope.
+    # 2. The deceleration. To first order its relative deviation is that of the slope. The greater
+    # of two estimates counts: of the scatter of the fast stops, and of the fit. The braking takes
+    # `slope * speed` of a stop's `seconds`, so errors are divided by this part.
     is_fast = speeds > speeds.mean()
-    relative_errors = errors[is_fast] / (slope * speeds[is_fast])
+    braking_seconds = slope * speeds[is_fast]
+    scatter_share = float(np.std(errors[is_fast] / braking_seconds))
+    fit_share = slope_deviation / slope
     deceleration = 0.5 / slope
-    spread = deceleration * max(float(np.std(relative_errors)), slope_deviation / slope)
+    spread = deceleration * max(scatter_share, fit_share)
     return Figure(deceleration, spread, int(is_fast.sum())), delay_figure
 
 

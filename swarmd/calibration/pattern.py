@@ -131,7 +131,7 @@ class Calibration(Pattern[CalibrationParams]):
         # Odometry: stamp, x, y, yaw (not wrapped). `_offset`: robot's clock less odometry's clock.
         self._odometry: list[tuple[float, float, float, float]] = []
         self._offset = math.inf
-        self._ages: list[float] = []
+        self._lags: list[float] = []  # s, of each reading: arrival on the robot's clock less stamp
         self._now = 0.0
         self._scan: Scan | None = None
         self._scan_at = -math.inf
@@ -171,7 +171,7 @@ class Calibration(Pattern[CalibrationParams]):
                 turned = math.remainder(pose.yaw - before, 2.0 * math.pi)
                 rows.append((stamp, pose.x, pose.y, before + turned))
             self._offset = min(self._offset, inputs.now - stamp)
-            self._ages.append(inputs.now - stamp)
+            self._lags.append(inputs.now - stamp)
         if inputs.is_new_scan and inputs.scan is not None:
             self._scan, self._scan_at = inputs.scan, inputs.now
             self._scan_count += 1
@@ -460,8 +460,8 @@ class Calibration(Pattern[CalibrationParams]):
             scale = turn_scale if axis == "angular" else scale_of(scales[axis], why)
             measured |= self._of_axis(axis, pairs, scale)
         measured["margin"] = self._margin(*(measured[f"reaction_{axis}"] for axis in stops))
-        # `_offset`: the robot's clock less odometry's clock, by the fastest sample.
-        ages = np.array(self._ages) - self._offset
+        # The fastest reading counts as new on arrival: its lag is the offset of the clocks.
+        ages = np.array(self._lags) - self._offset
         measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         measured["scan_delay"] = scan_delay
         self._report = {

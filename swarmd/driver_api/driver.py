@@ -31,9 +31,9 @@ class Sink(Protocol):
     ) -> None:
         """Take the connection state: `is_up`, or the reason in `text` why the base is lost.
 
-        `hold`: why the robot must not move although its base is connected. `gets_zero`: zeros of a
-        stopped robot reach the base although the base counts as lost; a driver that moves no base
-        passes True, too.
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: a zero for
+        a stopped robot reaches the base even while the base counts as lost. A driver that moves no
+        base also passes True.
         """
 
     def dropped(self, what: str) -> None:

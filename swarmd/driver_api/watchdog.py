@@ -11,8 +11,8 @@ end.
 3. Before the first tick the watchdog sends nothing.
 4. When the daemon has ended, the watchdog sends zeros until it has a reason to end, and for at
    least 2 s. The reasons are a farewell of the daemon, SIGTERM, the end of the process to which the
-   watchdog is tied, and a new watchdog: that of a new daemon for this robot, once its sender is
-   open. If the daemon has never ticked, the watchdog ends with the daemon.
+   watchdog is tied, and the watchdog of a new daemon for this robot, once the new watchdog's sender
+   is open. If the daemon has never ticked, the watchdog ends with the daemon.
 """
 
 from __future__ import annotations

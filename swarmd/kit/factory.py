@@ -66,8 +66,8 @@ def assemble(
         inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:
         """Make a pattern that the pattern contains, as `Make` in behavior.py says."""
-        # A private part has channels of its own, and any other part shares the channels of the
-        # stand-alone pattern.
+        # On the network the channels of a stand-alone pattern are named <pattern>/<channel>. A part
+        # has the same channels unless it is private.
         prefix = f"{part or inner_name}-" if private else f"{inner_name}/"
         platform_params = platform.patterns.get(inner_name, {})
         return assemble(

@@ -168,15 +168,9 @@ def robot_centers(objects: list, reach: cython.double, width: cython.double, off
         side = 0 if is_free[i] else _hidden_side(ranges, bearings, widths, i)
         if side == _BOTH:
             continue
-        if side:
-            # The whole object is assumed to be as wide as the median. Its visible edge is
-            # `visible_angle` from the middle of the visible part, and asin(half / (away + half))
-            # from the center of a circle of radius `half`. So the center lies farther to the hidden
-            # side than this middle, by the difference.
-            visible_angle = half / max(away, _MIN_RANGE)
+        if side:  # the whole object is assumed to be as wide as the median
             half = max(half, usual_half)
-            shift_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
-            bearing += side * max(shift_angle, 0.0)
+            bearing += side * _angle_to_center(away, widths[i], half)
         # The center lies half a width behind the visible side.
         centers.append((away + half, bearing))
         weights.append(counts[i])
@@ -224,6 +218,22 @@ def _hidden_side(
 def _spread(distance: cython.double, width: cython.double) -> cython.double:
     """Half the angle in rad under which an object is seen."""
     return 0.5 * width / max(distance, _MIN_RANGE)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _angle_to_center(
+    away: cython.double, visible_width: cython.double, radius: cython.double
+) -> cython.double:
+    """The angle in rad from the middle of an object's visible part to the object's center.
+
+    The object is a circle of `radius` m, `away` m from the lidar, whose one side is hidden. The
+    edge of the other side lies `edge_angle` from the middle of the visible part, and
+    `center_angle` from the center.
+    """
+    edge_angle: cython.double = _spread(away, visible_width)
+    center_angle: cython.double = asin(radius / max(away + radius, _MIN_RANGE))
+    return max(center_angle - edge_angle, 0.0)
 
 
 @cython.cfunc

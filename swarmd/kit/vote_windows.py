@@ -90,8 +90,8 @@ class VoteWindow:
 class Rounds:
     """Synchronised updates: the votes of one round decide, then the next round begins.
 
-    1. A round lasts at least `pause` s and at most `length` s. In between, the round ends as soon
-       as no robot is in an earlier round, of the robots heard in the last `expiry` s.
+    1. A round lasts at least `pause` s and at most `length` s. In between, the round ends once no
+       robot that was heard in the last `expiry` s is in an earlier round.
     2. A robot that is one round ahead counts with its vote of this round, since its messages hold
        the votes of two rounds. A robot that is two rounds ahead or more does not count.
     3. If more than half of the robots are two rounds ahead or more, this robot has fallen behind,

@@ -232,11 +232,12 @@ class BlindSectors:
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
-        An object is seen if all rays in the direction have a return, and is static once _STREAK
-        comparisons in a row have seen it. A sector of the sensor that has missed an object waits
-        until the object proves to be static. Then the miss counts against the sector. `_pending`
-        has the waiting sectors, by direction and sector. `_missed` has the misses that count, by
-        sector and direction. `x`, `y`: m, the place of the robot.
+        An object is seen if all rays in the direction have a return. An object is static once
+        _STREAK comparisons in a row have seen it, and is known (`_is_known`) for _MAX_TIME after
+        that. A sector of the sensor that misses a known object waits (`_pending`) until the object
+        proves to be static again. Then the miss counts against the sector (`_missed`).
+
+        `x`, `y`: m, the place of the robot. `now`: s.
         """
         k: cython.Py_ssize_t
 
@@ -247,12 +248,16 @@ class BlindSectors:
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
         is_new: cython.bint = is_seen and not is_same
-        # Comparisons in a row that saw this object: 1 for a new object, 0 without an object.
-        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+        # The number of comparisons in a row that saw this object.
+        if is_same:
+            self._streak[d] += 1
+        else:
+            self._streak[d] = 1 if is_new else 0
+        has_streak: cython.bint = self._streak[d] >= _STREAK
 
-        # 2. The sectors that have missed the object, and wait.
-        is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
-        # A new object, or an object that is no longer known, ends the wait without a miss.
+        # 2. The wait of sectors ends: with a miss if the known object has proved to be static
+        # again, without a miss if the object is a new object, or is no longer known.
+        is_static: cython.bint = self._is_known[d] and has_streak
         is_decided: cython.bint = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS):
             if self._return_streak[k]:  # a sector that has returns now is not blind
@@ -262,11 +267,11 @@ class BlindSectors:
                 self._missed[_SECTORS * k + d] |= is_static
 
         # 3. Stores an object that is new or static.
-        if self._streak[d] >= _STREAK:
-            self._seen_at[d] = now
         if is_new:
-            self._seen_at[d] = -INFINITY  # not known until it proves to be static
-        if is_new or (is_seen and self._streak[d] >= _STREAK):
+            self._seen_at[d] = -INFINITY  # not known until the object proves to be static
+        elif has_streak:
+            self._seen_at[d] = now
+        if is_new or has_streak:
             self._range[d] = distance
             self._x[d], self._y[d] = x, y
         return 0

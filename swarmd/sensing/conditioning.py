@@ -48,8 +48,9 @@ class ScanConditioner:
 
     - INVALID_SCAN: lengths differ, no rays, a stamp that is not finite, or an impossible age of a
       ray
-    - INVALID_SCAN: fewer than half of the rays known, or a sector wider than `max_gap` whose rays
-      are unknown, or that has no rays although the sensor has rays there
+    - INVALID_SCAN: fewer than half of the rays known, or a sector wider than `max_gap` with unknown
+      rays alone, or a sector without rays that is wider than `max_gap` and than every sector
+      without rays of the platform
     - INVALID_SCAN: no return at all after a scan with many far returns
     - FROZEN_SCAN: the sequence number does not rise, or stamp and ranges are those of the scan
       before, or a noisy sensor sends bit-identical ranges again and again
@@ -206,8 +207,9 @@ class ScanConditioner:
     def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
         """True if a noisy sensor sends the ranges of one of its last scans again; counts repeats.
 
-        A scan with hardly any return may repeat by chance if the robot stands, and does not count.
-        `ranges` and `values` (n,) are the same array, as numpy array and as buffer.
+        A repeat with hardly any return does not count, and gives False: it may come by chance if
+        the robot stands. `ranges` and `values` (n,) m are the same array, as numpy array and as
+        buffer.
         """
         # 1. New ranges.
         raw = ranges.tobytes()
@@ -228,7 +230,8 @@ class ScanConditioner:
             max(abs(twist.linear), abs(twist.lateral)) > _MOVES_LINEAR
             or abs(twist.angular) > _MOVES_ANGULAR
         )
-        if return_count < (1 if is_moving else MIN_DISTINCT_RETURNS):
+        needed_returns: cython.int = 1 if is_moving else MIN_DISTINCT_RETURNS
+        if return_count < needed_returns:
             return False
         self._repeat_count += 1
         return True

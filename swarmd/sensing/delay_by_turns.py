@@ -234,12 +234,13 @@ class DelayByTurns:
         if self._ray_step == 0.0:
             return
 
-        # 2. With enough pairs, only two of four scans make a pair, to save time.
+        # 2. With enough pairs, only the first two of four scans make a pair, to save time.
         self._scan_count += 1
         saves_time: cython.bint = self.pairs >= _ENOUGH_PAIRS
-        if saves_time and self._scan_count % 4 > 1:
+        place_in_four: cython.Py_ssize_t = self._scan_count % 4
+        if saves_time and place_in_four > 1:
             return
-        is_first: cython.bint = not had_last or (saves_time and self._scan_count % 4 == 0)
+        is_first: cython.bint = not had_last or (saves_time and place_in_four == 0)
 
         # 3. Stores this scan. Skips a pair that is too far apart in time or place.
         previous_arrival: cython.double = self._scan_at
@@ -445,9 +446,10 @@ class DelayByTurns:
         if highest == _CANDIDATES - 1 or (highest - lowest) * _DELAY_STEP > _MAX_INTERVAL:
             return 0
 
-        # 2. The minimum of the parabola through three candidates. The middle candidate is the best,
-        # or the second if the first is the best. It is not the longest, which has returned above.
-        # The curvature gives the standard deviation, which _ALIKE widens.
+        # 2. The minimum of the parabola through the best candidate and its two neighbours. If the
+        # first candidate is the best, the second is the middle. The last candidate is never the
+        # best here: step 1 returns then. The curvature gives the standard deviation, which _ALIKE
+        # widens.
         middle: cython.Py_ssize_t = max(best, 1)
         error_before: cython.double = self._errors[middle - 1]
         error_after: cython.double = self._errors[middle + 1]

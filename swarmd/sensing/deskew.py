@@ -89,12 +89,12 @@ class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
     The returned scan has the ages of its rays, and the age of its newest ray (`newest_age`). The
-    ages come from the measured sweep (`measured`); without a `measured`, from the driver; without
-    ages by the driver, from the platform's `sweep`. Rays are moved except in these cases:
+    ages come from the first source that exists: the measured sweep (`measured`), the driver, the
+    platform's `sweep`. Rays are moved except in these cases:
 
     - Without ages, the scan is returned unchanged.
     - While `measured` does not know the order of the rays, the scan counts as measured at the time
-      of its mean ray, and each ray has the greatest age that a ray may have at that time.
+      of its mean ray. Each ray then has the greatest age against the mean ray that is possible.
     - Without odometry that reaches back over the whole scan, rays have ages, but are not moved.
     - At rest, the scan keeps its bearings (the same object).
     """
@@ -152,6 +152,8 @@ class Deskewer:
         if self._measured_sweep is not None:
             ages = self._measured_sweep.ages(scan)
             if self._measured_sweep.order is None:
+                # The order of the rays is not known: no ray is moved, and the platform's latency is
+                # the age of the mean ray, for which the whole scan counts.
                 scan = _scan_with(scan, scan.ranges, scan.bearings, ages, self._latency)
                 self._last_scan, self._last_at = scan, now - self._latency - delay
                 self._filled_count = 0
@@ -162,8 +164,8 @@ class Deskewer:
         if bearings is not self._bearings_of_scan or ages is not self._ages_of_scan:
             self._set_rays(bearings, ages)
 
-        # 2. Moves the rays to the time of the newest ray, if odometry is fresh. The returned scan
-        # states the age of this ray without the measured `delay`.
+        # 2. Moves the rays to the time of the newest ray, if odometry is fresh. This time includes
+        # the measured `delay`; the `newest_age` of the returned scan does not.
         newest_age: cython.double = self._newest_age + delay
         newest_at: cython.double = now - newest_age
         moved = None
@@ -211,25 +213,25 @@ class Deskewer:
         history: OdometryHistory = self._history
         path_rows: cython.Py_ssize_t = history.set_path(stamp, self.span)
         if path_rows == 0:
-            return None
+            return None  # at rest, odometry does not reach back, or all rays have one age (span 0)
         # 1. The width in rad of the unmeasured sector; below 0 if the robot turns with the sensor.
         # The last row has the pose at the begin of the scan; the pose at its end has yaw 0.
         yaw_at_begin: cython.double = history.path[path_rows - 1, 3]
         unmeasured: cython.double = self._direction * yaw_at_begin
         # A sector below half the angle between two rays lacks no ray.
-        is_filled: cython.bint = unmeasured > 0.5 * self._spacing
-        if is_filled and not self._can_fill(stamp, seconds):
+        lacks_rays: cython.bint = unmeasured > 0.5 * self._spacing
+        if lacks_rays and not self._can_fill(stamp, seconds):
             return None
 
         # 2. Fills the sector with the first rays of the result.
         count: cython.Py_ssize_t = self._ages.shape[0]
         filled_count: cython.Py_ssize_t = 0
-        capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if is_filled else 0)
-        ages = self._ray_ages
+        capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if lacks_rays else 0)
+        ages = self._ray_ages  # of this scan; replaced if rays of the scan before come first
         ranges, bearings = np.empty(capacity), np.empty(capacity)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
-        if is_filled:
+        if lacks_rays:
             history.set_motion(stamp - seconds, stamp)
             ages = np.empty(capacity)
             filled_count = self._fill_sector(unmeasured, seconds, distances, angles, view_of(ages))
@@ -282,9 +284,10 @@ class Deskewer:
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # De-skew moves the oldest ray by `unmeasured` in the direction of the sweep, and not the
-        # newest ray. So the sector begins at the bearing at which the oldest ray was measured, less
-        # half the angle between two rays, and extends in the direction of the sweep.
+        # The oldest ray was measured at the bearing `_oldest`, and de-skew moves this ray by
+        # `unmeasured` in the direction of the sweep. The sector has the bearings that this ray
+        # leaves behind. A ray covers half the angle between two rays to each side of its bearing,
+        # so the sector begins half this angle before `_oldest`.
         start: cython.double = self._oldest - 0.5 * self._direction * self._spacing
         self._sector_args[0], self._sector_args[1] = start, self._direction
         self._sector_args[2] = unmeasured
@@ -292,7 +295,7 @@ class Deskewer:
             view_of(last.ranges),
             view_of(last.bearings),
             view_of(last.ages),
-            self._filled_count,  # skips filled rays: else a ray could be reused for ever
+            self._filled_count,  # skips rays that filled that scan: else a ray could stay for ever
             self._history.motion,
             self._sector_args,
             self._limits,

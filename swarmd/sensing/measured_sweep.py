@@ -133,9 +133,9 @@ class _ScanAtPose:
     """A scan with the pose of the sensor at its mean ray.
 
     `at`: s on the clock of odometry, the time of the mean ray. `yaw`: rad, not wrapped, the heading
-    at the time `at`. `x`, `y`: m, the place of the sensor; the place at the arrival of the scan is
-    used, since a pair of scans needs a robot that hardly moves. `skew`: rad, the turn of the robot
-    during the scan.
+    at the time `at`. `x`, `y`: m, the place of the sensor when the scan arrived. (This place serves
+    for the mean ray, too: scans are compared only if the robot hardly moves.) `skew`: rad, the turn
+    of the robot during the scan.
     """
 
     def __init__(
@@ -150,9 +150,10 @@ class _ScanAtPose:
         self._ranges = np.minimum(scan.ranges, min(scan.range_max, _MAX_RANGE))[self._known]
 
     def cells(self, x: float, y: float) -> Array:
-        """Ranges (360,) in m by heading, as seen from a place, if all rays had the same time.
+        """Ranges (360,) in m by heading, as seen from the place `x`, `y` in m.
 
-        NaN for headings outside the sector that the rays cover.
+        All rays count as measured at the pose of the mean ray. NaN for headings outside the sector
+        that the rays cover.
         """
         if not len(self._known):
             return np.full(_CELLS, math.nan)
@@ -300,8 +301,9 @@ class MeasuredSweep:
     def _repeats_last(self, time: float, yaw: float, skew: float) -> bool:
         """True for a scan that repeats the newest stored scan, since the robot is at rest.
 
-        `time`: s, of the mean ray. `yaw`, `skew`: rad. False after half of _MAX_SCAN_PERIOD: then a
-        repeat is stored, so that a scan of a later turn has a partner.
+        A stored scan is a partner for a later scan only within _MAX_SCAN_PERIOD. So a scan counts
+        as new, and is stored, once the newest stored scan is half this time old. `time`: s, of the
+        mean ray. `yaw`, `skew`: rad.
         """
         if not self._stored_scans:
             return False
@@ -319,12 +321,15 @@ class MeasuredSweep:
         return partner
 
     def _store(self, scan: _ScanAtPose) -> None:
-        """Store the newest scan. All scans before the newest stay _SPACING apart in heading."""
+        """Store the newest scan. All scans before the newest stay _SPACING apart in heading.
+
+        So the new scan replaces the newest stored scan until the robot has turned far enough.
+        """
         stored = self._stored_scans
         if len(stored) > 1:
             before_newest = stored[-2]
-            is_newest_needed = abs(scan.yaw - before_newest.yaw) >= _SPACING
-            if not is_newest_needed:
+            is_still_near = abs(scan.yaw - before_newest.yaw) < _SPACING
+            if is_still_near:
                 stored.pop()
         stored.append(scan)
 

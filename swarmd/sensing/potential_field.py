@@ -54,8 +54,9 @@ def potential_field(
         range_max: m, the reach of the field, greater than `range_min`; with 0 no return is in
             range.
         range_min: m; a nearer ray counts as a ray at `range_min`.
-        bias: added to the vector's x (forward), or subtracted for "attraction2": the paper gives
-            the bias of both attractions backward, as a negative value and as a positive value.
+        bias: added to the vector's x (forward) for "repulsion" and "attraction", and subtracted for
+            "attraction2". In the paper the bias of both attractions leads backward: it is negative
+            for "attraction", and positive for "attraction2".
         ray_threshold: up to this number of returns within range, `is_alone` is True.
         kind: see FieldKind.
         ignore_near: rays nearer than `range_min` do not count, as in the original.

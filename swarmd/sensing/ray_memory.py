@@ -508,12 +508,13 @@ class RayMemory:
             first += 1
         if first == count:
             return False
-        # The last known ray: its index, unwrapped angle and range.
+        # The last known ray: its index, angle and range. Angles are unwrapped: they rise or fall
+        # over the whole turn. The sum of a bearing and `unwrap_shift` is an unwrapped angle.
         last: cython.Py_ssize_t = first
-        last_angle: cython.double = self._bearings[first]
+        first_angle: cython.double = self._bearings[first]
+        last_angle: cython.double = first_angle
         last_range: cython.double = ranges[first]
-        start: cython.double = last_angle
-        angle: cython.double = start
+        angle: cython.double = first_angle
         unwrap_shift: cython.double = 0.0
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -537,7 +538,7 @@ class RayMemory:
 
         # The sector between the last known ray and the first known ray, a turn later.
         if last < first + count - 1:
-            end_angle = start + math.copysign(TURN, angle - start)
+            end_angle = first_angle + math.copysign(TURN, angle - first_angle)
             if not self._fill_between(
                 ranges, last, first + count, last_angle, end_angle, last_range, ranges[first]
             ):

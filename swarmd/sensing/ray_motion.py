@@ -115,7 +115,7 @@ def move_rays(
         # 1. The turn of the pose at the age of the ray.
         if age != ages[i]:
             age, has_pose = ages[i], False
-            if not begin_age <= age <= end_age:
+            if not begin_age <= age <= end_age:  # else the segment of the ray before holds
                 while row < last_row and age > path[row, 0]:
                     row += 1
                 while row > 1 and age < path[row - 1, 0]:
@@ -202,8 +202,9 @@ def rays_in_sector(
     i: cython.Py_ssize_t
     for i in range(first, n):
         from_start = direction * (bearings[i] + turn - start)
+        # A ray that is more than `max_change` outside of the sector is outside from both poses.
         if mod_turn(from_start + max_change) > width + 2.0 * max_change:
-            continue  # outside of the sector from both poses
+            continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
             along, across = ranges[i] + (ahead * x + left * y), ahead * y - left * x

@@ -184,8 +184,8 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         return []
 
     # 2. The last ray of each object: the next ray is too far away, in angle (`is_apart`) or in
-    # range. `start` is the ray behind the first of these, so that no object spans the end of the
-    # arrays; 0 without any.
+    # range. Step 3 goes once around from `start`, the ray behind the first last ray, so that the
+    # object at the end of the arrays continues at index 0. `start` is 0 without a last ray.
     start: cython.Py_ssize_t = 0
     for i in range(ray_count):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]

@@ -30,7 +30,8 @@ _MOVES_A_RAY = cython.declare(cython.Py_ssize_t, 16)
 class ScanLayout:
     """The bearings of a scan and what derives from them; buffers for the features of a scan.
 
-    A robot that moves has other bearings in each scan, so the buffers are used again.
+    De-skew gives each scan of a moving robot other bearings. So a layout is set again for each
+    scan, and its buffers stay.
     """
 
     n: cython.Py_ssize_t

@@ -93,7 +93,8 @@ class SegmentCheck:
         if fault := self._order_fault(scan, newest_stamp):
             return fault
         _, end_stamp, end_at = self._whole
-        age = max(delay, now - (end_at + newest_stamp - end_stamp))
+        newest_at = end_at + newest_stamp - end_stamp  # on the robot's clock, by the whole turn
+        age = max(delay, now - newest_at)
         if not age <= self._period:  # true also for NaN
             return f"it arrived {age:.2f} s late"
         if self._is_frozen(ranges):
