@@ -102,7 +102,7 @@ class Flight:
         self._now = self._wanted_at = self._deadline = -math.inf
 
     def step(self, now: float, wish: Wish, twist: Twist, seen: Seen) -> HoverSetpoint | None:
-        """The set-point to send at `now`; None: none, since the state of the motors is not known.
+        """The set-point to send at `now`; None on the ground if the motors may still run.
 
         `twist`: the safe command, which the drone follows while `wish` is FLY.
         """

@@ -109,10 +109,11 @@ class Graph:
         return self._unrouted(topic, is_publisher=True) or self._unpublished(stats, publishers)
 
     def _unpublished(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
-        """The text for a topic that no node of this domain publishes; `publishers`: of the domain.
+        """The text for a topic that no node of this domain publishes.
 
-        Names another domain if it has the topic. If this domain has no topics at all, names any
-        domain with topics, since the option `domain` may be wrong.
+        `publishers`: all publishers of this domain. The text names the domains that have the topic.
+        If no domain has the topic, and this domain has no topics at all, the text names all domains
+        with topics, since the option `domain` may be wrong.
         """
         middleware, topic = self.middleware, stats.topic
         wanted = (topic, middleware.type_name(stats.message_type))

@@ -206,10 +206,11 @@ class Adapter:
     def _follow_type(self, wanted: Any, connected: int) -> None:
         """Publish commands in the type to which all listeners subscribe.
 
-        `wanted`: the types of the listeners. `connected`: how many nodes are connected to the topic
-        of commands; while a node is connected the type stays. It also stays if listeners want
+        The type stays while a node is connected to the topic of commands, and if listeners want
         different types. If the type changes, the adapter ends and the driver starts a new adapter,
         since rospy cannot advertise a topic again with another type.
+
+        `wanted`: the types of the listeners. `connected`: the number of connected nodes.
         """
         allowed = self._config["command_types"]
         kinds = {kind for kind in wanted if kind in allowed}

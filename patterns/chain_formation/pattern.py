@@ -372,10 +372,12 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
     def _next_waypoint(self, reached: str) -> str:
         """The id of the member to drive to next from the member `reached`; `reached` without any.
 
-        At the nest an arriving robot draws a chain: a chain that leads to the goal if there is any,
-        else any chain or, seldom, none. With none the robot starts a chain (`_starts_chain`), and
-        circles the nest in a random direction (`_turn_sign`). At any other member: the member
-        before `reached` on the way home, the member after `reached` on the way out.
+        At the nest an arriving robot draws a chain, from those that lead to the goal if there are
+        any. Otherwise the robot draws from all chains or, less often, draws no chain: it then
+        starts a chain (`_starts_chain`), and circles the nest in a random direction (`_turn_sign`).
+
+        At any other member: the member before `reached` on the way home, the member after `reached`
+        on the way out.
         """
         member, after = self._heard[reached], self._after(reached)
         if member.hops == 0:

@@ -522,8 +522,9 @@ class Calibration(Pattern[CalibrationParams]):
         """The protection margin in m that a base needs if it responds later than assumed.
 
         `delays`: the reaction delays of the axes in s; each counts with two standard deviations.
-        The longest of them exceeds REACTION_TIME by some time, in which the robot's surface and an
-        object still approach each other. The margin grows by the distance of this approach.
+        The longest delay may exceed REACTION_TIME. In the time beyond REACTION_TIME the robot's
+        surface and an object still approach each other, and the margin grows by the distance of
+        this approach.
         """
         barrier = self.context.platform.protection.get("barrier")
         if barrier is None:

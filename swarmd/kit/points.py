@@ -221,7 +221,6 @@ def _spread(distance: cython.double, width: cython.double) -> cython.double:
 
 
 @cython.cfunc
-@cython.exceptval(check=False)
 def _angle_to_center(
     away: cython.double, visible_width: cython.double, radius: cython.double
 ) -> cython.double:

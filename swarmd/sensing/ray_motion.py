@@ -116,6 +116,7 @@ def move_rays(
         if age != ages[i]:
             age, has_pose = ages[i], False
             if not begin_age <= age <= end_age:  # else the segment of the ray before holds
+                # The search begins at the last segment, since ages change little from ray to ray.
                 while row < last_row and age > path[row, 0]:
                     row += 1
                 while row > 1 and age < path[row - 1, 0]:

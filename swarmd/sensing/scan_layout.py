@@ -140,7 +140,7 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def has_sorted(self) -> cython.bint:
-        """Sort the bearings by insertion; False, unsorted, after too many moves or for a NaN.
+        """Sort the bearings by insertion; False after too many moves, or for a NaN: not sorted.
 
         Sets `order`, the indices of the rays by rising bearing, and `rising`, their bearings. The
         sort starts at the smallest bearing. From there the bearings of most sensors rise, with few
