@@ -282,8 +282,7 @@ class RosDriver:
         Announcements of endpoints are liveliness tokens, which go to `_on_token` in the loop. Their
         callback is direct (`indirect=False`), so that no sample overtakes a token.
         """
-        # The last message of a kept topic counts until the next message. Publishers keep this
-        # message in a cache; a receiver takes it from there, under the topic's name with KEPT.
+        # Publishers keep the last message of a kept topic in a cache, for these receivers.
         self._kept = {
             topic: _receiver(self._scheme, inbox, f"{stats.name}{KEPT}", topic, stats.message_type)
             for topic, stats in self._subscriptions.kept_topics.items()
@@ -311,10 +310,9 @@ class RosDriver:
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Query the announcements; the base stays lost until the answer is complete.
 
-        The answer must end after all tokens of the subscription in `_subscribe` have come. So both
-        have direct callbacks (`indirect=False`), which Zenoh's receiving thread runs in the order
-        of the link. Indirect callbacks would have a thread of their own: a scan could overtake the
-        token with the base's command type.
+        The answer must end after all tokens of `_subscribe`. So both have direct callbacks, which
+        Zenoh's receiving thread runs in the order of the link. Indirect callbacks would have a
+        thread of their own: a scan could overtake the token with the base's command type.
         """
         self._graph_query = query = object()
         errors: list[zenoh.ReplyError] = []
@@ -352,40 +350,28 @@ class RosDriver:
             return
         now = asyncio.get_running_loop().time()
         self._foreign_ends = None  # `_foreign_graph` merges the endpoints again
-        if is_declared:
-            # Half of the table is only for topics of this robot, so that announcements of other
-            # topics cannot fill the table.
-            is_of_robot = end.topic in self._needed()
-            max_endpoints = 2 * _MAX_ENDPOINTS if is_of_robot else _MAX_ENDPOINTS
-            if len(self._endpoints) < max_endpoints:
-                self._endpoints.setdefault(token, replace(end, since=now))
-        else:
+        # Half of the table is for topics of this robot alone: other topics cannot fill the table.
+        max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
+        if is_declared and len(self._endpoints) < max_endpoints:
+            self._endpoints.setdefault(token, replace(end, since=now))
+        elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
         if end.is_publisher and end.topic in self._foreign.actions:
             self._on_action_server(end.topic, now)
-        if not end.is_publisher and end.topic == self._cmd_vel:
-            self._on_base(has_left=not is_declared)
+        if not end.is_publisher and end.topic == self._cmd_vel:  # a base has come or left
+            if not is_declared:
+                self._gate.require_zero()  # the next base gets zero first
+            self._command_type = self._wanted_type()
+            self._bridges.renew()  # the bridge knows the node of the base
         if end.is_publisher and end.topic in self._kept and self._session:
             self._on_kept_publisher(self._session, end.topic, has_left=not is_declared)
-
-    def _on_base(self, *, has_left: bool) -> None:
-        """Take the arrival or the end of a base, which is a subscription of commands.
-
-        After the end of a base the next base gets zero first. In both cases the type of commands
-        may change, and the bridges are queried for the nodes behind them.
-        """
-        if has_left:
-            self._gate.require_zero()
-        self._command_type = self._wanted_type()
-        self._bridges.renew()
 
     def _on_action_server(self, topic: str, now: float) -> None:
         """Take a change of the servers that publish the states of an action's goals on `topic`.
 
         When the last server has left, no state will say that a goal has ended. So all goals end
-        now. A state may still come late; `_ended_servers` has the topic, so that goals end then,
-        too.
+        now, and again after each state that comes late (`_ended_servers`).
         """
         self._ended_servers.discard(topic)
         if not self._foreign_graph().publishers(topic):
@@ -538,11 +524,9 @@ class RosDriver:
         self._report_state(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened_at: float) -> None:
-        """Detect changes of hub, topics and base; called each _PERIOD.
+        """Detect changes of hub, topics and base, each _PERIOD; times in s of the loop's clock.
 
-        A loss closes the gate, and the base counts as lost. Without a loss, a changed conflict or a
-        changed link is reported. `now`, `opened_at`: s of the loop's clock; the session was opened
-        at `opened_at`.
+        A loss closes the gate. Without a loss, a changed conflict or a changed link is reported.
         """
         was_linked, is_same_hub = self._was_linked, self._watch_hub(session, now)
         if self._gate.is_open:

@@ -49,7 +49,7 @@ def potential_field(
     The weight of a ray with range r is 1 - r / range_max, or r / range_max for "attraction".
 
     Args:
-        ranges: (n,) m; NaN and +inf do not count, -inf (too close to measure) counts as near.
+        ranges: (n,) m. NaN and +inf do not count, -inf (too close to measure) counts as near.
         bearings: (n,) rad.
         range_max: m, the reach of the field, greater than `range_min`; with 0 no return is in
             range.
