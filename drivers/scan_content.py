@@ -67,10 +67,10 @@ class ScanContent:
     def fault(self) -> str:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
-        The first fault that applies: all ranges of the last scan are 0, no ray has a return in an
-        ordinary room, or the last scans repeat earlier scans. With noise an exact repeat of several
-        returns is implausible, so repeats mean that the sensor's driver sends the same scan again
-        and again.
+        The first fault that applies: all ranges of the last scan are 0, no ray has a return (a
+        fault only of a sensor that has returns in every ordinary room), or the last scans repeat
+        earlier scans. With noise an exact repeat of several returns is implausible, so repeats mean
+        that the sensor's driver sends the same scan again and again.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):

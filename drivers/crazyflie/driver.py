@@ -231,8 +231,8 @@ class CrazyflieDriver:
     def _has_reported_all(self, heard: _LastInputs) -> bool:
         """True once scan, odometry, hazards and the supervisor have come.
 
-        Hazards alone do not show that the supervisor has reported: before its first report the
-        driver reports the hazard NOT_HEARD.
+        Hazards alone do not show that the supervisor has reported: before the supervisor's first
+        report the driver reports the hazard NOT_HEARD.
         """
         has_inputs = {"scan", "odometry", "hazards"} <= set(heard.last)
         return has_inputs and self._supervisor is not None

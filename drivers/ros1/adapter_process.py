@@ -68,8 +68,8 @@ class KeptTopic:
 
     The message is valid only while its publisher is there, so the class also reports the end of
     the publisher. The connection object does not show this end, since rospy uses the object again
-    for the next connection. The header object does, since each connection has its own: once no
-    open connection has the header of the message, the publisher of the message has ended.
+    for the next connection. Each connection has a header object of its own: once no open connection
+    has the header of the message, the publisher of the message has ended.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:

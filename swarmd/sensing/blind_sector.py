@@ -233,9 +233,10 @@ class BlindSectors:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
         An object is seen if all rays in the direction have a return. An object is static once
-        _STREAK comparisons in a row have seen it, and is known (`_is_known`) for _MAX_TIME after
-        that. A sector of the sensor that misses a known object waits (`_pending`) until the object
-        proves to be static again. Then the miss counts against the sector (`_missed`).
+        _STREAK comparisons in a row have seen it. Then the object is known (`_is_known`) for
+        _MAX_TIME, as long as the robot stays near. A sector of the sensor that misses a known
+        object waits (`_pending`) until the object proves to be static again. Then the miss counts
+        against the sector (`_missed`).
 
         `x`, `y`: m, the place of the robot. `now`: s.
         """
