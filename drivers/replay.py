@@ -250,10 +250,11 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """By how much sequence numbers of scans, and stamps in s, must rise for the next replay.
+    """What a repeat of the recording must add to sequence numbers, and to stamps in s.
 
-    That is the greatest sequence number plus 1, and the span of the stamps. The span is measured
-    for each kind of input, since their clocks may differ. The greatest span counts.
+    With these additions numbers and stamps rise from one repeat to the next, too. Numbers get the
+    greatest number plus 1. Stamps get the span of the stamps. Each kind of input may have a clock
+    of its own, so the longest span of all kinds counts.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

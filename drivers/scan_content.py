@@ -20,9 +20,9 @@ class ScanContent:
     """The last scan of a sensor, and the number of scans in a row that repeated earlier scans.
 
     A scan repeats if its ranges equal the ranges of one of the last COMPARED_SCANS different scans.
-    `last`: None before the first scan. `count`: the number of scans. `has_measured`: False while
-    all ranges of all scans are 0 although the sensor would have returns in a room: the sensor's
-    motor may not turn yet.
+    `last`: None before the first scan. `count`: the number of scans. `has_measured`: False as long
+    as all ranges have been 0, since the motor of the sensor may not turn yet. For a sensor that may
+    have no return in an ordinary room, `has_measured` is True from the first scan on.
     """
 
     def __init__(self, spec: ScanSpec, section: str = "scan") -> None:
@@ -37,7 +37,7 @@ class ScanContent:
     def take(self, scan: Scan) -> None:
         """Take in a scan as the driver reads it."""
         self.last, self.count = scan, self.count + 1
-        self.has_measured |= bool(scan.ranges.any()) or not self._sees_much(scan)
+        self.has_measured |= bool(scan.ranges.any()) or not self._expects_return(scan)
         ranges = scan.ranges.tobytes()
         if ranges in self._recent:
             self._repeats += 1
@@ -67,9 +67,10 @@ class ScanContent:
     def fault(self) -> str:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
-        The first fault that applies: all ranges of the last scan are 0, no ray has a return, or the
-        last scans repeat earlier scans. With noise an exact repeat of several returns is
-        implausible, so repeats mean that the sensor's driver sends the same scan again and again.
+        The first fault that applies: all ranges of the last scan are 0, no ray has a return (a
+        fault only of a sensor that has returns in every ordinary room), or the last scans repeat
+        earlier scans. With noise an exact repeat of several returns is implausible, so repeats mean
+        that the sensor's driver sends the same scan again and again.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):
@@ -80,7 +81,7 @@ class ScanContent:
                 " or it is covered"
             )
         returns = self._returns(scan)
-        if not returns and self._sees_much(scan):
+        if not returns and self._expects_return(scan):
             return (
                 f"none of {len(scan.ranges)} rays has a return within {spec.range_max:g} m; hold"
                 " something in front of the sensor and check again: if there is still no return,"
@@ -95,8 +96,8 @@ class ScanContent:
             )
         return ""
 
-    def _sees_much(self, scan: Scan) -> bool:
-        """True if the sensor would have a return in an ordinary room."""
+    def _expects_return(self, scan: Scan) -> bool:
+        """True if the sensor has range and rays enough to have a return in an ordinary room."""
         return self.spec.range_max >= _FAR_SENSOR and len(scan.ranges) >= _MANY_RAYS
 
     def _distances(self, scan: Scan) -> Array:

@@ -3,8 +3,8 @@
 Each step takes the time, what the robot's daemon wants, and what the drone reports, and gives the
 set-point to send. Units: s, m, m/s, rad/s.
 
-- A drone takes off only if the daemon wants a flight, after a step in which the daemon wanted none:
-  a wish that outlived a landing starts nothing.
+- A drone takes off only if the daemon begins to want a flight: in an earlier step since the last
+  landing the daemon wanted none. So a wish that outlives a landing starts nothing.
 - The drone moves sideways or turns only in FLIGHT, at the height of flight.
 - A landing that has begun is completed.
 """
@@ -102,7 +102,7 @@ class Flight:
         self._now = self._wanted_at = self._deadline = -math.inf
 
     def step(self, now: float, wish: Wish, twist: Twist, seen: Seen) -> HoverSetpoint | None:
-        """The set-point to send at `now`; None: none, since the state of the motors is not known.
+        """The set-point to send at `now`; None on the ground if the motors may still run.
 
         `twist`: the safe command, which the drone follows while `wish` is FLY.
         """

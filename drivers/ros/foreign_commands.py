@@ -50,9 +50,9 @@ ROS1_ACTIONS = ActionProtocol(
 class ForeignCommands:
     """Tracks which other node drives the base, by its commands and its goals of actions.
 
-    `topics`: the topics of commands, the driver's own first. `actions`: the name of each action, by
-    the topic on which its server publishes the states of its goals. `counts`: commands that
-    arrived, by topic. Times are in s on one clock.
+    `topics`: the topics of commands, the driver's own first. `actions`: maps the topic on which the
+    server of an action publishes the states of goals to the name of the action. `counts`: the
+    number of commands that have arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(
@@ -103,7 +103,8 @@ class ForeignCommands:
     def source(self, now: float) -> str:
         """The topic of the commands, or of the action's status, that drives the base now.
 
-        Empty if no other node drives. An action counts before commands: zeros do not end a goal.
+        Empty if no other node drives. If both drive, the action counts: commands of zero do not end
+        the goal of an action.
         """
         driving = [topic for topic, until in self._until.items() if now < until]
         acting = [topic for topic in driving if topic in self.actions]

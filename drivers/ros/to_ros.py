@@ -49,9 +49,10 @@ class InputEncoder(Protocol):
         """Each topic with its message class."""
 
     def encode(self, value: Any, stamp: float, /) -> Sequence[object | None]:
-        """A message for each topic, in their order, or None.
+        """A message for each of `topics`, in their order; None for a topic without a value.
 
-        `value`: the content of the input. `stamp` in s of the last odometry, for values without.
+        `value`: the content of the input. `stamp`: s, of the last odometry; the stamp of the
+        messages if the value has no stamp of its own.
         """
 
 
@@ -148,9 +149,9 @@ class ReadingEncoder:
 class TagEncoder:
     """Encodes objects as the AprilTags that a camera would see.
 
-    Only an object whose kind is a value of the option `kinds` has a tag. The key of this value is
-    the tag's number or family. With a family, the tag's number is the number at the end of the
-    object's name, such as 2 of `tb4-02`.
+    The option `kinds` maps the number or the family of a tag to a kind of objects. An object has a
+    tag if the option maps a tag to the object's kind. If the option names the family of the tag,
+    the tag's number is the number at the end of the object's name, such as 2 of `tb4-02`.
     """
 
     is_reliable, depth = True, 1
@@ -183,7 +184,7 @@ class TagEncoder:
         )
 
     def taken_for(self, kind: str, name: str) -> str:
-        """The kind that a driver reads for the tag of an object of this kind and name.
+        """The kind that a driver reads from the tag of an object with this `kind` and `name`.
 
         It differs from `kind` if option `kinds` gives the tag's number another kind.
         """

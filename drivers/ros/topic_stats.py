@@ -103,9 +103,11 @@ class TopicStats:
         return count < 3 or self.stamps[-1] > self.stamps[-count]
 
     def standstill(self) -> float:
-        """The longest time in s without a new stamp while messages came.
+        """The longest time in s for which the stamp stood still while messages came.
 
-        0 if all messages have one stamp, or no stamp comes _STANDSTILL_MESSAGES times in a row.
+        A stamp stands still if _STANDSTILL_MESSAGES messages in a row have the same stamp. The
+        result is 0 if no stamp stands still, and also if all recent messages have the same stamp,
+        which `stamps_advance` detects.
         """
         recent = [pair for pair in self.pairs if self.times[-1] - pair[0] < _STANDSTILL_WINDOW]
         # Runs of messages with one stamp, as (arrival, stamp). A run ends when the next begins.

@@ -51,9 +51,12 @@ class CommandCredit:
     def offer(self, twist: Twist, now: float) -> Twist | None:
         """The command to send now in place of `twist`; None if no command may be sent.
 
-        1. Zero is returned itself. So is a command while a fresh sign of life is not yet used.
-        2. Any other command is held, in place of an earlier held command. The result is zero if the
-           hub has been silent for MAX_SILENCE since the query, otherwise None.
+        1. Zero is sent.
+        2. Another command is sent if a fresh sign of life is left; the command uses the sign up.
+        3. Otherwise `twist` is held. If a query has had no answer for MAX_SILENCE, zero is sent,
+           else nothing.
+
+        In each case an earlier held command is dropped.
         """
         self._held = None
         if twist.is_zero or self._spend(now):

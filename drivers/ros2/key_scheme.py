@@ -53,7 +53,8 @@ class KeyScheme(Middleware, Protocol):
     def topic_of(self, key: str, message_type: type) -> str | None:
         """The full name of the topic of a sample's key; None for a wildcard or another type.
 
-        For topics of other robots: the key changes nothing that is known of the own robot.
+        This method is for topics of other robots. Unlike `key_fault`, it learns nothing about the
+        robot of this driver from the key.
         """
 
     def parse_token(self, token: str) -> Endpoint | None:

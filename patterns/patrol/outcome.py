@@ -26,6 +26,8 @@ NUMBERS = (1, 2, 4, 8)
 SPEED, EVERY = 0.22, 0.2
 MUTE = Air(loss=1.0)
 SECONDS, SETTLED, BODY_SETTLED = 900.0, 200.0, 100.0
+_ARRIVAL, _BODY_ARRIVAL = 0.05, 0.2  # m, the parameter `arrival` of points and of Burgers
+_SCENARIO_SHIFT = 2.0  # m along both axes, from the places of the scenario to PLACES
 _CYCLE = "Machado et al. 2003; ideal: robots evenly on the shortest closed way, half its time / N"
 _FALLS = "Machado et al. 2003: idleness falls with the number of agents"
 _WORST = "no place is forgotten; the bound: ours"
@@ -51,15 +53,17 @@ def outcomes(
 
     For each seed there is a run of point robots (no bodies) with each of `numbers`. `has_bodies`:
     also a run of four points whose messages are all lost, and of three Burgers. The ideal is the
-    mean idleness if N robots drive evenly spaced on the shortest closed way. An outcome: text of
-    the number, bound, values of the runs, source of the bound.
+    mean idleness if N robots drive evenly spaced on the shortest closed way. Each outcome has the
+    measured values, their bound and the source of the bound.
     """
     by_number = {
         number: each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers
     }
     means = [float(np.mean([idle.mean for idle in runs])) for runs in by_number.values()]
-    worst = [idle.worst / ideal(number) for number, runs in by_number.items() for idle in runs]
-    falls = [more / less for more, less in pairwise(means)]
+    falls = [fewer / more for fewer, more in pairwise(means)]  # by the number of robots
+    worst_ratios = [
+        idle.worst / ideal(number) for number, runs in by_number.items() for idle in runs
+    ]
     point_outcomes = [
         *(
             at_most(
@@ -68,15 +72,17 @@ def outcomes(
             for number, runs in by_number.items()
         ),
         at_least(NAME, "mean idleness of fewer / of the next number", 1.6, falls, _FALLS),
-        at_most(NAME, "longest idleness / ideal mean, all N", 6.0, worst, _WORST),
+        at_most(NAME, "longest idleness / ideal mean, all N", 6.0, worst_ratios, _WORST),
     ]
     if not has_bodies:
         return point_outcomes
     mute_runs = each(run, [(seed, 4, MUTE) for seed in seeds], jobs)
     mute_mean = mean_of(_of_ideal(mute_runs, 4))
     results = simulate(NAME, seeds, jobs=jobs, set={"trace_rate": 1.0 / EVERY})
-    # The places of the scenario are PLACES, moved by -2 m along both axes.
-    burgers = [idleness(trace.pose[:, :, :2] + 2.0, 0.2, BODY_SETTLED) for trace in results.traces]
+    burgers = [
+        idleness(trace.pose[:, :, :2] + _SCENARIO_SHIFT, _BODY_ARRIVAL, BODY_SETTLED)
+        for trace in results.traces
+    ]
     burger_means = _of_ideal(burgers, 3)
     return [
         *point_outcomes,
@@ -95,9 +101,9 @@ def run(given: tuple[int, int, Air]) -> Idleness:
     seed, number, air = given
     rng = np.random.default_rng(seed)
     poses = np.column_stack([rng.uniform(0.0, 4.0, (number, 2)), rng.uniform(-3.1, 3.1, number)])
-    params: dict[str, Value] = {"places": TEXT, "reach": 2.1, "arrival": 0.05}
+    params: dict[str, Value] = {"places": TEXT, "reach": 2.1, "arrival": _ARRIVAL}
     swarm = PointSwarm(NAME, poses, seed=seed, params=params, air=air)
-    return idleness(swarm.run(SECONDS, every=EVERY).pose[:, :, :2], 0.05, SETTLED)
+    return idleness(swarm.run(SECONDS, every=EVERY).pose[:, :, :2], _ARRIVAL, SETTLED)
 
 
 def idleness(places: Array, arrival: float, settled: float) -> Idleness:

@@ -1,11 +1,12 @@
 """Shepherding: a robot, the shepherd, drives a herd of robots, the sheep, to a goal.
 
 Source: Strombom, Mann, Wilson, Hailes, Morton, Sumpter and King, "Solving the shepherding problem:
-heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014. The
-shepherd collects a sheep that is farther from the herd's centre than r_a N^(2/3), from r_a behind
-the sheep. Without such a sheep the shepherd drives the herd, from r_a sqrt(N) behind the centre. A
-sheep with the shepherd within r_s flees the shepherd, keeps r_a from other sheep and goes to the
-centre of its nearest sheep. The weights are those of the source.
+heuristics for herding autonomous, interacting agents", J. Royal Society Interface 11, 2014. With N
+sheep, a sheep is astray if it is farther than r_a N^(2/3) from the herd's centre. The shepherd goes
+to the far side of such a sheep, at the distance r_a, so that the sheep flees back. If no sheep is
+astray, the shepherd drives the herd from behind its centre, at the distance r_a sqrt(N). A sheep
+keeps r_a from other sheep. A sheep flees a shepherd that is nearer than r_s, and then also goes to
+the centre of its nearest sheep. The weights are those of the source.
 
 Ours: a robot with a third role, the goal, stands at the goal, so that no shared frame is needed.
 The robots send their roles. Sheep are slower by the factor `pace`, as in the source.
@@ -14,6 +15,7 @@ The robots send their roles. Sheep are slower by the factor `pace`, as in the so
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from swarmd.api import (
@@ -21,6 +23,7 @@ from swarmd.api import (
     Context,
     Inputs,
     NearPoints,
+    Neighbor,
     Outputs,
     Params,
     Pattern,
@@ -125,21 +128,8 @@ class Shepherding(Pattern[ShepherdingParams]):
         A shepherd that senses no sheep or no goal stands.
         """
         params = self.params
-        # 1. The places of the neighbours in m in the base frame, by the role that each sent. The
-        # roles of robots that are no longer sensed are forgotten, so that the table is bounded.
-        for message in inputs.messages:
-            if message.channel == _CHANNEL and isinstance(message.value, str):
-                self._roles[message.sender] = message.value[:16]
-        places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
-        for neighbor in inputs.neighbors:
-            role = self._roles.get(neighbor.id, "")
-            distance, bearing = neighbor.distance, neighbor.bearing
-            if role in places and distance is not None and bearing is not None:
-                places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
-        self._roles = {
-            neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
-        }
-        # 2. The command of the role, and the message.
+        self._hear(inputs)
+        places = self._places(inputs.neighbors)
         report: dict[str, Scalar] = {"role": params.role}
         twist = ZERO
         if params.role == "sheep":
@@ -151,6 +141,26 @@ class Shepherding(Pattern[ShepherdingParams]):
             return Outputs(twist, report=report)
         self._share_at = inputs.now + params.share_period
         return Outputs(twist, {_CHANNEL: params.role}, report)
+
+    def _hear(self, inputs: Inputs) -> None:
+        """Set `_roles`: the last role that each neighbour has sent; empty without any."""
+        for message in inputs.messages:
+            if message.channel == _CHANNEL and isinstance(message.value, str):
+                self._roles[message.sender] = message.value[:16]
+        # Robots that are no neighbours any more are forgotten, so that the table is bounded.
+        self._roles = {
+            neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
+        }
+
+    def _places(self, neighbors: Sequence[Neighbor]) -> dict[str, list[Vector]]:
+        """The places of the sensed neighbours in m in the base frame, by their roles."""
+        places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
+        for neighbor in neighbors:
+            role = self._roles[neighbor.id]
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if role in places and distance is not None and bearing is not None:
+                places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
+        return places
 
     def _flee(self, sheep: list[Vector], shepherds: list[Vector]) -> Vector:
         """The way of a sheep: away from sheep that are too near, to the herd, from shepherds."""

@@ -36,9 +36,10 @@ _FEED_PERIOD = 0.04
 class WatchdogProcess:
     """Starts a watchdog process, feeds it, and detects its end.
 
-    `name`: the robot's name of `watchdog_name` (watchdog.py), by which a new watchdog relieves an
-    earlier one; None: no relief. `tie`: the id of a process whose end also ends the watchdog.
-    The watchdog sets the attribute `requires_zero`: while True, the caller must command zero.
+    `name`: the robot's name of `watchdog_name` (watchdog.py), which only one watchdog can hold: a
+    new watchdog takes the place of an earlier watchdog with this name. None: without a name. `tie`:
+    the id of a process whose end also ends the watchdog. The watchdog sets the attribute
+    `requires_zero`: while True, the caller must command zero.
     """
 
     def __init__(self, spec: ZeroSenderSpec, *, name: str | None, tie: int | None = None) -> None:

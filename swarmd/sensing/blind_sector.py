@@ -232,11 +232,13 @@ class BlindSectors:
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
-        An object is seen if all rays in the direction have a return. An object is static if
-        _STREAK comparisons in a row see the same object. A sector of the sensor that has missed an
-        object waits (`_pending`, by direction and sector) until the object proves to be static;
-        the miss then counts against the sector (`_missed`, by sector and direction). `x`, `y`: m,
-        the place of the robot.
+        An object is seen if all rays in the direction have a return. An object is static once
+        _STREAK comparisons in a row have seen it. Then the object is known (`_is_known`) for
+        _MAX_TIME, as long as the robot stays near. A sector of the sensor that misses a known
+        object waits (`_pending`) until the object proves to be static again. Then the miss counts
+        against the sector (`_missed`).
+
+        `x`, `y`: m, the place of the robot. `now`: s.
         """
         k: cython.Py_ssize_t
 
@@ -247,27 +249,30 @@ class BlindSectors:
             fabs(distance - self._range[d]) <= _SAME_M + _SAME_SHARE * self._range[d]
         )
         is_new: cython.bint = is_seen and not is_same
-        # Comparisons in a row that saw this object: 1 for a new object, 0 without an object.
-        self._streak[d] = self._streak[d] + 1 if is_same else is_seen
+        # The number of comparisons in a row that saw this object.
+        if is_same:
+            self._streak[d] += 1
+        else:
+            self._streak[d] = 1 if is_new else 0
+        has_streak: cython.bint = self._streak[d] >= _STREAK
 
-        # 2. The sectors that have missed the object, and wait. A sector that has returns now is not
-        # blind: its misses are forgotten. A static object ends the wait with a miss. A new object,
-        # or an object that is no longer known, ends the wait without a miss.
-        is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
-        is_decided: cython.bint = is_static or not self._is_known[d] or is_new
+        # 2. The wait of sectors ends: with a miss if the known object has proved to be static
+        # again, without a miss if the object is a new object, or is no longer known.
+        is_static: cython.bint = self._is_known[d] and has_streak
+        is_decided: cython.bint = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS):
-            if self._return_streak[k]:
+            if self._return_streak[k]:  # a sector that has returns now is not blind
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
             elif is_decided and self._pending[_SECTORS * d + k]:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
 
-        # 3. Stores an object that is new or static. A new object is not known (-inf) until static.
-        if self._streak[d] >= _STREAK:
-            self._seen_at[d] = now
+        # 3. Stores an object that is new or static.
         if is_new:
-            self._seen_at[d] = -INFINITY
-        if is_new or (is_seen and self._streak[d] >= _STREAK):
+            self._seen_at[d] = -INFINITY  # not known until the object proves to be static
+        elif has_streak:
+            self._seen_at[d] = now
+        if is_new or has_streak:
             self._range[d] = distance
             self._x[d], self._y[d] = x, y
         return 0

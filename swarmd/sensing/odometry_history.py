@@ -70,12 +70,12 @@ class OdometryHistory:
         self.path, self.motion = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
-        """Store a reading that arrived at `now`; True for a new stamp, None for an invalid reading.
+        """Store a reading that arrived at `now` s; True for a new stamp, False for the last stamp.
 
-        False for a repeated stamp. A reading that equals the newest stored reading in all values is
-        not stored again. Before any different reading is stored, all earlier readings are dropped
-        if its stamp is not above the newest stamp, or if its pose jumps: by more than MAX_STEP plus
-        MAX_SPEED times the seconds since the newest stamp.
+        None, and nothing is stored, if a value is not finite or too large. A copy of the newest
+        stored reading is not stored again. All earlier readings are dropped if the stamp does not
+        rise, or if the pose jumps: by more than MAX_STEP plus MAX_SPEED times the seconds since the
+        newest stamp.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -101,17 +101,20 @@ class OdometryHistory:
         if is_new and self._delay is not None:
             self._delay.read(stamp, yaw, angular, pose, now)
 
-        # 2. A repeated reading changes nothing; a jump drops the earlier readings. The same bound
-        # holds for m and for rad.
+        # 2. A copy changes nothing; a jump drops the earlier readings. The same bound holds for m
+        # and for rad.
         r: cython.double[::1] = self._readings
         start: cython.Py_ssize_t = self._place(0)
         if self._count:
-            if (
-                not is_new
-                and (x == r[start + _X] and y == r[start + _Y] and yaw == r[start + _YAW])
-                and (linear == r[start + _LINEAR] and angular == r[start + _ANGULAR])
+            is_same_pose: cython.bint = (
+                x == r[start + _X] and y == r[start + _Y] and yaw == r[start + _YAW]
+            )
+            is_same_twist: cython.bint = (
+                linear == r[start + _LINEAR]
+                and angular == r[start + _ANGULAR]
                 and lateral == r[start + _LATERAL]
-            ):
+            )
+            if not is_new and is_same_pose and is_same_twist:
                 return False
             jump: cython.double = hypot(x - r[start + _X], y - r[start + _Y])
             jump = max(jump, fabs(remainder(yaw - r[start + _YAW], TURN)))
@@ -154,12 +157,12 @@ class OdometryHistory:
         earlier: cython.Py_ssize_t
         later: cython.Py_ssize_t = self._place(0)
 
-        # 1. Interpolates: goes back to the first reading that is not after the stamp.
+        # 1. Interpolates between the last reading that is not after the stamp, and the next.
         for k in range(self._count):
             earlier = self._place(k)
             if r[earlier] <= stamp:
                 if k == 0:
-                    break
+                    break  # the stamp is after all readings
                 fraction = (stamp - r[earlier]) / (r[later] - r[earlier])
                 turned = remainder(r[later + _YAW] - r[earlier + _YAW], TURN)
                 self._x = r[earlier + _X] + fraction * (r[later + _X] - r[earlier + _X])
@@ -168,7 +171,8 @@ class OdometryHistory:
                 return 0
             later = earlier
 
-        # 2. Extrapolates at a constant twist, along the chord of the arc.
+        # 2. Extrapolates at a constant twist, along the chord of the arc. `later` is now the newest
+        # reading if the stamp is after all readings, and the oldest if the stamp is before all.
         seconds: cython.double = min(stamp - r[later], _MAX_EXTRAPOLATION)
         turn: cython.double = r[later + _ANGULAR] * seconds
         cos_chord: cython.double = cos(r[later + _YAW] + 0.5 * turn)

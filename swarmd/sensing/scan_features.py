@@ -72,16 +72,34 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     layout: ScanLayout = layout_of(scan)
     if layout is None:
         return np.empty((0, 2))
+    layout.set_sectors(count)
+    if not _store_nearest_rays(layout, count, scan.range_min, within):
+        return np.empty((0, 2))
+    # A local minimum needs two neighbours.
+    point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
+    if point_count == 0:
+        point_count = _store_nearest_sectors(layout, count)
+    return layout.points[:point_count].copy()
+
+
+@cython.cfunc
+def _store_nearest_rays(
+    layout: ScanLayout,
+    count: cython.Py_ssize_t,
+    range_min: cython.double,
+    within: cython.double,
+) -> cython.bint:
+    """Store the nearest ray of each of `count` sectors; False without a return up to `within` m.
+
+    Sets `lowest`, the range of this ray, which is at least `range_min` m, and `nearest_ray`, its
+    index. A sector without a return up to `within` has the range inf.
+    """
     ranges: cython.const[cython.double][::1] = layout.known
     ray_count: cython.Py_ssize_t = layout.n
-    layout.set_sectors(count)
-    range_min: cython.double = scan.range_min
-    i: cython.Py_ssize_t
-    k: cython.Py_ssize_t
-
-    # 1. The nearest ray of each sector.
     lowest: cython.double[::1] = layout.lowest
     is_seen: cython.bint = False
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
     for k in range(count):
         lowest[k], layout.nearest_ray[k] = INFINITY, 0
     for i in range(ray_count):
@@ -93,14 +111,7 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
             k = layout.sector[i]
             if distance <= lowest[k]:
                 lowest[k], layout.nearest_ray[k] = distance, i
-    if not is_seen:
-        return np.empty((0, 2))
-
-    # 2. A point for each local minimum (a sector needs two neighbours), else the nearest sectors.
-    point_count: cython.Py_ssize_t = _store_local_minima(layout, count) if count >= 3 else 0
-    if point_count == 0:
-        point_count = _store_nearest_sectors(layout, count)
-    return layout.points[:point_count].copy()
+    return is_seen
 
 
 @cython.cfunc
@@ -157,21 +168,47 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     layout: ScanLayout = layout_of(scan)
     if layout is None:
         return []
-    known_ranges: cython.const[cython.double][::1] = layout.known
-    ray_count: cython.Py_ssize_t = layout.n
     layout.set_grazing(grazing)
+    if not _store_ranges(layout, scan.range_min, within):
+        return []
+
+    # Measures each object with a return, once around from the ray behind the last ray of an object.
+    ray_count: cython.Py_ssize_t = layout.n
     ranges: cython.double[::1] = layout.work
-    range_min: cython.double = scan.range_min
-    is_seen: cython.bint = False
+    is_last: cython.uchar[::1] = layout.is_last
+    first: cython.Py_ssize_t = _store_last_rays(layout, jump)
+    last: cython.Py_ssize_t = first + ray_count - 1
+    lowest: cython.double = INFINITY
+    objects: list = []
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    order: cython.longlong[::1] = layout.order
-    slopes: cython.double[::1] = layout.slopes
-    is_apart: cython.uchar[::1] = layout.is_apart
-    is_last: cython.uchar[::1] = layout.is_last
+    for i in range(first, last + 1):
+        k = i - ray_count if i >= ray_count else i  # the index wraps around
+        if ranges[k] < lowest:
+            lowest = ranges[k]
+        if is_last[k] or i == last:  # `last` is no last ray if all rays are a single object
+            if lowest < _UNSEEN:
+                objects.append(_object(layout, first, i, lowest))
+            first, lowest = i + 1, INFINITY
+    return objects
 
-    # 1. The ranges in the order of bearing; _UNSEEN for rays without a return within reach.
-    for i in range(ray_count):
+
+@cython.cfunc
+@cython.boundscheck(False)
+def _store_ranges(
+    layout: ScanLayout, range_min: cython.double, within: cython.double
+) -> cython.bint:
+    """Store the ranges in the order of bearing; False if no ray has a return up to `within` m.
+
+    The range is _UNSEEN for a ray without a return up to `within`, and at least `range_min` m.
+    """
+    known_ranges: cython.const[cython.double][::1] = layout.known
+    order: cython.longlong[::1] = layout.order
+    ranges: cython.double[::1] = layout.work
+    is_seen: cython.bint = False
+    count: cython.Py_ssize_t = layout.n
+    i: cython.Py_ssize_t
+    for i in range(count):
         distance = known_ranges[order[i]]
         if distance < range_min:
             distance = range_min
@@ -180,38 +217,31 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         else:
             is_seen = True
         ranges[i] = distance
-    if not is_seen:
-        return []
+    return is_seen
 
-    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle (`is_apart`) or
-    # in range. `start` is the ray behind the first break.
-    start: cython.Py_ssize_t = 0
-    for i in range(ray_count):
-        distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]
-        is_last[i] = is_apart[i] or (
-            fabs(distance - after) > jump + (after if after < distance else distance) * slopes[i]
-        )
-        if start == 0 and is_last[i]:
-            start = i + 1
-    # Starts behind a break, so that no object spans the end of the arrays. Without any break
-    # (`is_whole`) all rays are a single object, as if a break followed ray 0.
-    is_whole: cython.bint = start == 0
-    if is_whole:
-        start = 1
 
-    # 3. Measures each run between two breaks.
-    objects: list = []
-    first: cython.Py_ssize_t = start
-    lowest: cython.double = INFINITY
-    for i in range(start, start + ray_count):
-        k = i - ray_count if i >= ray_count else i  # the index wraps around
-        if ranges[k] < lowest:
-            lowest = ranges[k]
-        if is_last[k] or (is_whole and i == start + ray_count - 1):
-            if lowest < _UNSEEN:
-                objects.append(_object(layout, first, i, lowest))
-            first, lowest = i + 1, INFINITY
-    return objects
+@cython.cfunc
+@cython.boundscheck(False)
+def _store_last_rays(layout: ScanLayout, jump: cython.double) -> cython.Py_ssize_t:
+    """Store in `is_last` which rays are the last ray of an object; the first ray of an object.
+
+    The next ray is too far away from the last ray of an object: in angle (`is_apart`), or in range.
+    Without a last ray all rays are a single object, which may begin at any ray: the result is 1.
+    """
+    ranges: cython.double[::1] = layout.work
+    slopes: cython.double[::1] = layout.slopes
+    is_apart: cython.uchar[::1] = layout.is_apart
+    is_last: cython.uchar[::1] = layout.is_last
+    count: cython.Py_ssize_t = layout.n
+    first: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    for i in range(count):
+        distance, after = ranges[i], ranges[i + 1] if i + 1 < count else ranges[0]
+        nearer = after if after < distance else distance
+        is_last[i] = is_apart[i] or fabs(distance - after) > jump + nearer * slopes[i]
+        if first == 0 and is_last[i]:
+            first = i + 1
+    return max(first, 1)
 
 
 @cython.cfunc
