@@ -278,7 +278,7 @@ class Protection:
         if self._recovery is not None and permit.may_recover:
             candidate = self._replacement(clipped, context, touch)
         is_replaced: cython.bint = candidate is not clipped
-        # 5. Returns the last decision again for the same case in the same context.
+        # 5. For the same case in the same context each mode decides the same.
         case = clipped, candidate, is_replaced != 0, self._is_recovering, touch
         if context is self._last_context and case == self._last_case:
             return self._last_decision

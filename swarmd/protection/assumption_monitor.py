@@ -277,8 +277,10 @@ class _Brake:
         A command that falls clearly begins a stop, if the base moved as commanded before. A command
         that rises clearly ends the stop under way.
 
-        `command`: m/s or rad/s. `speed`: the last measured speed in the same unit. `stamp`: s, of
-        this measurement.
+        Args:
+            command: m/s or rad/s.
+            speed: m/s or rad/s, the last measured speed.
+            stamp: s, of this measurement.
         """
         previous: cython.double = self._command
         new_speed: cython.double
@@ -481,14 +483,15 @@ def _misfits(stop: _Stop, commands: list, full_braking: float):
     The model responds to its command after a delay, accelerates at once, and brakes evenly. The
     delay, and the scale of the speeds, are free.
 
-    `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
-    fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
-    `full_braking`: m/s2 or rad/s2, of which the fit tries the shares: as declared, or as measured
-    in an earlier violation.
+    Args:
+        stop: the stop, with the periods of odometry before and after the fall of the command.
+        commands: (stamp, speed) pairs: the speed commanded from this stamp on.
+        full_braking: m/s2 or rad/s2, the braking of share 1: as declared, or as measured in an
+            earlier violation.
 
     Returns:
-        (s,) sums of squared residuals, each relative to the squared distance of its period. The
-            degrees of freedom. The delay in s of the share that fits best.
+        (s,) sums of squared residuals, each relative to the squared distance of its period. Then
+            the degrees of freedom. Then the delay in s of the share that fits best.
     """
     readings = np.array((*stop.cruise, *stop.steps))
     periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
@@ -835,9 +838,11 @@ class AssumptionMonitor:
         The event is an approach that is clearly faster than `others_speed`. A second fast approach,
         5 s to 600 s after the first, is a violation, which slows the robot.
 
-        `stamp`: s, of the scan. `gap`: m from the outline to the nearest return; None without a
-        return. `delay`: s, the greatest age of a ray of the scan. The ray of the nearest return is
-        not known, so all that the robot moved since the oldest ray counts as motion towards it.
+        Args:
+            stamp: s, of the scan.
+            gap: m from the outline to the nearest return; None without a return.
+            delay: s, the greatest age of a ray of the scan. The nearest return may be of any ray.
+                So all motion of the robot since the oldest ray counts as motion towards the return.
         """
         gaps = self._gaps
 

@@ -223,6 +223,77 @@ def _crosses_rim(
     return edge_range - min(approach / face_rays, _MAX_SLOPE) <= radius + _RANGE_NOISE
 
 
+@cython.cfunc
+def _sort_rays(
+    bearings: cython.const[cython.double][::1],
+    angles: cython.double[::1],
+    rising: cython.double[::1],
+    order: cython.longlong[::1],
+) -> cython.bint:
+    """Order rays by rising angles; False if this takes more than 8 moves per ray.
+
+    `bearings` (n,) in rad are those of the scan, `angles` the same within a turn. Writes the rising
+    angles into `rising`, and the indices of their rays into `order`. Rays of the same angle stay in
+    their order.
+
+    An insertion sort is fast here: along the indices of the rays, the angles of most sensors rise
+    all the time or fall all the time, but for a few rays and the jump by a full turn.
+    """
+    ray_count: cython.Py_ssize_t = len(bearings)
+    lowest: cython.Py_ssize_t = 0
+    rising_count: cython.Py_ssize_t = 0
+    move_count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    ray: cython.Py_ssize_t
+    # 1. The ray with the lowest angle, and whether more angles rise than fall.
+    for i in range(1, ray_count):
+        rising_count += 1 if bearings[i] > bearings[i - 1] else -1
+        if angles[i] < angles[lowest]:
+            lowest = i
+    # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
+    for i in range(ray_count):
+        ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
+        ray = _wrapped(ray, ray_count)
+        angle, k = angles[ray], i
+        while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
+            rising[k], order[k] = rising[k - 1], order[k - 1]
+            k -= 1
+        rising[k], order[k] = angle, ray
+        move_count += i - k
+        if move_count > 8 * ray_count:
+            return False
+    return True
+
+
+@cython.cfunc
+def _turn_rays(
+    bearings: cython.double[::1],
+    count: cython.Py_ssize_t,
+    turned: cython.double,
+    rising: cython.double[::1],
+) -> cython.int:
+    """Write into `rising` the angles of the first `count` bearings, less `turned` rad, sorted.
+
+    The bearings rise but for one place, so the sort begins behind this place.
+    """
+    first: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for i in range(1, count):
+        if _mod(bearings[i] - turned) < _mod(bearings[i - 1] - turned):
+            first = i
+    for i in range(count):
+        k = first + i
+        angle = _mod(bearings[k - count if k >= count else k] - turned)
+        k = i
+        while k > 0 and rising[k - 1] > angle:  # by rounding
+            rising[k] = rising[k - 1]
+            k -= 1
+        rising[k] = angle
+    return 0
+
+
 @cython.cclass
 class BlindZoneMemory:
     """The hidden obstacles of one sensor, in the base frame of the last scan.
@@ -332,8 +403,8 @@ class BlindZoneMemory:
         """
         table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
         ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-        # 1. m that an obstacle moves between two scans. After a pause at most 5 periods count, else
-        # all returns would be near.
+        # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
+        # After a pause at most 5 periods count, else all returns would be near.
         counted_s: cython.double = min(seconds, 5.0 * self._period)
         obstacle_step: cython.double = self._speed * counted_s + _RANGE_NOISE
         near_range: cython.double = self._radius + 2.0 * obstacle_step
@@ -361,11 +432,12 @@ class BlindZoneMemory:
                 self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
                 self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
                 self._point_count += 1
-        # 4. Updates the hidden obstacles. The robot leaves them by driven m only (rule 4), in a
-        # frame that turns with the base.
+        # 4. Updates the place that the robot leaves: by the driven part of the motion alone (rule
+        # 4), and by the whole turn, since the base frame turns with the robot.
         self._leave(driven.x, driven.y, moved.yaw)
+        # 5. Updates the hidden obstacles.
         self._update_hidden(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
-        # 5. Stores the empty rays for the next scan.
+        # 6. Stores the empty rays for the next scan.
         self._old_empty_count = 0
         for i in range(ray_count):
             if isinf(self._range[i]):
@@ -384,51 +456,12 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         for i in range(n):
             self._turned_angle[i] = _mod(values[i])
-        if not self._sort(values):
+        if not _sort_rays(values, self._turned_angle, self._rising, self._order):
             sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
             self._order[:n] = sorted_rays
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
             self._rising[i] = self._turned_angle[self._order[i]]
-
-    @cython.cfunc
-    def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
-        """Order the rays by rising angles; False if this takes more than 8 moves per ray.
-
-        `values` (n,) in rad are the bearings of the scan; `_turned_angle` has them within a turn.
-        Sets `_order` and `_rising`. Rays of the same angle stay in their order.
-
-        An insertion sort is fast here: along the indices of the rays, the angles of most sensors
-        rise all the time or fall all the time, but for a few rays and the jump by a full turn.
-        """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        lowest: cython.Py_ssize_t = 0
-        rising_count: cython.Py_ssize_t = 0
-        move_count: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
-        # 1. The ray with the lowest angle, and whether more angles rise than fall.
-        for i in range(1, ray_count):
-            rising_count += 1 if values[i] > values[i - 1] else -1
-            if self._turned_angle[i] < self._turned_angle[lowest]:
-                lowest = i
-        # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
-        for i in range(ray_count):
-            ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
-            ray = _wrapped(ray, ray_count)
-            angle, k = self._turned_angle[ray], i
-            while k > 0 and (
-                self._rising[k - 1] > angle
-                or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
-            ):
-                self._rising[k], self._order[k] = self._rising[k - 1], self._order[k - 1]
-                k -= 1
-            self._rising[k], self._order[k] = angle, ray
-            move_count += i - k
-            if move_count > 8 * ray_count:
-                return False
-        return True
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t):
@@ -631,15 +664,9 @@ class BlindZoneMemory:
         near that place, or if an obstacle enters the empty sector there. Also updates `_vanished_m`
         and `_emerged_m`.
 
-        Args:
-            moved_x: m, the motion of the base since the scan before.
-            moved_y: m, of the same motion.
-            cos_turn: of the turn of the base since then.
-            sin_turn: of the same turn.
-            sensor_x: m, the place of the sensor in the base frame.
-            sensor_y: m, of the same place.
-            obstacle_step: m that an obstacle moves between two scans.
-            is_entered: whether an obstacle enters any empty sector across the rim.
+        `cos_turn`, `sin_turn`: of the turn of the base since the scan before. `is_entered`: whether
+        an obstacle enters any empty sector across the rim. The other arguments are those of
+        `_update_hidden`.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
@@ -792,33 +819,13 @@ class BlindZoneMemory:
         for i in range(ray_count):
             if -INFINITY < self._range[i] <= self._radius + obstacle_step:
                 if not is_turned:
-                    self._turn_empty(turned)
+                    _turn_rays(self._old_empty, old_empty_count, turned, self._turned_angle)
                     is_turned = True
                 k = _nearest(self._turned_angle, old_empty_count, self._bearing[i])
                 if _apart(self._turned_angle[k], self._bearing[i]) <= _PI / ray_count:
                     self._angles[self._angle_total] = self._rising[i]
                     self._angle_total += 1
                     self._emerged_m += self._range[i] * _TURN / ray_count
-        return 0
-
-    @cython.cfunc
-    def _turn_empty(self, turned: cython.double) -> cython.int:
-        """Set `_turned_angle`: in the present frame, the rising angles of rays that were empty."""
-        count: cython.Py_ssize_t = self._old_empty_count
-        first: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        for i in range(1, count):  # they rise but for one place
-            if _mod(self._old_empty[i] - turned) < _mod(self._old_empty[i - 1] - turned):
-                first = i
-        for i in range(count):
-            k = first + i
-            angle = _mod(self._old_empty[k - count if k >= count else k] - turned)
-            k = i
-            while k > 0 and self._turned_angle[k - 1] > angle:  # by rounding
-                self._turned_angle[k] = self._turned_angle[k - 1]
-                k -= 1
-            self._turned_angle[k] = angle
         return 0
 
     @cython.cfunc
@@ -842,7 +849,13 @@ class BlindZoneMemory:
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
                 self._fill_with_box(k)
             elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:
-                self._fill_evenly(k, self._filled_age(k, width_rad, least_age, seconds))
+                if width_rad >= self._narrowest_sector:
+                    least_age = 0.0  # a robot may be hidden: the obstacle does not expire
+                elif self._crossings[k] > 0:
+                    least_age = min(least_age, _DOUBTFUL)  # in view beside the sector
+                else:
+                    least_age += seconds  # too narrow for a robot: the obstacle expires
+                self._fill_evenly(k, least_age)
             elif self._crossings[k] == 0:
                 # Open space, into which no obstacle reaches: doubtful obstacles will expire.
                 for i in range(first, after_last):
@@ -868,24 +881,6 @@ class BlindZoneMemory:
             if self._is_face_by_ray[ray]:  # True without an obstacle, too
                 self._nearest_by_ray[ray] = self._corner[k]
         return 0
-
-    @cython.cfunc
-    def _filled_age(
-        self,
-        k: cython.Py_ssize_t,
-        width_rad: cython.double,
-        least_age: cython.double,
-        seconds: cython.double,
-    ) -> cython.double:
-        """The age in s of the obstacle that fills sector `k` (rule 3).
-
-        `least_age`: s, of the obstacles hidden in the sector. `seconds`: s since the scan before.
-        """
-        if width_rad >= self._narrowest_sector:
-            return 0.0  # a robot may be hidden: the obstacle does not expire
-        if self._crossings[k] > 0:
-            return min(least_age, _DOUBTFUL)  # the obstacle is in view beside the sector
-        return least_age + seconds  # too narrow for a robot: the obstacle expires
 
     @cython.cfunc
     def _fill_evenly(self, k: cython.Py_ssize_t, age: cython.double) -> cython.int:

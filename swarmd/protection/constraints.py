@@ -137,7 +137,7 @@ class PlacedPoints:
     `ObstacleDiscs`).
     """
 
-    seen: cython.Py_ssize_t  # number of returns; after `begin` of those that may be placed
+    seen: cython.Py_ssize_t  # number of returns; before `add_seen`, of returns to be placed
     contacts: cython.Py_ssize_t  # how many returns, the first ones, are in contact
     discs: cython.Py_ssize_t  # number of discs
     x: cython.double[::1]
@@ -249,7 +249,33 @@ def _is_near_corners(
 
 @cython.cfunc
 @cython.exceptval(-1)
-def _set_special_caps(
+def _set_special_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
+    """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
+
+    A wall that stands is straight, so no part of it extends unseen into the blind zone.
+    """
+    j: cython.Py_ssize_t
+    for j in range(chunk.count):
+        is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+        if is_wall or not assumptions.is_passive:
+            linear: cython.double = (
+                chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
+            )
+            braking: cython.double = closing_deceleration(
+                linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
+            )
+            room: cython.double = chunk.gap[j] - chunk.free[j]
+            if is_wall:
+                chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+                chunk.hidden[j] = 0.0
+            else:
+                chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
+    return 0
+
+
+@cython.cfunc
+@cython.exceptval(-1)
+def _set_special_corner_caps(
     chunk: Chunk,
     axes: SpeedAxes,
     assumptions: Assumptions,
@@ -499,7 +525,7 @@ class Constraints:
             cap[j] = passive_cap(gap[j] - free[j], braking, age[j], others[j])
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         if assumptions.has_special_caps:
-            self._set_special_caps()
+            _set_special_caps(chunk, axes, assumptions)
         # 2. Writes the constraints behind the rows so far.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -514,34 +540,6 @@ class Constraints:
         # 4. Adds the constraints for obstacles beside the robot.
         self._add_approaching(first)
         return self._add_sides(first)
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _set_special_caps(self) -> cython.int:
-        """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
-
-        A wall that stands is straight, so no part of it extends unseen into the blind zone.
-        """
-        j: cython.Py_ssize_t
-        chunk: Chunk = self._chunk
-        axes: SpeedAxes = self.axes
-        assumptions: Assumptions = self._assumptions
-        for j in range(chunk.count):
-            is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
-            if is_wall or not assumptions.is_passive:
-                linear: cython.double = (
-                    chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
-                )
-                braking: cython.double = closing_deceleration(
-                    linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
-                )
-                room: cython.double = chunk.gap[j] - chunk.free[j]
-                if is_wall:
-                    chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
-                    chunk.hidden[j] = 0.0
-                else:
-                    chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -698,7 +696,8 @@ class Constraints:
         back_cap: cython.double = axes.limit
         ahead_point: cython.Py_ssize_t = -1
         back_point: cython.Py_ssize_t = -1
-        # 1. Finds the strictest limits, below that of the platform; a point of -1: there is none.
+        # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
+        # such a limit.
         for j in range(chunk.count):
             if chunk.others[j] < others_speed:
                 continue  # a wall that stands does not approach
@@ -713,14 +712,14 @@ class Constraints:
                 continue  # there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
-            # m/s that `_add_side` will allow in the side directions once the cap is 0. The gap is
-            # then free + others_speed * age, so its half over the age is:
+            # m/s that `_add_side` will allow in the side directions once the cap is 0: the gap
+            # beyond the free distance is then others_speed * age.
             side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
             braked_speed: cython.double = slowing * approach_room / others_speed
-            # Share of the linear speed in the side direction that it moves along most: of motion
-            # ahead, and of motion back.
+            # The linear speed has a part in each of the two side directions. The greater part
+            # counts, as a share of the linear speed: for motion ahead, and for motion back.
             along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
             aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
             ahead_share: cython.double = aside + along
@@ -795,7 +794,7 @@ class Constraints:
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
             if assumptions.has_special_caps:
-                _set_special_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
+                _set_special_corner_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0
 

@@ -285,8 +285,9 @@ def nearest_permitted(
         pose: x and y in m, yaw in rad, when the command takes effect.
         speeds: of the base then, as in `request`.
         brakings: m/s2 and rad/s2.
-        room: m, the radius around the axle; m, the clearance at the pose; m, the clearance that
-            errors and margin need; rad by which the direction of the simulated motion may be wrong.
+        room: three lengths in m: the radius around the axle, the clearance at the pose, and the
+            clearance that errors and margin need. Then the rad by which the direction of the
+            simulated motion may be wrong.
     """
     table: cython.double[:, ::1] = _view(edges)
     given: cython.double[:, ::1] = _view(shares)

@@ -421,7 +421,8 @@ class FreshRays:
         measured_at: cython.double = self._motion.measured_at - points.age[point]
         others_speed: cython.double = self._assumptions.others_speed
 
-        # 1. Returns of this sweep stay, and by rule 3 standing walls and hidden obstacles.
+        # 1. Returns of this sweep stay. By rule 3 the returns of standing walls stay, and hidden
+        # obstacles, which are nearer than the lidar can measure.
         is_of_sweep: cython.bint = not measured_at < self._begun_at
         is_wall: cython.bint = points.others[point] < others_speed
         from_lidar: cython.double = hypot(x - outline.lidar_x, y - outline.lidar_y)
@@ -429,8 +430,9 @@ class FreshRays:
         if is_of_sweep or is_wall or not is_measurable:
             return 0
 
-        # 2. The return stays unless its disc lies between the first and the last ray. The disc may
-        # reach over the first ray if the rays before this ray are not missing (no seam).
+        # 2. The return stays unless the sweep has passed its disc. The middle of the disc must lie
+        # between the first and the last ray, and the disc must not reach the last ray. With a seam,
+        # the disc must not reach the first ray either.
         reach: cython.double = others_speed * (self._newest_at - measured_at) + _DISC_SLACK
         first: RayLine = self._first
         last: RayLine = self._last

@@ -76,9 +76,9 @@ class LimitingRows:
         row_cap: cython.p_double = checked(rows.cap, rows.all)
         row_gap: cython.p_double = checked(rows.gap, rows.all)
 
-        # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, which
-        # those of the envelope follow up to `rows.all`. Skips a row that `_rank` would put behind
-        # a full ranking: a robot at rest in a crowd has a hundred tight rows of cap 0.
+        # 1. Ranks the tight constraints that have an obstacle. The rows from `rows.count` on are of
+        # the envelope, and have none. A robot at rest in a crowd has a hundred tight rows of cap 0.
+        # So a row that `_rank` would put behind a full ranking is skipped first.
         self.count = 0
         last_cap: cython.double = INFINITY  # cap and gap of the last row of a full ranking
         last_gap: cython.double = INFINITY

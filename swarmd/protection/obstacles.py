@@ -321,12 +321,12 @@ class NearObstacles:
 
         `min_gap` is the least gap of all returns, at any range. Returns too close to measure go to
         `rays`, and have no gap. The result is the least gap in m among the returns with a range up
-        to `longest_range`; inf without such a return.
+        to `longest_range`, or inf without such a return.
 
         Args:
-            ranges: (n,) m; -inf: too close to measure; inf: no return.
+            ranges: (n,) m. -inf: too close to measure. inf: no return.
             range_min: m, the least range that the lidar measures.
-            ages: (n,) s against the newest ray; empty: all are 0.
+            ages: (n,) s against the newest ray. Empty: all are 0.
             longest_range: m from the lidar, beyond which no return is added.
             binding_range: m from the outline.
         """

@@ -430,9 +430,9 @@ class StopCheck:
         y: cython.double,
         reach: cython.double,
     ) -> cython.int:
-        """1 if the turn of a simulated stop moves a place of the outline that the obstacle reaches.
+        """1 if the turn of a simulated stop moves a place of the outline outwards, near a point.
 
-        The obstacle reaches each place of the outline within `reach` m of the point. The outward
+        Only places of the outline within `reach` m of the point are examined. The outward
         speed of a place is its speed along the outward normal of its edge. The place counts as
         moved outwards if this speed is above FAULT_SPEED by the turn alone, and also by the turn
         and the linear speed together.
