@@ -56,7 +56,7 @@ _ZERO_TOLERANCE = cython.declare(cython.double, 1e-9)
 _NO_POINTS = np.empty((0, 2))
 # C names: to look up a name of the module takes a tenth of the time of a decision.
 _zero = cython.declare(object, ZERO)
-_decision = cython.declare(object, Decision)
+_make_decision = cython.declare(object, Decision)
 _no_scan = cython.declare(object, Reason.NO_SCAN)
 _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 
@@ -118,7 +118,7 @@ class Protection:
     _latency: cython.double
     _has_walls: cython.bint  # walls that have stood are assumed to stand on
     _is_running: cython.bint
-    _has_followed: cython.bint  # `following` has had a reading since its reset
+    _has_compared: cython.bint  # `following` has had a reading since its reset
     _scan_seq: cython.Py_ssize_t  # of the last scan; -1 before the first
     _scan: object  # the last conditioned scan; None before the first
     _scan_points: object  # (k, 2) returns of the scan within the lookahead; None: not computed yet
@@ -204,7 +204,7 @@ class Protection:
             if text:
                 self.events.append(text)
         if self._is_running:
-            self._has_followed = True
+            self._has_compared = True
             self.following.on_odometry(odometry)
         if self._is_avoiding:
             self._tracker.on_odometry(odometry)
@@ -251,7 +251,7 @@ class Protection:
             context: the time, and the inputs with their ages.
             is_running: the robot is in the state `running`.
             hold: the reason of a hold, which zeroes the command; None without a hold.
-            permit: what the pattern permits: recovery, avoidance, a touch zone.
+            permit: whether the pattern permits recovery and avoidance, and its touch zone.
         """
         touch, self._is_running = permit.touch, is_running
         self._ring_points = context.near_points if context.near else None
@@ -263,17 +263,18 @@ class Protection:
         clipped = self._clip(requested)
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
-        # 2. The base need not follow its commands if they are zero anyway, if its driver is lost,
-        # or if an object in a touch zone may stop the base.
-        if self._has_followed and (not is_running or hold is _driver_lost or touch is not None):
-            self._has_followed = False
+        # 2. Base and commands are not compared if the base need not follow: while the robot does
+        # not run, if its driver is lost, or if an object in a touch zone may stop the base.
+        if self._has_compared and (not is_running or hold is _driver_lost or touch is not None):
+            self._has_compared = False
             self.following.reset()
         # 3. Decides zero outside `running` and under a hold.
         if not is_running or hold is not None:
             self._end_recovery()
             return self._decision(clipped, _zero, False, (), hold, context)
-        # 4. Right of way, avoidance and recovery may replace the request by a candidate. A
-        # candidate that equals the request, but is another object, is a replacement, too.
+        # 4. Right of way, avoidance and recovery may replace the request by a candidate; without
+        # `may_recover` the pattern permits none of them. A candidate that equals the request, but
+        # is another object, is a replacement, too.
         candidate = clipped
         if self._recovery is not None and permit.may_recover:
             candidate = self._replacement(clipped, context, touch)
@@ -392,11 +393,12 @@ class Protection:
     def _pass_others(
         self, requested: Twist, context: DecisionContext, safe_for: Allows
     ) -> tuple[Twist, Others]:
-        """The command that leads past openings and moving objects; `Others` informs recovery.
+        """The command that leads past openings and moving objects, and `Others` for recovery.
 
-        The command is `requested` if no opening and no object is in the way. `safe_for` gives the
-        command of the mode for any request. Right of way decides first. Avoidance then decides,
-        unless right of way is in a state that settles the command, or a recovery is under way.
+        The command is `requested` if no opening and no object is in the way. `Others` tells
+        recovery what right of way and avoidance have done. Right of way decides first. Avoidance
+        then decides, unless right of way is in a state that settles the command, or a recovery is
+        under way. `safe_for` gives the command of the mode for any request.
         """
         avoidance, recovery = self._avoidance, self._recovery
         if not self._is_avoiding:
@@ -475,7 +477,7 @@ class Protection:
         # No earlier decision may be repeated, since its command is not `_safe` any more. `decide`
         # permits to repeat this decision, if it was made without a hold.
         self._last_context = None
-        return _decision(
+        return _make_decision(
             self._arbiter.mode,
             clipped_request,
             safe,

@@ -6,7 +6,7 @@ Braking of the base:
 - A model of a base that responds after a delay and brakes evenly is fitted to the distances of all
   periods of odometry, from shortly before the stop. Delay and speed of the base are free, so
   neither late nor rare odometry makes brakes look weak. The residuals of the fits estimate the
-  noise of odometry. A stop weighs by the likelihood of its readings.
+  noise of odometry. So a stop with little noise counts more in the test below.
 - The test is CUSUM (Page, Biometrika 1954) of two hypotheses: the brakes have the share WEAK of the
   declared braking, or the share SOUND. Each stop adds the logarithm of the likelihood ratio to a
   sum, which never falls below zero. The test alarms if the sum reaches ALARM.
@@ -27,9 +27,9 @@ within 10 min is a violation. No wall counts as standing until an operator ends 
 
 A violation reduces the speed of the robot to `speed_share` until an operator ends the violation,
 since nothing that happens later proves the assumption again. For braking, the share is the measured
-braking (less two standard deviations) over the declared braking: with it the time to stop is as
-declared, and the distance to stop is shorter. For others, the share is the assumed speed over the
-measured speed.
+braking (less two standard deviations) over the declared braking. At the reduced speed the time to
+stop is as declared, and the distance to stop is shorter. For others, the share is the assumed speed
+over the measured speed.
 
 A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
@@ -138,9 +138,10 @@ def _last(count: int, most: int) -> range:
 
 
 def _is_apart(events: deque, stamp: float) -> bool:
-    """True if the last of `events` (each begins with a stamp) is _MIN_APART s old, or none is left.
+    """True if the last of `events` is _MIN_APART s old at `stamp` or older, or if none is left.
 
-    Drops events that are older than _MAX_APART s, or of a clock that was set back.
+    First drops events that are older than _MAX_APART s, or of a clock that was set back. `events`
+    are tuples that begin with the stamp in s.
     """
     while events and not 0.0 <= stamp - events[0][0] <= _MAX_APART:
         events.popleft()
@@ -298,11 +299,12 @@ class _Brake:
                 return False
             return self._end()
 
-        # 2. A small change begins no stop: the usual case.
-        if (previous - command if previous > 0.0 else command - previous) < self._min_drop:
+        # 2. The usual case, decided fast: a change that is too small even if it were a fall.
+        change: cython.double = previous - command if previous > 0.0 else command - previous
+        if change < self._min_drop:
             return False
 
-        # 3. The command falls, at most to 0: a reversed command begins a stop, too.
+        # 3. Relative to the motion before, a reversed command is a fall to 0.
         begin_speed: cython.double = fabs(previous)
         sign: cython.double = copysign(1.0, previous)
         new_speed = max(sign * command, 0.0)
@@ -355,9 +357,9 @@ class _Brake:
 
     @cython.cfunc
     def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double):
-        """Store a period in which the base follows its command; drop all after another period.
+        """Store a period in which the base moves and follows its command.
 
-        The arguments are those of `on_step`. A base at rest is not stored.
+        Any other period drops the stored periods. The arguments are those of `on_step`.
         """
         commanded: cython.double = self._command * (end - begin)
         if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
@@ -429,7 +431,8 @@ class _Brake:
     def _respond(self, delay: float, period: float) -> None:
         """Note the `delay` in s of the response in a stop, and set `late`.
 
-        A reading shows a command up to `period` s late, the time between two readings.
+        `period`: s between two readings. A reading shows the response up to a period late, so the
+        period is subtracted from the delay.
         """
         delays = self._delays
         delays.append(delay - period)
@@ -490,42 +493,43 @@ def _misfits(stop: _Stop, commands: list, full_braking: float):
             earlier violation.
 
     Returns:
-        (s,) sums of squared residuals, each relative to the squared distance of its period. Then
-            the degrees of freedom. Then the delay in s of the share that fits best.
+        (s,) the weighted sum of squared residuals for each share. Then the degrees of freedom. Then
+            the delay in s of the share that fits best.
     """
     readings = np.array((*stop.cruise, *stop.steps))
     periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
 
-    # 1. The commands that the base may have followed.
+    # 1. The commands that the base may have followed. Before the first command the speed is 0.
     stamps, speeds = np.array(_since(commands, readings[0, 0] - _LONGEST_DELAY)).T
+    stamps = _view(np.concatenate(([-np.inf], stamps)))
     speeds = np.maximum(stop.sign * speeds, 0.0)
+    speeds = _view(np.concatenate(([0.0], speeds)))
 
     # 2. Weights: the noise of a distance grows with the distance. A reading near standstill has the
     # noise of a share of the speed before the stop.
     cruise_count = len(stop.cruise)
     cruise_speed = float(distances[:cruise_count].sum() / periods[:cruise_count].sum())
     weights = 1.0 / (distances**2 + (_STILL_SHARE * cruise_speed * periods) ** 2)
-
-    # 3. The least squared residuals for each braking. Before the first command the speed is 0.
-    # `full_braking` is of speeds by odometry, but the model has commanded speeds. Before the stop
-    # the commanded speed was `begin_speed`, and the speed by odometry `cruise_speed`. So the
-    # braking of the model is scaled by their ratio.
     table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
-    stamps = _view(np.concatenate(([-np.inf], stamps)))
-    speeds = _view(np.concatenate(([0.0], speeds)))
+
+    # 3. The braking of each share, scaled from speeds by odometry to the commanded speeds of the
+    # model: before the stop, `cruise_speed` by odometry was `begin_speed` by the command.
     brakings = _view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
+
+    # 4. The least weighted residuals for each braking.
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )
-    # Degrees of freedom: less the delay, the scale and the braking, which are fitted.
-    return misfits, max(len(distances) - 3.0, 1.0), float(delays[misfits.argmin()])
+    fitted_numbers = 3.0  # the delay, the scale and the braking
+    freedom = max(len(distances) - fitted_numbers, 1.0)
+    return misfits, freedom, float(delays[misfits.argmin()])
 
 
 def _since(commands: list, earliest_stamp: float) -> list:
     """The (stamp, speed) pairs of commands that still held after `earliest_stamp` in s.
 
-    A command holds until the next command, the last command without end. Left out are commands
-    that held for 0 s: several commands may come between two readings of odometry.
+    A command holds until the next command; the last command always still holds. Commands that held
+    for 0 s are left out: several commands may come between two readings of odometry.
     """
     last = len(commands) - 1
     used = []
@@ -602,9 +606,9 @@ def _model_speeds_at(
 ) -> cython.int:
     """Set `model_speeds` (m,): the speed of the model at the stamp of each command.
 
-    The model brakes evenly while its speed is above the commanded speed. Command 0 is standstill
-    since ever, so the model stands at the stamp of command 1, too. The other arguments are those of
-    `_weighted_residuals`.
+    The model brakes evenly while its speed is above the commanded speed. Command 0 is standstill,
+    so the model stands until the stamp of command 1: the first two speeds stay 0. The other
+    arguments are those of `_weighted_residuals`.
     """
     k: cython.Py_ssize_t
     for k in range(2, len(stamps)):
@@ -625,9 +629,12 @@ def _residual(
 ) -> cython.double:
     """The weighted sum of squared residuals of the model with a braking and a delay in s.
 
-    The scale of the model's speeds is the scale that fits best, since odometry and base may be off
-    by a few percent. The other arguments are those of `_weighted_residuals` and
-    `_model_speeds_at`.
+    The speeds of the model are scaled by a factor, since odometry and base may be off by a few
+    percent. The factor that fits best leaves the sum
+
+        total - (weighted products of model and distance)^2 / (weighted squares of the model).
+
+    The other arguments are those of `_weighted_residuals` and `_model_speeds_at`.
     """
     i: cython.Py_ssize_t
     part: cython.Py_ssize_t
@@ -643,6 +650,8 @@ def _residual(
         weight: cython.double = periods[i, 3]
         speed_sum: cython.double = 0.0
         for part in range(2):  # the speeds at a quarter and three quarters of the period
+            # The command that holds at `stamp`. The search goes back, too, so the periods may be
+            # in any order.
             stamp: cython.double = period_begin + parts[part] * duration - delay
             while command + 1 < count and stamps[command + 1] <= stamp:
                 command += 1
@@ -761,24 +770,26 @@ class AssumptionMonitor:
         self._reduce()
 
     def on_command(self, command: Twist) -> str:
-        """Take in the safe command that the driver gets."""
+        """Take in the safe command that the driver gets; return the text of a found violation."""
         if command is self._command:
             return ""
         self._command = command
-        is_linear: cython.bint = self._linear.on_command(
+        is_linear_weak: cython.bint = self._linear.on_command(
             command.linear, self._linear_speed, self._stamp
         )
-        is_angular: cython.bint = self._angular.on_command(
+        is_angular_weak: cython.bint = self._angular.on_command(
             command.angular, self._angular_speed, self._stamp
         )
-        is_lateral: cython.bint = False
+        is_lateral_weak: cython.bint = False
         if self._lateral is not None:
-            is_lateral = self._lateral.on_command(command.lateral, self._lateral_speed, self._stamp)
+            is_lateral_weak = self._lateral.on_command(
+                command.lateral, self._lateral_speed, self._stamp
+            )
             self._linear.share_with(self._lateral, self._lateral_speed, self._stamp)
             self._lateral.share_with(self._linear, self._linear_speed, self._stamp)
-        if not (is_linear or is_angular or is_lateral):
+        if not (is_linear_weak or is_angular_weak or is_lateral_weak):
             return ""
-        return self._braked(is_linear, is_angular, is_lateral)
+        return self._braked(is_linear_weak, is_angular_weak, is_lateral_weak)
 
     def on_odometry(self, odometry: Odometry) -> str:
         """Take in a reading of odometry; return the text of a found violation, or an empty text.
@@ -822,15 +833,15 @@ class AssumptionMonitor:
 
         # 3. The motion of each axis, in the direction of the mean yaw.
         axis_distance: cython.double = cos(middle_yaw) * dx + sin(middle_yaw) * dy
-        is_linear: cython.bint = self._linear.on_step(begin, end, axis_distance)
-        is_angular: cython.bint = self._angular.on_step(begin, end, turned)
-        is_lateral: cython.bint = False
+        is_linear_weak: cython.bint = self._linear.on_step(begin, end, axis_distance)
+        is_angular_weak: cython.bint = self._angular.on_step(begin, end, turned)
+        is_lateral_weak: cython.bint = False
         if self._lateral is not None:
             axis_distance = cos(middle_yaw) * dy - sin(middle_yaw) * dx
-            is_lateral = self._lateral.on_step(begin, end, axis_distance)
-        if not (is_linear or is_angular or is_lateral):
+            is_lateral_weak = self._lateral.on_step(begin, end, axis_distance)
+        if not (is_linear_weak or is_angular_weak or is_lateral_weak):
             return ""
-        return self._braked(is_linear, is_angular, is_lateral)
+        return self._braked(is_linear_weak, is_angular_weak, is_lateral_weak)
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
         """Take in the gap to the nearest return; return the text of an event, or an empty text.
@@ -948,10 +959,14 @@ class AssumptionMonitor:
         has_travel = self._travel_first < self._travel_end
         return self._travels[self._travel_first % _MAX_TRAVELS] if has_travel else self._travelled
 
-    def _braked(self, is_linear: bool, is_angular: bool, is_lateral: bool) -> str:
+    def _braked(self, is_linear_weak: bool, is_angular_weak: bool, is_lateral_weak: bool) -> str:
         """The event of the axes whose braking is now found too weak; sets `speed_share`."""
-        evidence = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
-        if is_lateral:
+        evidence = []
+        if is_linear_weak:
+            evidence.append(self._linear.evidence)
+        if is_angular_weak:
+            evidence.append(self._angular.evidence)
+        if is_lateral_weak:
             evidence.append(self._lateral.evidence)
         return self._reduced("; ".join(evidence))
 

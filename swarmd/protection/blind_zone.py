@@ -72,6 +72,8 @@ _FORGET_DISTANCE = cython.declare(cython.double, 2.0)
 _RANGE_NOISE = cython.declare(cython.double, 0.03)  # m
 # of range_min: closer than this, obstacles do not move sideways
 _MIN_HIDDEN_RANGE = cython.declare(cython.double, 0.6)
+# rad by which a hidden obstacle moves around the sensor between two scans, at most
+_MAX_SHIFT = cython.declare(cython.double, 0.25 * math.pi)
 # m by which the visible part of an obstacle may change beside its motion
 _SHAPE_CHANGE = cython.declare(cython.double, 0.05)
 # near returns that are compared at most: with so many, neighbours lie within 1 cm
@@ -521,10 +523,10 @@ class BlindZoneMemory:
         cos_turn: cython.double = cos(turned)
         sin_turn: cython.double = sin(turned)
         self._find_sectors()
-        if not self._sector_count:
-            self._keep(0)
+        if not self._sector_count:  # an obstacle can hide in an empty sector only
+            self._publish(0)
             return
-        # 1. Marks the rays of sectors that an obstacle enters across the rim.
+        # 1. Marks the rays of each sector at whose end an obstacle crosses the rim.
         is_entered: cython.bint = False
         for i in range(ray_count):
             self._is_in_entered_sector[i] = False
@@ -542,7 +544,7 @@ class BlindZoneMemory:
             moved_x, moved_y, cos_turn, sin_turn, sensor_x, sensor_y, obstacle_step, is_entered
         )
         if not (self._candidate_count or is_entered):
-            self._keep(0)
+            self._publish(0)
             return
         # An obstacle became hidden: the robot leaves hidden obstacles from this place on (rule 4).
         if self._candidate_count > self._hidden_count or is_entered:
@@ -550,7 +552,7 @@ class BlindZoneMemory:
         # 3. Gives each candidate a ray, and extends obstacles over their sectors.
         self._place(turned, obstacle_step)
         self._fill(seconds)
-        # 4. Each ray with an obstacle is a hidden obstacle of the next scan.
+        # 4. Stores the obstacle of each ray as a hidden obstacle, for the next scan.
         k = 0
         for i in range(ray_count):
             if self._age_by_ray[i] < INFINITY:
@@ -558,7 +560,7 @@ class BlindZoneMemory:
                 self._nearest_range[k] = self._nearest_by_ray[i]
                 self._is_face[k] = self._is_face_by_ray[i]
                 k += 1
-        self._keep(k)
+        self._publish(k)
 
     @cython.cfunc
     def _approach(self, turned: cython.double, seconds: cython.double) -> cython.int:
@@ -574,10 +576,10 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
-    def _keep(self, count: cython.Py_ssize_t):
-        """Store the number of hidden obstacles, the first `count`, and publish them.
+    def _publish(self, count: cython.Py_ssize_t):
+        """Set `bearings` and `nearest` to those of the first `count` hidden obstacles.
 
-        Sets `bearings` and `nearest`.
+        All others are forgotten.
         """
         self._hidden_count = count
         if not count:
@@ -671,10 +673,9 @@ class BlindZoneMemory:
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
         is_gone: cython.bint
-        last_match: cython.Py_ssize_t = 0  # the search begins here: neighbours lie side by side
-        count: cython.Py_ssize_t = (self._point_count + stride - 1) // stride
+        match: cython.Py_ssize_t
+        last_match: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
         for i in range(self._old_point_count):
@@ -683,21 +684,12 @@ class BlindZoneMemory:
             x, y = cos_turn * old_x + sin_turn * old_y, cos_turn * old_y - sin_turn * old_x
             if not hypot(x - sensor_x, y - sensor_y) < self._radius + obstacle_step:
                 continue
-            # 2. Compares the place with the near returns of this scan, every `stride`-th of them.
-            is_gone = True
-            for j in range(count):
-                k = last_match + j
-                if k >= count:
-                    k -= count
-                difference_x = self._x[k * stride] - x
-                difference_y = self._y[k * stride] - y
-                if (
-                    fabs(difference_x) <= match_distance
-                    and fabs(difference_y) <= match_distance
-                    and hypot(difference_x, difference_y) <= match_distance
-                ):
-                    is_gone, last_match = False, k
-                    break
+            # 2. Finds a near return of this scan near this place. The search begins at the match of
+            # the old return before, since neighbours lie side by side.
+            match = self._find_match(x, y, match_distance, stride, last_match)
+            is_gone = match < 0
+            if not is_gone:
+                last_match = match
             # 3. An empty ray there: this width of the obstacle went out of view. The width is
             # subtracted from the width that came into view: noise at the rim shows the same width
             # out of view and in view again.
@@ -719,6 +711,37 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
+    def _find_match(
+        self,
+        x: cython.double,
+        y: cython.double,
+        within: cython.double,
+        stride: cython.Py_ssize_t,
+        begin: cython.Py_ssize_t,
+    ) -> cython.Py_ssize_t:
+        """The first near return of this scan within `within` m of the place (x, y); -1 without one.
+
+        Only every `stride`-th near return is compared. The result and `begin`, at which the search
+        begins, are numbers among the compared returns. Behind the last, the search goes on at 0.
+        """
+        count: cython.Py_ssize_t = (self._point_count + stride - 1) // stride
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for j in range(count):
+            k = begin + j
+            if k >= count:
+                k -= count
+            difference_x = self._x[k * stride] - x
+            difference_y = self._y[k * stride] - y
+            if (
+                fabs(difference_x) <= within
+                and fabs(difference_y) <= within
+                and hypot(difference_x, difference_y) <= within
+            ):
+                return k
+        return -1
+
+    @cython.cfunc
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
         """Give each candidate that is still hidden its ray, by rules 3 to 5 of the module.
 
@@ -733,7 +756,7 @@ class BlindZoneMemory:
         ray: cython.Py_ssize_t
         # rad by which an obstacle may have moved around the sensor between two scans
         farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
-        sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
+        sideways_shift: cython.double = min(farthest_shift, _MAX_SHIFT)
         # 1. Drops candidates that the robot has left behind, or that have expired (rule 4).
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
@@ -743,7 +766,7 @@ class BlindZoneMemory:
         # 2. Drops candidates that have reappeared (rule 5).
         self._find_reappeared(turned, obstacle_step)
         self._drop_reappeared(sideways_shift, farthest_shift)
-        # 3. Clears the rays, and stores the angles of the empty rays.
+        # 3. Clears the rays. `_angles` become those of the empty rays.
         self._clear_rays()
         # 4. Moves each hidden candidate to the nearest empty ray (rule 3).
         for k in range(self._candidate_count):
@@ -766,10 +789,11 @@ class BlindZoneMemory:
     def _drop_reappeared(
         self, sideways_shift: cython.double, farthest_shift: cython.double
     ) -> cython.int:
-        """Drop the candidates that have reappeared; those that may have become doubtful (rule 5).
+        """Drop the candidates that have reappeared (rule 5).
 
-        `_angles` are those of the returns that reappeared. A candidate within `sideways_shift` rad
-        of such a return has reappeared; a candidate within `farthest_shift` rad may have.
+        `_angles` are those of the returns that came into view. A candidate within `sideways_shift`
+        rad of such a return has reappeared. A candidate within `farthest_shift` rad may have
+        reappeared, and becomes doubtful.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -830,7 +854,9 @@ class BlindZoneMemory:
 
     @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
-        """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
+        """Extend hidden obstacles over their empty sectors, and let some obstacles grow older.
+
+        In a sector too narrow for a robot, and in the open, obstacles grow older until they expire.
 
         `seconds`: s since the scan before.
         """
@@ -849,10 +875,13 @@ class BlindZoneMemory:
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
                 self._fill_with_box(k)
             elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:
+                is_crossed: cython.bint = self._crossings[k] > 0
                 if width_rad >= self._narrowest_sector:
                     least_age = 0.0  # a robot may be hidden: the obstacle does not expire
-                elif self._crossings[k] > 0:
-                    least_age = min(least_age, _DOUBTFUL)  # in view beside the sector
+                elif is_crossed:
+                    # A part of the obstacle is in view beside the sector. So the obstacle does not
+                    # expire: its age rises no further than that of a doubtful obstacle.
+                    least_age = min(least_age, _DOUBTFUL)
                 else:
                     least_age += seconds  # too narrow for a robot: the obstacle expires
                 self._fill_evenly(k, least_age)

@@ -16,7 +16,7 @@ import math
 from typing import TYPE_CHECKING
 
 from swarmd.core.values import Limits
-from swarmd.protection.barrier_assumptions import REACTION, Assumptions
+from swarmd.protection.barrier_assumptions import REACTION, Assumptions, is_standing
 from swarmd.protection.buffers import (
     at_least,
     checked,
@@ -238,8 +238,9 @@ def _is_near_corners(
 ) -> cython.bint:
     """True if a point is so near that the corners of the outline need constraints of their own.
 
-    A point is near if, at the next decision, its gap may be at most twice the free distance. From
-    farther away, more than the free distance is left then for the robot to brake in.
+    A point is near if its gap may be at most twice the free distance at the next decision. For a
+    point with a greater gap the next decision adds the constraints in time: more than the free
+    distance is then left to brake within.
 
     `gap`, `free`: m, the present gap and the distance that must stay free. `age`: s from the
     measurement of the point until the command takes effect. `others`: m/s, of the obstacle.
@@ -250,13 +251,15 @@ def _is_near_corners(
 @cython.cfunc
 @cython.exceptval(-1)
 def _set_special_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
-    """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
+    """Replace caps of the chunk that `passive_cap` gave: by `wall_cap`, or by `reciprocal_cap`.
 
-    A wall that stands is straight, so no part of it extends unseen into the blind zone.
+    `wall_cap` is for walls that stand. `reciprocal_cap` is for all other obstacles, if each of two
+    robots uses half of the gap. A wall that stands is straight, so no part of the wall extends
+    unseen into the blind zone: its hidden gap becomes 0.
     """
     j: cython.Py_ssize_t
     for j in range(chunk.count):
-        is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+        is_wall: cython.bint = is_standing(chunk.others[j], assumptions.others_speed)
         if is_wall or not assumptions.is_passive:
             linear: cython.double = (
                 chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
@@ -284,13 +287,16 @@ def _set_special_corner_caps(
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
 ) -> cython.int:
-    """Set the caps of one corner that are not passive: of walls that stand, and reciprocal caps.
+    """Replace caps of one corner, as `_set_special_caps` does for the nearest place of the outline.
 
-    A loop of its own: the loop over all points would else compute both caps for each point.
+    The loop is not part of the loop of `_add_corners`, which would compute two caps for each point.
+
+    `corner_x`, `corner_y`: m, the corner. `begin`, `end`: the points of the chunk from `begin` to
+    before `end`, whose distance from the corner is in `row_gap`.
     """
     j: cython.Py_ssize_t
     for j in range(begin, end):
-        is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+        is_wall: cython.bint = is_standing(chunk.others[j], assumptions.others_speed)
         if is_wall or not assumptions.is_passive:
             distance: cython.double = chunk.row_gap[j]
             dx: cython.double = (chunk.x[j] - corner_x) / distance
@@ -386,8 +392,8 @@ class Constraints:
         placed: PlacedPoints = self.placed
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = placed.seen
+        taken: cython.Py_ssize_t = 0  # returns that were examined so far
         placed_count: cython.Py_ssize_t = 0
-        seen: cython.Py_ssize_t = 0
         in_chunk: cython.Py_ssize_t
         cos_yaw: cython.double = cos(frame.yaw)
         sin_yaw: cython.double = sin(frame.yaw)
@@ -396,30 +402,32 @@ class Constraints:
         xs: cython.p_double = checked(near.points.x, count)
         ys: cython.p_double = checked(near.points.y, count)
         others: cython.p_double = checked(near.points.others, count)
-        while seen < count:
-            # 1. Transforms the next returns that may constrain the robot into the chunk. A younger
-            # ray leaves an obstacle less time to come near. So the binding range by the age of each
-            # ray leaves out a tenth of the returns. A gap of NaN is not beyond any range.
+        while taken < count:
+            # 1. Transforms the next returns that may constrain the robot into the chunk. `begin`
+            # has left out returns by the oldest ray. The obstacle of a younger ray has less time to
+            # come near, so the age of each ray leaves out a tenth of the returns. A gap of NaN is
+            # not beyond any range.
             in_chunk = 0
-            while seen < count and in_chunk < CHUNK:
-                ray_age: cython.double = age + ages[seen]
-                is_beyond: cython.bint = gaps[seen] >= assumptions.binding_range(ray_age)
+            while taken < count and in_chunk < CHUNK:
+                ray_age: cython.double = age + ages[taken]
+                is_beyond: cython.bint = gaps[taken] >= assumptions.binding_range(ray_age)
                 if not is_beyond:
-                    x: cython.double = xs[seen]
-                    y: cython.double = ys[seen]
+                    x: cython.double = xs[taken]
+                    y: cython.double = ys[taken]
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
                     chunk.free[in_chunk], chunk.age[in_chunk] = free, ray_age
-                    chunk.radius[in_chunk], chunk.others[in_chunk] = 0.0, others[seen]
-                    placed.scan_gap[placed_count + in_chunk] = gaps[seen]
+                    chunk.radius[in_chunk], chunk.others[in_chunk] = 0.0, others[taken]
+                    placed.scan_gap[placed_count + in_chunk] = gaps[taken]
                     in_chunk += 1
-                seen += 1
-            # 2. Adds the constraints of the chunk. The constraints of corners skip the contacts,
-            # which come first: `_add_contacts` forbids all motion towards contacts.
+                taken += 1
+            # 2. Adds the constraints of the chunk. The contacts come first in the chunk, and get no
+            # constraints of corners: `_add_contacts` forbids all motion towards contacts.
             chunk.count = in_chunk
             self._add_chunk(placed_count, assumptions.blind_radius)
+            contacts_in_chunk: cython.Py_ssize_t = max(placed.contacts - placed_count, 0)
             if assumptions.unseen_extent > 0.0:
-                self._add_corners(placed_count, max(placed.contacts - placed_count, 0))
+                self._add_corners(placed_count, contacts_in_chunk)
             if assumptions.has_keep_out():
                 self._add_keep_out(placed_count)
             placed_count += chunk.count
@@ -433,7 +441,8 @@ class Constraints:
     ) -> cython.int:
         """Forbid all motion towards contacts (returns too close to measure), and along their rays.
 
-        The first constraint of a contact gets the cap 0, its ray a constraint with the cap 0.
+        The cap of the first constraint of a contact becomes 0. A second constraint with the cap 0
+        is added in the direction of the ray.
         """
         i: cython.Py_ssize_t
         axes: SpeedAxes = self.axes
@@ -478,8 +487,10 @@ class Constraints:
         chunk.age[0] = age + REACTION  # when the command takes effect
         chunk.radius[0] = radius
         chunk.others[0] = self._assumptions.others_speed
-        self._add_chunk(point, 0.0)
-        return self._add_corners(point, 0)
+        blind: cython.double = 0.0  # the lidar does not measure discs
+        self._add_chunk(point, blind)
+        begin: cython.Py_ssize_t = 0  # the disc is the only point of the chunk
+        return self._add_corners(point, begin)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -491,7 +502,7 @@ class Constraints:
         obstacles beside the robot.
 
         `first`: the index in `placed` of the chunk's first point. `blind`: m, the radius of the
-        lidar's blind zone; 0 for discs, since the lidar does not measure discs.
+        lidar's blind zone, in which a part of the obstacle may be hidden; 0: no part is hidden.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -588,7 +599,8 @@ class Constraints:
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         cap: cython.p_double = chunk.cap
-        # `Outline.separate` needs these four arrays of the chunk no more.
+        # Four arrays that only `Outline.separate` needs, used again: for each point, how far the
+        # foremost corner is in the side direction (m), its lever (m), and the side direction.
         foremost: cython.p_double = chunk.nearest_square
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
@@ -621,15 +633,15 @@ class Constraints:
     def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
         """Add the side constraints of one side of the robot, for the points whose cap is 0.
 
-        The speed of the foremost corner is limited: until the next decision, the corner moves at
-        most half of the gap that is left after the free distance and the hidden part of the
-        obstacle. A robot on the other side of the gap, with the same limit, moves at most the other
-        half. `side_reserve` is subtracted from the limit, for an obstacle that moves towards the
-        corner. The limit is at least CREEP_SPEED. Walls that stand get no side constraint.
+        A side constraint limits the speed of the foremost corner in the side direction. Until the
+        next decision, the corner may move by half of the gap beyond contact, which is the gap less
+        the free distance and the hidden gap. A robot that comes from the opposite direction with
+        the same limit uses the second half. `side_reserve` is subtracted from the limit, for an
+        obstacle that moves towards the corner. The limit is at least CREEP_SPEED. A wall that
+        stands gets no side constraint.
 
-        `_add_sides` has stored for each of the first `count` points of the chunk: the side
-        direction (`edge_x`, `edge_y`), and the lever of the foremost corner in this direction
-        (`greatest_height`). `first` is the index in `placed` of the chunk's first point.
+        `first` is the index in `placed` of the chunk's first point. `_add_sides` has stored the
+        directions and the levers of the first `count` points of the chunk.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -639,6 +651,8 @@ class Constraints:
         others_speed: cython.double = self._assumptions.others_speed
         gap: cython.p_double = chunk.gap
         cap: cython.p_double = chunk.cap
+        # The arrays in which `_add_sides` has stored the lever of the foremost corner, and the unit
+        # vector of the side direction.
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
         side_y: cython.p_double = chunk.edge_y
@@ -649,7 +663,7 @@ class Constraints:
         row_gap: cython.p_double = checked(rows.gap, row + count)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
-            is_wall: cython.bint = chunk.others[j] < others_speed
+            is_wall: cython.bint = is_standing(chunk.others[j], others_speed)
             if cap[j] <= 0.0 and not is_wall:
                 half_gap: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
                 # The obstacle may have moved since the scan, so the time begins at the scan.
@@ -699,8 +713,8 @@ class Constraints:
         # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
         # such a limit.
         for j in range(chunk.count):
-            if chunk.others[j] < others_speed:
-                continue  # a wall that stands does not approach
+            if is_standing(chunk.others[j], others_speed):
+                continue  # such a wall does not approach
             nx: cython.double = chunk.normal_x[j]
             ny: cython.double = chunk.normal_y[j]
             age: cython.double = chunk.age[j] + DECISION_PERIOD
@@ -712,14 +726,15 @@ class Constraints:
                 continue  # there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
-            # m/s that `_add_side` will allow in the side directions once the cap is 0: the gap
-            # beyond the free distance is then others_speed * age.
+            # m/s that `_add_side` will allow in the side directions once the cap is 0. The gap less
+            # the free distance is then others_speed * age. The hidden gap is subtracted, and the
+            # corner may use half of the rest within `age`.
             side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
             braked_speed: cython.double = slowing * approach_room / others_speed
-            # The linear speed has a part in each of the two side directions. The greater part
-            # counts, as a share of the linear speed: for motion ahead, and for motion back.
+            # The speed in a side direction as a share of the linear speed: the greater share of the
+            # two side directions, for motion ahead and for motion back.
             along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
             aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
             ahead_share: cython.double = aside + along

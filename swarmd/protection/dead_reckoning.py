@@ -347,12 +347,12 @@ class ScanMotion:
 
         Args:
             now: s, the time of the call.
-            age: s since the arrival of the scan. A scan with rays that conditioning remembered has
-                the age of the oldest of these rays.
-            newest_age: s, the age of the newest ray on arrival, by the platform's latency.
+            age: s from the arrival of the scan until `now`. For a scan with rays that conditioning
+                has remembered: from the arrival of the oldest of these rays.
+            newest_age: s, how old the newest ray is on arrival by the platform's latency.
             delay: s by which the scan arrives later than the platform's latency says.
-            odometry_age: s, the age of the newest odometry.
-            ages: (n,) s, the ages of the rays against the newest ray; empty: all are 0.
+            odometry_age: s, how old the newest odometry is at `now`.
+            ages: (n,) s, by how much each ray is older than the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest_age: cython.double = 0.0
@@ -361,7 +361,7 @@ class ScanMotion:
         for i in range(len(ages)):
             if ages[i] > oldest_age:
                 oldest_age = ages[i]
-        latency: cython.double = newest_age + delay
+        latency: cython.double = newest_age + delay  # s from the newest ray to its arrival
         measured_at: cython.double = now - latency - age
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
@@ -370,8 +370,8 @@ class ScanMotion:
         # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
 
-        # 2. After a reset of odometry, the pose of the scan before is in another frame. Finds this
-        # pose in the new frame: the new readings are extrapolated back by their speed.
+        # 2. `pose` is still that of the scan before. After a reset of odometry it is in the old frame.
+        # Finds it in the new frame: the new readings are extrapolated back by their speed.
         reckoning: DeadReckoning = self._reckoning
         if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age

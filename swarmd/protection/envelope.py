@@ -99,9 +99,10 @@ class Envelope:
     def find_rows(self, axes: SpeedAxes) -> cython.int:
         """Find the vertices and the constraints for a direction of the linear speed.
 
-        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in its
-        direction (row of _BOX_DIRECTIONS) for which no corner of the outline moves faster than
-        `speed`. A constraint is the line through two neighbouring vertices.
+        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in a
+        direction (a row of _BOX_DIRECTIONS) that lies within the box of the limits, and for which
+        no corner of the outline moves faster than `speed`. A constraint is the line through two
+        neighbouring vertices.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -109,7 +110,8 @@ class Envelope:
         outline: Outline = self._outline
         directions: cython.double[:, ::1] = _BOX_DIRECTIONS
 
-        # 1. Vertices: speeds in each direction, scaled so that the fastest corner has `speed`.
+        # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
+        # is faster than `speed` there, the place moves inwards until no corner is faster.
         for i in range(ENVELOPE_ROWS):
             linear: cython.double = directions[i, 0] * axes.limit
             angular: cython.double = directions[i, 1] * axes.angular_limit

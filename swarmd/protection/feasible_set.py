@@ -298,17 +298,20 @@ class FeasibleSet:
         near: NearObstacles = self.near
         rows: ConstraintRows = self.constraints.rows
         placed: PlacedPoints = self.constraints.placed
+        # 1. Returns. A cap above 0 permits to close on the obstacle, for example in a touch zone.
         for i in range(0 if near.has_contact else placed.seen):
             gap: cython.double = min(placed.gap[i], placed.scan_gap[i])
-            if gap <= placed.contact[i] and rows.cap[placed.first_row[i]] <= 0.0:
+            is_contact_forbidden: cython.bint = rows.cap[placed.first_row[i]] <= 0.0
+            if gap <= placed.contact[i] and is_contact_forbidden:
                 near.has_contact = True
                 break
         if near.has_contact:
             return 1
-        # An obstacle is anywhere in its disc. Once the disc may have reached the outline, the
-        # direction to the centre does not show on which side of the robot the obstacle is. So the
-        # robot counts as touched, as soon as the obstacle may have used up the gap to the disc. The
-        # margin, a reserve for noise of ranges, is not needed: it is taken off `free` again.
+        # 2. Discs. An obstacle is anywhere in its disc. Once the disc may have reached the outline,
+        # the direction to the centre does not show on which side of the robot the obstacle is. So
+        # the robot counts as touched as soon as the obstacle may have used up the gap to the disc.
+        # `free` holds the radius of the disc, and the margin. The margin is a reserve for the noise
+        # of ranges, which a disc does not need, so the margin is subtracted.
         for i in range(placed.seen, placed.seen + placed.discs):
             gap_to_disc: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
             if gap_to_disc <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):

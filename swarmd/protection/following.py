@@ -135,9 +135,10 @@ class _Axis:
     def _move_slow_base(self, period: cython.double, stamp: cython.double):
         """Move the slow base on for `period` s, and drop commands that count no more.
 
-        The slow base follows a command DELAY s late. Two periods are added to the delay: a command
-        has the stamp of the reading before it, and the motion that is compared began with the last
-        period.
+        The slow base follows a command DELAY s late, and two periods are added to this delay. A
+        command has the stamp of the last reading before the command, so the stamp is up to a period
+        too early. The speed by a reading is the mean over the last period, so the motion began a
+        period before the reading.
         """
         # 1. The command that the slow base follows now. If the period has grown, `response` may be
         # earlier than before, so the search goes back, too.
@@ -276,9 +277,10 @@ class FollowingMonitor:
                 self._lateral.on_command(command.lateral, self._stamp)
 
     def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a reading: compare the motion since the reading before; sets `text`.
+        """Take in a reading: compare the motion since the reading before, and set `text`.
 
-        A gap in the readings or a jump of the pose begins the comparison again.
+        After a gap in the readings or a jump of the pose the comparison begins again. A repeated
+        reading is ignored.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp

@@ -167,8 +167,8 @@ class LimitingRows:
     def _rank(self, rows: ConstraintRows, row: cython.Py_ssize_t) -> cython.int:
         """Insert a constraint into the ranking by rising caps, then by rising gaps.
 
-        A constraint without a finite gap is left out. The constraint behind MAX_REPORTED is
-        dropped.
+        A constraint without a finite gap is left out. The ranking holds MAX_REPORTED constraints:
+        if the ranking is full, its last constraint is dropped.
         """
         cap: cython.double = rows.cap[row]
         gap: cython.double = rows.gap[row]

@@ -208,8 +208,8 @@ class NearObstacles:
             ranges: (n,) m, -inf for a return too close to measure, inf for no return.
             range_min: m, the least range that the lidar measures.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
-            hidden: (m, 3) unit vector from the lidar to a hidden obstacle, and its least distance
-                in m.
+            hidden: (m, 3) unit vector from the lidar to each hidden obstacle, and the least
+                distance of the obstacle from the lidar in m.
         """
         count: cython.Py_ssize_t = len(ranges)
         room: cython.Py_ssize_t = count + len(hidden)
@@ -234,8 +234,8 @@ class NearObstacles:
             self._find_directions(ranges)
             walls.observe(ranges, self._directions, ages, self._motion)
 
-        # 3. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the
-        # oldest ray may be.
+        # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
+        # `extra_age` in s: how much older than usual the oldest ray may be.
         extra_age: cython.double = self._motion.extra_age
         envelope_range: cython.double = (
             self._assumptions.envelope_range + self._assumptions.others_speed * extra_age
@@ -244,16 +244,21 @@ class NearObstacles:
             self._assumptions.longest_scan_age + extra_age
         )
         self.envelope_range, self.binding_range = envelope_range, binding_range
-        reach: cython.double = (
+        # m from the lidar: a return with a greater range has a gap greater than both, since the
+        # whole outline lies within `outer` m of the lidar.
+        longest_range: cython.double = (
             envelope_range if envelope_range > binding_range else binding_range
         ) + self._outline.outer
 
-        # 4. Takes returns and hidden obstacles, and sorts them.
-        closest: cython.double = self._take_returns(ranges, range_min, ages, reach, binding_range)
-        closest_hidden: cython.double = self._take_hidden(hidden, binding_range)
-        if closest_hidden < closest:
-            closest = closest_hidden
-        self.is_near = self.rays.count > 0 or closest <= envelope_range
+        # 4. Takes returns and hidden obstacles, and sorts them. Each contact has a ray.
+        least_gap: cython.double = self._take_returns(
+            ranges, range_min, ages, longest_range, binding_range
+        )
+        least_hidden_gap: cython.double = self._take_hidden(hidden, binding_range)
+        if least_hidden_gap < least_gap:
+            least_gap = least_hidden_gap
+        has_contacts: cython.bint = self.rays.count > 0
+        self.is_near = has_contacts or least_gap <= envelope_range
         self._sort_points()
 
     @cython.cfunc
@@ -267,7 +272,7 @@ class NearObstacles:
     def drop_returns(self, is_dropped: cython.longlong[::1], room: cython.Py_ssize_t) -> cython.int:
         """Drop returns; `add_return` may then add up to `room` returns, and `end_refresh` follows.
 
-        `is_dropped`: for each point, from the last contact on, 1 if the return is dropped.
+        `is_dropped`: 1 for each point that is dropped. Contacts, the first points, always stay.
         """
         i: cython.Py_ssize_t
         points: Points = self.points
@@ -346,17 +351,18 @@ class NearObstacles:
         has_standing: cython.bint = walls is not None and walls.has_standing
         others_speed: cython.double = self._assumptions.others_speed
         near_count: cython.Py_ssize_t = 0
-        nearest: cython.double = _least_of(ranges)
-        # m: the return nearest to the outline, which gives `min_gap`, has at most this range. The
-        # range may be above `longest_range`.
-        range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
+        least_range: cython.double = _least_of(ranges)
+        # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
+        # scan without near returns, this range may be above `longest_range`.
+        range_for_min_gap: cython.double = outline.nearest_within(least_range, range_min)
         least_gap: cython.double = INFINITY  # of all returns
         least_near_gap: cython.double = INFINITY  # of the returns up to `longest_range`
         for i in range(count):
             measured_range: cython.double = ranges[i]
-            if not (measured_range <= longest_range or measured_range <= range_of_nearest):
+            if not (measured_range <= longest_range or measured_range <= range_for_min_gap):
                 continue
-            has_direction: cython.bint = directions[2 * i] == directions[2 * i]  # else NaN
+            # A direction that no scan has needed so far is NaN.
+            has_direction: cython.bint = directions[2 * i] == directions[2 * i]
             if not has_direction:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
@@ -381,7 +387,7 @@ class NearObstacles:
                 if gap <= binding_range:
                     near_count += 1
         unsorted.count = near_count
-        self._set_min_gap(nearest, least_gap)
+        self._set_min_gap(least_range, least_gap)
         return least_near_gap
 
     @cython.cfunc
@@ -403,9 +409,11 @@ class NearObstacles:
         for i in range(len(hidden)):
             ray_x: cython.double = hidden[i, 0]
             ray_y: cython.double = hidden[i, 1]
-            if hidden[i, 2] > outline.along_ray(ray_x, ray_y):
-                x: cython.double = outline.lidar_x + hidden[i, 2] * ray_x
-                y: cython.double = outline.lidar_y + hidden[i, 2] * ray_y
+            least_distance: cython.double = hidden[i, 2]
+            is_outside: cython.bint = least_distance > outline.along_ray(ray_x, ray_y)
+            if is_outside:
+                x: cython.double = outline.lidar_x + least_distance * ray_x
+                y: cython.double = outline.lidar_y + least_distance * ray_y
                 gap: cython.double = outline.gap_of(x, y)
                 if gap < closest_gap:
                     closest_gap = gap

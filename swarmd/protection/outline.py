@@ -216,17 +216,19 @@ class Outline:
             nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
             ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
 
-            # 3. The hidden gap, on the line from the nearest place of the outline to the point.
-            # Places on this line are in m from the place nearest to the lidar. The circle ends at
-            # half of its chord (NaN if the line misses the circle).
+            # 3. The hidden gap: on the line in the direction from the outline to the point, the m
+            # from the place where the line leaves the outline to the place where the line leaves
+            # the blind zone. Both places are in m along the line, from the foot of the lidar on the
+            # line. The line leaves the blind zone at half of the chord of the circle. The root is
+            # NaN, and not used, if the line misses the circle.
             ray_x: cython.double = x[j] - lidar_x
             ray_y: cython.double = y[j] - lidar_y
-            lateral_m: cython.double = ray_x * ny - ray_y * nx
-            half_square: cython.double = blind * blind - lateral_m * lateral_m
-            end_of_circle: cython.double = sqrt(half_square)
+            lidar_off_line: cython.double = ray_x * ny - ray_y * nx
+            half_chord_square: cython.double = blind * blind - lidar_off_line * lidar_off_line
+            end_of_blind_zone: cython.double = sqrt(half_chord_square)
             end_of_outline: cython.double = ray_x * nx + ray_y * ny - gap
-            hidden: cython.double = end_of_circle - end_of_outline
-            hidden = hidden if (half_square > 0.0) & (hidden > 0.0) else 0.0
+            hidden: cython.double = end_of_blind_zone - end_of_outline
+            hidden = hidden if (half_chord_square > 0.0) & (hidden > 0.0) else 0.0
 
             # 4. Stores the results.
             gaps[j], hidden_gaps[j] = gap, hidden

@@ -130,7 +130,8 @@ class Room:
             slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
             creeping_gap = contact_gap + 2.0 * until_next_decision * CREEP_SPEED + slack
 
-        # 4. Each gap also keeps obstacles out of the circle around the lidar.
+        # 4. The gap to a wall, and the gap between two robots that meet, also keep obstacles out of
+        # the circle around the lidar.
         if assumptions.has_keep_out():
             circle_gap = assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width
             side_gap = post_gap = max(side_gap, post_gap, circle_gap)

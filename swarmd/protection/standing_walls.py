@@ -8,9 +8,9 @@ returns are assumed to approach at `others_speed`, as without the declaration.
 2. A run of at least `length` m is compared with the walls of the scan before. A wall is a line in
    the odometry frame with bins along it. The line is measured anew each `seconds`. The run
    continues a wall if the run lies on this line, within STILL m and the error of odometry since the
-   line was measured. A bin that the run covers keeps the time since which the bin has been covered
-   in each scan. All other bins of the wall lose this time.
-3. A return of the run stands if its bin, or the next one, has been covered for `seconds`.
+   line was measured. Each bin stores since when all scans have covered the bin. A bin that the run
+   does not cover loses this time.
+3. A return of the run stands if its bin, or a bin beside it, has been covered for `seconds`.
 4. A wall that no run continues in one scan is kept with its times, unless a run shows the wall
    elsewhere: while a robot turns fast, or sees a wall at a grazing angle, single scans split the
    run. No return of the wall stands in such a scan.
@@ -116,7 +116,12 @@ class StandingWalls:
     # For each bin of each wall: since when it is covered, and the same after this scan; inf: not.
     _since: cython.double[::1]
     _next_since: cython.double[::1]
-    _ends: cython.double[::1]  # of `_overlap`
+    # What `_overlap` has found: the ends of the part of a run beside a wall in m along the run, and
+    # how far the line of the wall is from the run at both ends in m.
+    _overlap_first: cython.double
+    _overlap_last: cython.double
+    _off_first: cython.double
+    _off_last: cython.double
     # The sum of all motion by odometry since the start: m driven, rad turned.
     _way: cython.double
     _turn: cython.double
@@ -132,7 +137,6 @@ class StandingWalls:
         self.standing = indices(len(platform.scan.bearings))
         self._walls = doubles(_W_FIELDS * _WALLS)
         self._since, self._next_since = doubles(_BINS * _WALLS), doubles(_BINS * _WALLS)
-        self._ends = doubles(4)
         self.forget()
 
     def forget(self) -> None:
@@ -177,7 +181,7 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _compare(self, motion: ScanMotion) -> cython.int:
-        """Compare the runs with the walls: which walls stand, have moved, are gone, are new."""
+        """Find by the runs which walls stand, have moved, are gone or are new."""
         j: cython.Py_ssize_t
         runs: cython.double[::1] = self._runs.fields
         self._place_walls(motion)
@@ -274,10 +278,10 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _overlap(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
-        """Set in `_ends` the part of a run along which a wall was covered; 0 without such a part.
+        """Find the part of a run beside the covered bins of a wall; 0 without such a part.
 
-        `_ends` (4,): m along the run of the begin and the end of the part, then m from the run to
-        the line of the wall at the begin and at the end.
+        Sets `_overlap_first` and `_overlap_last`, the ends of the part, and `_off_first` and
+        `_off_last`, how far the line of the wall is from the run at both ends.
         """
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
@@ -301,11 +305,11 @@ class StandingWalls:
         last = last if last < runs[run + RUN_TO] else runs[run + RUN_TO]
         if not last > first:
             return 0
-        # 2. How far the line is from the run at the middle of the run. The angle between run and
-        # line then gives the distances at both ends of the part.
+        # 2. How far the line is from the point of the run at 0 m. The distance changes along the
+        # run by the sine of the angle between run and line.
         off: cython.double = uy * dx - ux * dy
-        self._ends[0], self._ends[1] = first, last
-        self._ends[2], self._ends[3] = off + sine * first, off + sine * last
+        self._overlap_first, self._overlap_last = first, last
+        self._off_first, self._off_last = off + sine * first, off + sine * last
         return 1
 
     @cython.cfunc
@@ -313,24 +317,36 @@ class StandingWalls:
     def _is_still(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
         """1 if a run is where a wall was when its line was measured.
 
-        The run may be off by STILL and by the error of odometry since then.
+        Each end of their overlap may be off by STILL plus the error of odometry since then.
         """
-        k: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        ends: cython.double[::1] = self._ends
-        at: cython.Py_ssize_t = _W_FIELDS * wall
         if not self._overlap(wall, run):
             return 0
+        if not fabs(self._off_first) <= _still + self._odometry_error(
+            wall, run, self._overlap_first
+        ):
+            return 0
+        if not fabs(self._off_last) <= _still + self._odometry_error(wall, run, self._overlap_last):
+            return 0
+        return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _odometry_error(
+        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, along: cython.double
+    ) -> cython.double:
+        """The error of odometry in m since the line of a wall was measured.
+
+        The error is that of the place `along` m on a run: the farther the place is from the robot,
+        the more an error of the turn moves the place.
+        """
+        walls: cython.double[::1] = self._walls
+        runs: cython.double[::1] = self._runs.fields
+        at: cython.Py_ssize_t = _W_FIELDS * wall
         way: cython.double = self._way - walls[at + _W_WAY]
         turn: cython.double = self._turn - walls[at + _W_TURN]
-        for k in range(2):
-            x: cython.double = runs[run + RUN_X] + ends[k] * runs[run + RUN_UX]
-            y: cython.double = runs[run + RUN_Y] + ends[k] * runs[run + RUN_UY]
-            error: cython.double = _odometry_share * (way + turn * hypot(x, y))
-            if not fabs(ends[2 + k]) <= _still + error:
-                return 0
-        return 1
+        x: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX]
+        y: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY]
+        return _odometry_share * (way + turn * hypot(x, y))
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -346,27 +362,60 @@ class StandingWalls:
         No return is marked unless `is_on_wall`: the run is long, or meets a standing return of a
         long run at a corner.
         """
-        k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
-        # 1. Covers the bins between returns that are at most SPACING apart. The place along the run
-        # is NaN for a return that is off its line.
+        self._cover_bins(wall, run, now)
+        if is_on_wall:
+            self._mark_standing(wall, run, now)
+        # 1. Confirms the wall: the mean distance of the line from the run, and the time.
+        has_overlap: cython.bint = self._overlap(wall, run) != 0
+        walls[at + _W_OFF] = 0.5 * (self._off_first + self._off_last) if has_overlap else 0.0
+        walls[at + _W_SEEN], walls[at + _W_CONFIRMED] = 1.0, now
+        # 2. Measures the line anew each `_seconds`.
+        if now - walls[at + _W_AT] >= self._seconds:
+            self._move_line(at, run, motion)
+            walls[at + _W_OFF] = 0.0
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _cover_bins(
+        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
+    ) -> cython.int:
+        """Cover the bins of a wall between returns of a run that are at most SPACING apart."""
+        k: cython.Py_ssize_t
+        runs: cython.double[::1] = self._runs.fields
+        at: cython.Py_ssize_t = _W_FIELDS * wall
         first: cython.Py_ssize_t = _BINS * wall
         count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
-        before: cython.double = -INFINITY
+        before: cython.double = -INFINITY  # m along the run, of the return before
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
-            is_on_line: cython.bint = along == along
+            is_on_line: cython.bint = along == along  # NaN for a return off the line
             if is_on_line:
-                near: cython.bint = fabs(along - before) <= SPACING
-                self._cover(first, at, run, before if near else along, along, now)
+                is_near: cython.bint = fabs(along - before) <= SPACING
+                self._cover(first, at, run, before if is_near else along, along, now)
                 before = along
-        # 2. Marks the returns in a bin that has stood, or beside such a bin.
-        for k in range(count if is_on_wall else 0):
-            along = self._runs.along(run, k)
-            is_on_line = along == along
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _mark_standing(
+        self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
+    ) -> cython.int:
+        """Mark the returns of a run in bins of a wall that have stood, or beside such a bin.
+
+        Sets `standing` and `has_standing`, and `ripe_at` by the returns in bins that will stand.
+        """
+        k: cython.Py_ssize_t
+        runs: cython.double[::1] = self._runs.fields
+        at: cython.Py_ssize_t = _W_FIELDS * wall
+        first: cython.Py_ssize_t = _BINS * wall
+        count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
+        for k in range(count):
+            along: cython.double = self._runs.along(run, k)
+            is_on_line: cython.bint = along == along  # NaN for a return off the line
             if not is_on_line:
                 continue
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
@@ -376,14 +425,6 @@ class StandingWalls:
                 self.has_standing = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
-        # 3. Confirms the wall: the mean distance of the line from the run, and the time.
-        has_overlap: cython.bint = self._overlap(wall, run) != 0
-        walls[at + _W_OFF] = 0.5 * (self._ends[2] + self._ends[3]) if has_overlap else 0.0
-        walls[at + _W_SEEN], walls[at + _W_CONFIRMED] = 1.0, now
-        # 4. Measures the line anew each `_seconds`.
-        if now - walls[at + _W_AT] >= self._seconds:
-            self._move_line(at, run, motion)
-            walls[at + _W_OFF] = 0.0
         return 0
 
     @cython.cfunc
@@ -590,28 +631,34 @@ class StandingWalls:
     def _find_moved(self, motion: ScanMotion) -> cython.int:
         """Set `moved` if a wall that had stood is elsewhere, in this scan and in the scan before.
 
-        A wall whose motion was reported is not examined again. `motion`: of the present scan.
+        A wall that two scans in a row have shown elsewhere is not examined again. `motion`: of the
+        present scan.
         """
         i: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         for i in range(self._wall_count):
             at: cython.Py_ssize_t = _W_FIELDS * i
-            # 1. In how many scans in a row the wall was elsewhere, before this scan.
-            shown: cython.double = walls[at + _W_MOVES]
+            # 1. Scans in a row before this scan that showed the wall elsewhere. The count begins
+            # anew unless this scan shows the wall elsewhere, too.
+            scans_elsewhere: cython.double = walls[at + _W_MOVES]
             walls[at + _W_MOVES] = 0.0
             is_at_place: cython.bint = walls[at + _W_SEEN] > 0.0
-            was_reported: cython.bint = shown >= _SHOWN_TWICE
+            was_examined: cython.bint = scans_elsewhere >= _SHOWN_TWICE
+            if is_at_place or was_examined:
+                continue
             seconds: cython.double = motion.measured_at - walls[at + _W_CONFIRMED]
-            if is_at_place or was_reported or not seconds > 0.0 or not self._may_judge(at):
+            if not seconds > 0.0 or not self._may_judge(at):
                 continue
-            # 2. The wall is elsewhere if a run shows it within the m that a wall can have moved.
+            # 2. The wall is elsewhere if a run lies within the m that a wall can have moved.
             farthest: cython.double = _still + _FASTEST_WALL * seconds
-            distance: cython.double = self._moved_by(i, shown > 0.0, farthest)
-            if not distance < farthest:
+            was_elsewhere: cython.bint = scans_elsewhere > 0.0
+            distance: cython.double = self._moved_by(i, was_elsewhere, farthest)
+            is_elsewhere: cython.bint = distance < farthest
+            if not is_elsewhere:
                 continue
-            # 3. The wall has moved if it was elsewhere in the scan before, too.
-            walls[at + _W_MOVES] = shown + 1.0
-            if shown + 1.0 >= _SHOWN_TWICE and distance >= _MOVED:
+            # 3. The wall has moved if the scan before showed the wall elsewhere, too.
+            walls[at + _W_MOVES] = scans_elsewhere + 1.0
+            if scans_elsewhere + 1.0 >= _SHOWN_TWICE and distance >= _MOVED:
                 stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
                 self.moved = MovedWall(stood, distance, distance / seconds)
         return 0
@@ -639,11 +686,13 @@ class StandingWalls:
     def _moved_by(
         self, wall: cython.Py_ssize_t, was_elsewhere: cython.bint, farthest: cython.double
     ) -> cython.double:
-        """The m by which a wall has moved to the nearest run; `farthest` without such a run.
+        """The m from the line of a wall to the nearest run that may show the wall elsewhere.
 
-        The run must lie beside at least half of `length` of the wall. The end of the run that has
-        moved farther counts. A run that continues a wall is examined only if `was_elsewhere`: the
-        scan before showed the wall elsewhere, perhaps as a new wall.
+        The result is `farthest` in m if no such run is nearer. The run must lie beside at least
+        half of `length` of the wall. The distance is that of the farther end of this part of the
+        run, less the distance at which the wall was last confirmed. A run that continues a wall is
+        examined only if `was_elsewhere`: the scan before showed the wall elsewhere, perhaps as a
+        new wall.
         """
         j: cython.Py_ssize_t
         runs: cython.double[::1] = self._runs.fields
@@ -655,10 +704,10 @@ class StandingWalls:
                 continue
             if not self._overlap(wall, run) or self._is_still(wall, run):
                 continue
-            off: cython.double = fabs(self._ends[2] - off_before)
-            last_off: cython.double = fabs(self._ends[3] - off_before)
+            off: cython.double = fabs(self._off_first - off_before)
+            last_off: cython.double = fabs(self._off_last - off_before)
             off = last_off if last_off > off else off
-            beside: cython.double = self._ends[1] - self._ends[0]
-            if beside >= 0.5 * self._length and off < least:
+            overlap: cython.double = self._overlap_last - self._overlap_first
+            if overlap >= 0.5 * self._length and off < least:
                 least = off
         return least

@@ -319,8 +319,10 @@ class StopCheck:
         turn_rate: cython.double = fabs(angular)
         linear_braking: cython.double = self._assumptions.braking_linear
         turn_braking: cython.double = self._assumptions.braking_angular
-        linear_braking = _IDEAL_BRAKING if brake == _IDEAL_LINEAR else linear_braking
-        turn_braking = _IDEAL_BRAKING if brake == _IDEAL_ANGULAR else turn_braking
+        if brake == _IDEAL_LINEAR:
+            linear_braking = _IDEAL_BRAKING
+        elif brake == _IDEAL_ANGULAR:
+            turn_braking = _IDEAL_BRAKING
         travel: cython.double = 0.0
         x: cython.double = 0.0
         y: cython.double = 0.0
@@ -350,7 +352,8 @@ class StopCheck:
             self._stop_linear[j] = _braked(speed, linear_braking, begin_s) * sign(linear)
             self._stop_angular[j] = _braked(turn_rate, turn_braking, begin_s) * sign(angular)
 
-            # 3. Is the turn, and is the outline, fast enough to matter? A speed of NaN is.
+            # 3. Is the step fast enough to matter? A speed of NaN is. A turn matters above
+            # FAULT_SPEED (`_turns_outwards`), any motion above NEGLIGIBLE_SPEED (`_forbids`).
             corner_turn: cython.double = fabs(self._stop_angular[j]) * radius
             fastest_corner: cython.double = fabs(self._stop_linear[j]) + corner_turn
             self._stop_turns[j] = not (corner_turn + _ROUNDING <= FAULT_SPEED)
@@ -465,10 +468,10 @@ class StopCheck:
             # 1. The part of the edge within reach, from `first` to `last` in m along the edge.
             first: cython.double
             last: cython.double
-            if above > 0.0:
+            if above > 0.0:  # outside the line of the edge: a circle around the point cuts the line
                 half_chord: cython.double = sqrt(reach * reach - above * above)
                 first, last = along - half_chord, along + half_chord
-            else:  # behind the line of the edge: the obstacle moves around the nearer corner
+            else:  # inside the line of the edge: the obstacle moves around the nearer corner
                 beyond: cython.double = -along if along < 0.0 else along - length
                 if not beyond > 0.0:
                     continue
@@ -483,8 +486,8 @@ class StopCheck:
                 continue
 
             # 2. The outward speed of the place of this part that the turn moves outwards fastest.
-            # The lever about the axle falls by 1 m for each m of edge, so this place is an end of
-            # the part.
+            # Along the edge, the outward speed by the turn falls by `angular` m/s for each m, so
+            # this place is an end of the part.
             fastest_place: cython.double = first if angular > 0.0 else last
             corner_lever: cython.double = outline.corner_x[k] * ny - outline.corner_y[k] * nx
             turn_speed: cython.double = angular * (corner_lever - fastest_place)
@@ -503,7 +506,7 @@ def _safe_gap(
     seconds: cython.double,
     travel: cython.double,
 ) -> cython.double:
-    """The gap in m from which on a point cannot matter in a stop of `seconds` s.
+    """The gap in m at which a point cannot matter in a stop of `seconds` s; nor at a greater gap.
 
     `needed_gap`: m that the point must keep at the begin of the stop. `others`: m/s, of the
     obstacle. `travel`: m that a place of the outline moves at most during the stop.

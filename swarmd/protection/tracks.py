@@ -216,7 +216,7 @@ class _Filter:
 
     @cython.cfunc
     def distance_to(self, cluster: _Cluster, gate: cython.double) -> cython.double:
-        """The distance in m between the middle by a cluster and the predicted middle.
+        """The distance in m from the predicted middle of this object to the middle of a cluster.
 
         inf if the distance is greater than `gate`.
         """
@@ -531,6 +531,7 @@ class Tracker:
         ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
         bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
         has_ages: cython.bint = scan.ages is not None
+        # Without ages all ages are 0, and `ages` is not read: any array may take its place.
         ages: cython.const[cython.double][::1] = _numbers(scan.ages) if has_ages else ranges
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -548,7 +549,8 @@ class Tracker:
                     falls, lowest = falls + 1, count
                 order[count] = i
                 count += 1
-        # After a single fall the bearings must stay below the first bearing.
+        # With a single fall, and with the last bearing below the first, the bearings rise from
+        # `lowest` on, and go on at the first return. Otherwise the returns must be sorted.
         is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
         if falls > 0 and not is_rotated:
             rays = np.array(order[:count])
@@ -711,7 +713,8 @@ class Tracker:
         if first == last or chord < _MIN_WIDTH:
             return self._add_wall(cluster.x, cluster.y)
 
-        # 4. An object that may move.
+        # 4. An object that may move. The object reaches half of the distance between two rays
+        # beyond the return at each end, on average.
         cluster.half_width = 0.5 * (chord + cluster.range * self._spacing)
         cluster.visible_ends = self._visible_ends(first, last)
         dx: cython.double = cluster.x - self._lidar_x

@@ -64,8 +64,9 @@ def line_of(
 
     ORCA (see the module). The velocities relative to the place that lead nearer than `radius` m
     within `horizon` s are the velocity obstacle: a cone from the origin around the direction of the
-    place, with a round cap in place of the tip (of radius / horizon, around the place / horizon).
-    The line is the tangent of the velocity obstacle at the point nearest to the present velocity.
+    place. A round cap replaces the tip of the cone. The cap has the radius `radius` / `horizon`;
+    its centre is the place divided by `horizon`. The line is the tangent of the velocity obstacle
+    at the point nearest to the present velocity.
 
     Args:
         px, py: the place in m, relative to the robot.
@@ -260,11 +261,12 @@ class _Programme:
     def solve(
         self, lines: list, x: cython.double, y: cython.double, is_direction: cython.bint
     ) -> cython.Py_ssize_t:
-        """Set the best velocity; the number of lines that the velocity satisfies, in their order.
+        """Set the best velocity that satisfies the lines, and return how many lines it satisfies.
 
         The best velocity is the nearest to `x`, `y`; or, if `is_direction`, the farthest in the
-        direction of the unit vector `x`, `y`. A result below the number of lines is the index of
-        the first line that no velocity satisfies together with the lines before.
+        direction of the unit vector `x`, `y`. The lines are satisfied in their order. A result
+        below the number of lines is the index of the first line that no velocity satisfies together
+        with the lines before.
         """
         i: cython.Py_ssize_t
         line: Line
@@ -366,11 +368,13 @@ class _Programme:
                 x: cython.double
                 y: cython.double
                 if fabs(cross) <= _EPSILON:
-                    # Parallel with the same permitted side: the violations differ by a constant.
-                    if line.dx * other.dx + line.dy * other.dy > 0.0:
+                    # Parallel lines. With the same permitted side the violations differ by a
+                    # constant, so there is no border. With opposite sides the border is midway.
+                    have_same_side: cython.bint = line.dx * other.dx + line.dy * other.dy > 0.0
+                    if have_same_side:
                         continue
                     x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
-                else:
+                else:  # the border leads through the place where the lines cross
                     position: cython.double = other.dx * (line.y - other.y)
                     position = (position - other.dy * (line.x - other.x)) / cross
                     x, y = line.x + position * line.dx, line.y + position * line.dy
