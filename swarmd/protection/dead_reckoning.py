@@ -370,8 +370,8 @@ class ScanMotion:
         # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
 
-        # 2. `pose` is still that of the scan before. After a reset of odometry it is in the old frame.
-        # Finds it in the new frame: the new readings are extrapolated back by their speed.
+        # 2. `pose` is still that of the scan before. After a reset of odometry it is in the frame
+        # before. Finds it in the new frame: new readings are extrapolated back by their speed.
         reckoning: DeadReckoning = self._reckoning
         if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age
