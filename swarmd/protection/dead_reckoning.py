@@ -29,7 +29,16 @@ _AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of a
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
-_FIELDS = cython.declare(cython.Py_ssize_t, 7)  # of a reading: see `DeadReckoning._readings`
+
+# The fields of a reading of odometry.
+_R_STAMP = cython.declare(cython.Py_ssize_t, 0)  # s
+_R_X = cython.declare(cython.Py_ssize_t, 1)
+_R_Y = cython.declare(cython.Py_ssize_t, 2)
+_R_YAW = cython.declare(cython.Py_ssize_t, 3)
+_R_LINEAR = cython.declare(cython.Py_ssize_t, 4)  # the measured speeds
+_R_ANGULAR = cython.declare(cython.Py_ssize_t, 5)
+_R_LATERAL = cython.declare(cython.Py_ssize_t, 6)
+_R_FIELDS = cython.declare(cython.Py_ssize_t, 7)
 _turn = cython.declare(cython.double, 2.0 * math.pi)
 
 
@@ -84,14 +93,14 @@ class DeadReckoning:
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
-    # A ring buffer of readings, each with seven numbers: stamp in s; x, y, yaw; the linear, angular
-    # and lateral speed. `_count` readings are in use; `_newest` is the number of the newest.
+    # A ring buffer: _R_FIELDS of each reading. `_count` readings are in use, and `_newest` is the
+    # number of the newest reading.
     _readings: cython.double[::1]
     _newest: cython.Py_ssize_t
     _count: cython.Py_ssize_t
 
     def __init__(self, assumptions: Assumptions) -> None:
-        self._assumptions, self._readings = assumptions, doubles(_FIELDS * _history)
+        self._assumptions, self._readings = assumptions, doubles(_R_FIELDS * _history)
 
     @cython.cfunc
     def record(self, odometry):
@@ -109,17 +118,19 @@ class DeadReckoning:
         linear: cython.double = twist.linear
         angular: cython.double = twist.angular
         lateral: cython.double = twist.lateral
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
-        start: cython.Py_ssize_t = _FIELDS * self._newest  # of the newest reading in the buffer
+        readings: cython.double[::1] = self._readings
+        start: cython.Py_ssize_t = _R_FIELDS * self._newest  # of the newest reading in the buffer
         if self._count:
             is_same_pose: cython.bint = (
-                r[start] == stamp
-                and r[start + 1] == x
-                and r[start + 2] == y
-                and r[start + 3] == yaw
+                readings[start + _R_STAMP] == stamp
+                and readings[start + _R_X] == x
+                and readings[start + _R_Y] == y
+                and readings[start + _R_YAW] == yaw
             )
             is_same_twist: cython.bint = (
-                r[start + 4] == linear and r[start + 5] == angular and r[start + 6] == lateral
+                readings[start + _R_LINEAR] == linear
+                and readings[start + _R_ANGULAR] == angular
+                and readings[start + _R_LATERAL] == lateral
             )
             if is_same_pose and is_same_twist:
                 return
@@ -130,9 +141,12 @@ class DeadReckoning:
         self._newest = (self._newest + 1) % _history
         self._count = min(self._count + 1, _history)
         self.version += 1
-        start = _FIELDS * self._newest
-        r[start], r[start + 1], r[start + 2], r[start + 3] = stamp, x, y, yaw
-        r[start + 4], r[start + 5], r[start + 6] = linear, angular, lateral
+        start = _R_FIELDS * self._newest
+        readings[start + _R_STAMP] = stamp
+        readings[start + _R_X], readings[start + _R_Y] = x, y
+        readings[start + _R_YAW] = yaw
+        readings[start + _R_LINEAR], readings[start + _R_LATERAL] = linear, lateral
+        readings[start + _R_ANGULAR] = angular
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -144,13 +158,13 @@ class DeadReckoning:
         A jump is a step of more than MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the
         newest reading.
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
-        start: cython.Py_ssize_t = _FIELDS * self._newest
-        distance: cython.double = hypot(x - r[start + 1], y - r[start + 2])
-        turned: cython.double = fabs(remainder(yaw - r[start + 3], _turn))
+        readings: cython.double[::1] = self._readings
+        start: cython.Py_ssize_t = _R_FIELDS * self._newest
+        distance: cython.double = hypot(x - readings[start + _R_X], y - readings[start + _R_Y])
+        turned: cython.double = fabs(remainder(yaw - readings[start + _R_YAW], _turn))
         jump: cython.double = maximum(distance, turned)
-        longest_jump: cython.double = _max_step + _max_speed * (stamp - r[start])
-        is_reset: cython.bint = stamp <= r[start] or jump > longest_jump
+        longest_jump: cython.double = _max_step + _max_speed * (stamp - readings[start + _R_STAMP])
+        is_reset: cython.bint = stamp <= readings[start + _R_STAMP] or jump > longest_jump
         return is_reset
 
     @cython.cfunc
@@ -163,38 +177,40 @@ class DeadReckoning:
         `odometry_age` in s is the age of the newest reading at the decision. Without a reading the
         pose is (0, 0, 0).
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
-        later: cython.Py_ssize_t = _FIELDS * self._newest
-        stamp: cython.double = r[later] + odometry_age - seconds_before
+        later: cython.Py_ssize_t = _R_FIELDS * self._newest
+        stamp: cython.double = readings[later + _R_STAMP] + odometry_age - seconds_before
 
         # 1. After the newest reading: extrapolates at its twist, for a limited time.
-        seconds: cython.double = stamp - r[later]
-        if r[later] <= stamp:
+        seconds: cython.double = stamp - readings[later + _R_STAMP]
+        if readings[later + _R_STAMP] <= stamp:
             if seconds > LONGEST_EXTRAPOLATION:
                 seconds = LONGEST_EXTRAPOLATION
-            return self._extrapolate(later, r[later + 4], r[later + 5], r[later + 6], seconds, into)
+            return self._extrapolate_measured(later, seconds, into)
 
         # 2. Between two readings: goes back to the first reading that is not after `stamp`, and
         # interpolates.
         k: cython.Py_ssize_t
         for k in range(1, self._count):
-            earlier: cython.Py_ssize_t = _FIELDS * ((self._newest - k + _history) % _history)
-            if r[earlier] <= stamp:
-                fraction: cython.double = (stamp - r[earlier]) / (r[later] - r[earlier])
-                turn: cython.double = remainder(r[later + 3] - r[earlier + 3], _turn)
+            earlier: cython.Py_ssize_t = _R_FIELDS * ((self._newest - k + _history) % _history)
+            if readings[earlier + _R_STAMP] <= stamp:
+                earlier_stamp: cython.double = readings[earlier + _R_STAMP]
+                later_stamp: cython.double = readings[later + _R_STAMP]
+                fraction: cython.double = (stamp - earlier_stamp) / (later_stamp - earlier_stamp)
+                x: cython.double = readings[earlier + _R_X]
+                y: cython.double = readings[earlier + _R_Y]
+                yaw: cython.double = readings[earlier + _R_YAW]
                 return into.set(
-                    r[earlier + 1] + fraction * (r[later + 1] - r[earlier + 1]),
-                    r[earlier + 2] + fraction * (r[later + 2] - r[earlier + 2]),
-                    r[earlier + 3] + fraction * turn,
+                    x + fraction * (readings[later + _R_X] - x),
+                    y + fraction * (readings[later + _R_Y] - y),
+                    yaw + fraction * remainder(readings[later + _R_YAW] - yaw, _turn),
                 )
             later = earlier
 
         # 3. Before the oldest reading: extrapolates back at its twist.
-        return self._extrapolate(
-            later, r[later + 4], r[later + 5], r[later + 6], stamp - r[later], into
-        )
+        return self._extrapolate_measured(later, stamp - readings[later + _R_STAMP], into)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -213,10 +229,10 @@ class DeadReckoning:
         the command in force (`linear`, `angular`, `lateral`). The age counts up to
         LONGEST_EXTRAPOLATION. Without a reading the pose is (0, 0, 0).
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
-        newest: cython.Py_ssize_t = _FIELDS * self._newest
+        newest: cython.Py_ssize_t = _R_FIELDS * self._newest
         linear_braking: cython.double = self._assumptions.braking_linear
         angular_braking: cython.double = self._assumptions.braking_angular
         seconds: cython.double = odometry_age
@@ -225,12 +241,25 @@ class DeadReckoning:
         seconds += REACTION
         return self._extrapolate(
             newest,
-            _mean_speed(r[newest + 4], linear, linear_braking, seconds),
-            _mean_speed(r[newest + 5], angular, angular_braking, seconds),
-            _mean_speed(r[newest + 6], lateral, linear_braking, seconds),
+            _mean_speed(readings[newest + _R_LINEAR], linear, linear_braking, seconds),
+            _mean_speed(readings[newest + _R_ANGULAR], angular, angular_braking, seconds),
+            _mean_speed(readings[newest + _R_LATERAL], lateral, linear_braking, seconds),
             seconds,
             into,
         )
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1)
+    def _extrapolate_measured(
+        self, start: cython.Py_ssize_t, seconds: cython.double, into: PlanarPose
+    ) -> cython.int:
+        """Set `into` to the pose `seconds` after the reading at index `start`, at its twist."""
+        readings: cython.double[::1] = self._readings
+        linear: cython.double = readings[start + _R_LINEAR]
+        angular: cython.double = readings[start + _R_ANGULAR]
+        lateral: cython.double = readings[start + _R_LATERAL]
+        return self._extrapolate(start, linear, angular, lateral, seconds, into)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -248,17 +277,17 @@ class DeadReckoning:
         The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
         of the turn.
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         turn: cython.double = angular * seconds
-        yaw: cython.double = r[start + 3] + 0.5 * turn
+        yaw: cython.double = readings[start + _R_YAW] + 0.5 * turn
         ahead: cython.double = linear * seconds
         left: cython.double = lateral * seconds
         cos_yaw: cython.double = cos(yaw)
         sin_yaw: cython.double = sin(yaw)
         return into.set(
-            r[start + 1] + cos_yaw * ahead - sin_yaw * left,
-            r[start + 2] + sin_yaw * ahead + cos_yaw * left,
-            r[start + 3] + turn,
+            readings[start + _R_X] + cos_yaw * ahead - sin_yaw * left,
+            readings[start + _R_Y] + sin_yaw * ahead + cos_yaw * left,
+            readings[start + _R_YAW] + turn,
         )
 
 

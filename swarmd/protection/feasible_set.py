@@ -19,7 +19,14 @@ from swarmd.protection.dead_reckoning import (
     ScanMotion,
 )
 from swarmd.protection.envelope import Creeping
-from swarmd.protection.obstacles import NearObstacles, ObstacleDiscs
+from swarmd.protection.obstacles import (
+    DISC_AGE,
+    DISC_RADIUS,
+    DISC_X,
+    DISC_Y,
+    NearObstacles,
+    ObstacleDiscs,
+)
 from swarmd.protection.outline import Outline
 from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.touch_zone import TouchSector
@@ -268,19 +275,22 @@ class FeasibleSet:
         first_disc: cython.Py_ssize_t = self.constraints.placed.seen
         moved: cython.double = not_extrapolated * self.assumptions.surface_speed
         for k in range(discs.count):
-            disc: cython.Py_ssize_t = discs.binding[k]  # a row x, y, radius, age of `table`
-            self.reckoning.find_pose(odometry_age, table[disc, 3], pose)
+            disc: cython.Py_ssize_t = discs.binding[k]
+            disc_x: cython.double = table[disc, DISC_X]
+            disc_y: cython.double = table[disc, DISC_Y]
+            age: cython.double = table[disc, DISC_AGE]
+            self.reckoning.find_pose(odometry_age, age, pose)
             pose.set_relative(pose, self._predicted)
             cos_yaw: cython.double = cos(pose.yaw)
             sin_yaw: cython.double = sin(pose.yaw)
-            x: cython.double = cos_yaw * table[disc, 0] - sin_yaw * table[disc, 1]
-            y: cython.double = sin_yaw * table[disc, 0] + cos_yaw * table[disc, 1]
+            x: cython.double = cos_yaw * disc_x - sin_yaw * disc_y
+            y: cython.double = sin_yaw * disc_x + cos_yaw * disc_y
             self.constraints.add_disc(
                 first_disc + k,
                 pose.x + x,
                 pose.y + y,
-                table[disc, 2],
-                table[disc, 3],
+                table[disc, DISC_RADIUS],
+                age,
                 moved,
             )
         return 0

@@ -29,6 +29,12 @@ NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
 """No hidden obstacle, and no disc."""
 
+# The columns of the table of discs.
+DISC_X = cython.declare(cython.Py_ssize_t, 0)  # m, in the base frame when the disc was measured
+DISC_Y = cython.declare(cython.Py_ssize_t, 1)
+DISC_RADIUS = cython.declare(cython.Py_ssize_t, 2)  # m
+DISC_AGE = cython.declare(cython.Py_ssize_t, 3)  # s from the measurement until the decision
+
 _ROOM = 96  # points, before there are more
 _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 
@@ -516,7 +522,7 @@ class ObstacleDiscs:
     """Discs in which an obstacle is (see `ToldObstacle`), with those that can constrain a robot."""
 
     obstacles: tuple  # the argument of `set`
-    table: cython.double[:, ::1]  # (n, 4) x, y, radius, age
+    table: cython.double[:, ::1]  # (n, 4): DISC_X, DISC_Y, DISC_RADIUS and DISC_AGE of each disc
     count: cython.Py_ssize_t  # number of discs that can bind
     binding: cython.longlong[::1]  # the indices of these discs in `table`
 
@@ -545,8 +551,9 @@ class ObstacleDiscs:
         approach_speed: cython.double = assumptions.others_speed + assumptions.top_surface_speed
         self.count = 0
         for i in range(len(table)):
-            gap: cython.double = hypot(table[i, 0], table[i, 1]) - table[i, 2] - radius
-            age: cython.double = table[i, 3] + REACTION
+            distance: cython.double = hypot(table[i, DISC_X], table[i, DISC_Y])
+            gap: cython.double = distance - table[i, DISC_RADIUS] - radius
+            age: cython.double = table[i, DISC_AGE] + REACTION
             if not (gap > assumptions.fresh_binding_range + approach_speed * age):
                 self.binding[self.count] = i
                 self.count += 1
