@@ -164,6 +164,41 @@ def _has_near(ranges: cython.const[cython.double][::1], limit: cython.double) ->
     return False
 
 
+@cython.cfunc
+def _find_match(
+    xs: cython.double[::1],
+    ys: cython.double[::1],
+    point_count: cython.Py_ssize_t,
+    x: cython.double,
+    y: cython.double,
+    within: cython.double,
+    stride: cython.Py_ssize_t,
+    begin: cython.Py_ssize_t,
+) -> cython.Py_ssize_t:
+    """The first of the points `xs`, `ys` within `within` m of the place (x, y); -1 without one.
+
+    Only every `stride`-th of the `point_count` points is compared. The result and `begin`, at which
+    the search begins, are numbers among the compared points. Behind the last point, the search goes
+    on at 0.
+    """
+    count: cython.Py_ssize_t = (point_count + stride - 1) // stride
+    j: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for j in range(count):
+        k = begin + j
+        if k >= count:
+            k -= count
+        difference_x = xs[k * stride] - x
+        difference_y = ys[k * stride] - y
+        if (
+            fabs(difference_x) <= within
+            and fabs(difference_y) <= within
+            and hypot(difference_x, difference_y) <= within
+        ):
+            return k
+    return -1
+
+
 _NOTHING = np.empty(0)
 
 
@@ -686,7 +721,9 @@ class BlindZoneMemory:
                 continue
             # 2. Finds a near return of this scan near this place. The search begins at the match of
             # the old return before, since neighbours lie side by side.
-            match = self._find_match(x, y, match_distance, stride, last_match)
+            match = _find_match(
+                self._x, self._y, self._point_count, x, y, match_distance, stride, last_match
+            )
             is_gone = match < 0
             if not is_gone:
                 last_match = match
@@ -709,37 +746,6 @@ class BlindZoneMemory:
                 self._is_face[k] = not is_gone
                 self._candidate_count += 1
         return 0
-
-    @cython.cfunc
-    def _find_match(
-        self,
-        x: cython.double,
-        y: cython.double,
-        within: cython.double,
-        stride: cython.Py_ssize_t,
-        begin: cython.Py_ssize_t,
-    ) -> cython.Py_ssize_t:
-        """The first near return of this scan within `within` m of the place (x, y); -1 without one.
-
-        Only every `stride`-th near return is compared. The result and `begin`, at which the search
-        begins, are numbers among the compared returns. Behind the last, the search goes on at 0.
-        """
-        count: cython.Py_ssize_t = (self._point_count + stride - 1) // stride
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        for j in range(count):
-            k = begin + j
-            if k >= count:
-                k -= count
-            difference_x = self._x[k * stride] - x
-            difference_y = self._y[k * stride] - y
-            if (
-                fabs(difference_x) <= within
-                and fabs(difference_y) <= within
-                and hypot(difference_x, difference_y) <= within
-            ):
-                return k
-        return -1
 
     @cython.cfunc
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:

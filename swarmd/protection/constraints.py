@@ -487,10 +487,8 @@ class Constraints:
         chunk.age[0] = age + REACTION  # when the command takes effect
         chunk.radius[0] = radius
         chunk.others[0] = self._assumptions.others_speed
-        blind: cython.double = 0.0  # the lidar does not measure discs
-        self._add_chunk(point, blind)
-        begin: cython.Py_ssize_t = 0  # the disc is the only point of the chunk
-        return self._add_corners(point, begin)
+        self._add_chunk(point, 0.0)  # 0: no blind zone, since the lidar does not measure discs
+        return self._add_corners(point, 0)  # 0: from the first point of the chunk on
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -651,8 +649,7 @@ class Constraints:
         others_speed: cython.double = self._assumptions.others_speed
         gap: cython.p_double = chunk.gap
         cap: cython.p_double = chunk.cap
-        # The arrays in which `_add_sides` has stored the lever of the foremost corner, and the unit
-        # vector of the side direction.
+        # Where `_add_sides` has stored the levers and the side directions.
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
         side_y: cython.p_double = chunk.edge_y

@@ -95,6 +95,28 @@ _W_MISSED = cython.declare(cython.Py_ssize_t, 18)  # scans in a row that have no
 _W_FIELDS = cython.declare(cython.Py_ssize_t, 19)
 
 
+@cython.cfunc
+@cython.exceptval(-3)
+def _bin_at(
+    walls: cython.double[::1],
+    runs: cython.double[::1],
+    at: cython.Py_ssize_t,
+    run: cython.Py_ssize_t,
+    along: cython.double,
+) -> cython.Py_ssize_t:
+    """The bin of a wall beside the place `along` m on a run; -2 or _BINS: beyond the bins.
+
+    `at`: the index of the wall in `walls`. `run`: the index of the run in `runs`.
+    """
+    dx: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX] - walls[at + _W_HERE_X]
+    dy: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY] - walls[at + _W_HERE_Y]
+    place: cython.double = walls[at + _W_HERE_UX] * dx + walls[at + _W_HERE_UY] * dy
+    place = place / _BIN + 0.5 * _BINS
+    if place >= _BINS:
+        return _BINS
+    return cython.cast(cython.Py_ssize_t, floor(place)) if place >= -2.0 else -2
+
+
 @cython.final
 @cython.cclass
 class StandingWalls:
@@ -419,7 +441,7 @@ class StandingWalls:
             if not is_on_line:
                 continue
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
-            bin_of_wall: cython.Py_ssize_t = self._bin_at(at, run, along)
+            bin_of_wall: cython.Py_ssize_t = _bin_at(self._walls, runs, at, run, along)
             if self._has_stood(first, bin_of_wall, now):
                 self.standing[self._runs.ray[place]] = 1
                 self.has_standing = True
@@ -465,8 +487,8 @@ class StandingWalls:
             now: s.
         """
         k: cython.Py_ssize_t
-        low: cython.Py_ssize_t = self._bin_at(at, run, begin)
-        high: cython.Py_ssize_t = self._bin_at(at, run, end)
+        low: cython.Py_ssize_t = _bin_at(self._walls, self._runs.fields, at, run, begin)
+        high: cython.Py_ssize_t = _bin_at(self._walls, self._runs.fields, at, run, end)
         if low > high:
             low, high = high, low
         for k in range(low if low > 0 else 0, high + 1 if high < _BINS else _BINS):
@@ -484,22 +506,6 @@ class StandingWalls:
         if is_later and dx * dx + dy * dy <= _NEAR * _NEAR:
             self.ripe_at = since + self._seconds
         return 0
-
-    @cython.cfunc
-    @cython.exceptval(-3)
-    def _bin_at(
-        self, at: cython.Py_ssize_t, run: cython.Py_ssize_t, along: cython.double
-    ) -> cython.Py_ssize_t:
-        """The bin of the wall at index `at` beside the place `along` m on a run; -2: outside."""
-        walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        dx: cython.double = runs[run + RUN_X] + along * runs[run + RUN_UX] - walls[at + _W_HERE_X]
-        dy: cython.double = runs[run + RUN_Y] + along * runs[run + RUN_UY] - walls[at + _W_HERE_Y]
-        place: cython.double = walls[at + _W_HERE_UX] * dx + walls[at + _W_HERE_UY] * dy
-        place = place / _BIN + 0.5 * _BINS
-        if place >= _BINS:
-            return _BINS
-        return cython.cast(cython.Py_ssize_t, floor(place)) if place >= -2.0 else -2
 
     @cython.cfunc
     @cython.exceptval(-1)
