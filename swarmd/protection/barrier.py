@@ -20,6 +20,7 @@ stricter: an unknown constraint forbids motion.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -40,9 +41,8 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.buffers import view
-from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
+from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
@@ -77,7 +77,7 @@ _RIPE_TIME = 0.6  # s in which a robot begins to move once walls have stood
 CREEP_GAIN = cython.declare(cython.double, 1e-6)
 """How much nearer to the request creeping must come; the distance is that of the projection."""
 
-_decided = cython.declare(object, ModeDecision)  # a C name, so no lookup in each decision
+_make_decision = cython.declare(object, ModeDecision)  # a C name: no lookup in each decision
 
 
 @cython.final
@@ -105,7 +105,7 @@ class Barrier:
     _decision: object  # the ModeDecision of a limited request
 
     def __init__(self, platform: Platform) -> None:
-        """ConfigError if the platform has no settings of mode `barrier`."""
+        """Build the parts of the mode; ConfigError if the platform has no settings of the mode."""
         given = platform.protection["barrier"]
         if given is None:
             raise ConfigError(
@@ -116,12 +116,11 @@ class Barrier:
         self._limits, self._scan = platform.limits, platform.scan
         # Returns nearer than range_min are lost, as if nothing were there: a memory keeps them.
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
-            # m/s at which an obstacle and this robot approach each other at most. `own`: the
-            # highest speed of this base in any direction.
-            speed = settings.others_speed + BindingRange(platform, settings, DECISION_PERIOD).own
+            base_speed = math.hypot(platform.limits.linear, platform.limits.lateral)  # m/s at most
+            approach_speed = settings.others_speed + base_speed
             blind_zone = load_kernel("swarmd.protection.blind_zone")
             self._hidden = blind_zone.BlindZoneMemory(
-                platform.scan.range_min, speed, 1.0 / platform.scan.rate
+                platform.scan.range_min, approach_speed, 1.0 / platform.scan.rate
             )
         assumptions = Assumptions(platform, settings)
         outline = Outline(platform)
@@ -164,9 +163,10 @@ class Barrier:
         return None if self._walls is None else self._walls.moved
 
     def wall_patience(self, now: float) -> float:
-        """The s that a blocked robot should wait before recovery, until near walls have stood.
+        """The s that a blocked robot should wait before recovery, since near walls will soon stand.
 
-        0 if all near walls had stood _RIPE_TIME s before `now`.
+        0 if all near walls have stood for _RIPE_TIME s at the time `now`, or if the assumption that
+        walls stand was violated.
         """
         walls = self._walls
         if walls is None or not walls.is_trusted or not walls.ripe_at > now - _RIPE_TIME:
@@ -181,10 +181,10 @@ class Barrier:
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        The time of a scan is the time of its newest ray; a scan with a sector that conditioning
-        filled with remembered rays has the age of those rays. If a scan is not newer than the scan
-        before, only `min_gap` is set, and the obstacles of the scan before stay: odometry moves
-        these obstacles on, but does not move remembered rays.
+        The time of a scan is the time of its newest ray. But if conditioning has filled a sector of
+        the scan with remembered rays, the age of these rays counts. If a scan is not newer than the
+        scan before, only `min_gap` is set, and the obstacles of the scan before stay: odometry
+        moves these obstacles on, but does not move remembered rays.
 
         `geometry` is the mounting of the lidar, for the memory of the blind zone. `context` has the
         time, the age of the scan, and odometry.
@@ -192,7 +192,8 @@ class Barrier:
         motion: ScanMotion = self._feasible.motion
         near: NearObstacles = self._feasible.near
 
-        # 1. Odometry, and the directions of the rays. No wall of the scan before has moved again.
+        # 1. Drops the moved wall that the scan before showed. Takes in odometry, and the directions
+        # of the rays.
         if self._walls is not None:
             self._walls.moved = None
         if context.odometry is not None:
@@ -240,9 +241,9 @@ class Barrier:
     def _newest_age(self, scan):
         """The age in s of the newest ray of a scan when the scan arrived.
 
-        A conditioned scan states this age (`newest_age`). Of any other scan it is the platform's
-        latency (the mean age of all rays on arrival) less the mean time by which the rays are older
-        than the newest ray.
+        A conditioned scan states this age (`newest_age`). For other scans the platform states the
+        mean age of all rays on arrival (`latency`). Subtracted from this mean age is the mean time
+        by which the rays are older than the newest ray.
         """
         if scan.newest_age is not None:
             return scan.newest_age
@@ -272,9 +273,9 @@ class Barrier:
         lateral: cython.double = requested.lateral
         is_zero: cython.bint = speed == 0.0 and angular == 0.0 and lateral == 0.0
         if is_zero or feasible.is_unbounded():
-            return _decided(requested, False)
+            return _make_decision(requested, False)
         if not feasible.has_scan_pose():
-            return _decided(ZERO, True)
+            return _make_decision(ZERO, True)
 
         # 2. The plane of two speeds: the linear speed in the request's direction, and the turn.
         along_x: cython.double = 1.0
@@ -291,7 +292,7 @@ class Barrier:
             self._asked.linear == speed and self._asked.angular == angular
         )
         if is_same_situation and self._is_decided and is_same_request:
-            return self._decision if self._is_limited else _decided(requested, False)
+            return self._decision if self._is_limited else _make_decision(requested, False)
 
         # 4. Limits the request.
         self._is_decided = False  # nothing to repeat until `_judge` has set `_speeds`
@@ -299,13 +300,13 @@ class Barrier:
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
         if not self._is_limited:
-            return _decided(requested, False)
+            return _make_decision(requested, False)
 
         # 5. The limited command with the obstacles that limit it.
         linear: cython.double = self._speeds.linear
         twist = Twist(linear * along_x, self._speeds.angular, linear * along_y)
         rows = self._limiting.report(self._projection.x, self._projection.y)
-        self._decision = _decided(twist, True, rows)
+        self._decision = _make_decision(twist, True, rows)
         return self._decision
 
     @cython.cfunc
@@ -335,16 +336,18 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _creep(self, wanted_x: cython.double, wanted_y: cython.double) -> cython.int:
-        """Set `_speeds` to the creeping command, if it is nearer to the requested command.
+        """Set `_speeds` to the command of a creeping robot, if this command is the better command.
 
-        Creeping raises the caps, and lowers the envelope to CREEP_SPEED (envelope.py).
+        The better command is nearer to the request than the present `_speeds`, by CREEP_GAIN at
+        least. A creeping robot has higher caps, and an envelope of CREEP_SPEED (envelope.py).
+        `wanted_x`, `wanted_y`: the requested speeds over their limits.
         """
         axes: SpeedAxes = self._feasible.constraints.axes
         rows: ConstraintRows = self._feasible.constraints.rows
         creeping: Creeping = self._feasible.creeping
         projection: Projection = self._projection
-        x: cython.double = projection.x
-        y: cython.double = projection.y
+        present_x: cython.double = projection.x
+        present_y: cython.double = projection.y
         off: cython.double = hypot(
             self._speeds.linear / axes.limit - wanted_x,
             self._speeds.angular / axes.angular_limit - wanted_y,
@@ -356,7 +359,7 @@ class Barrier:
             self._speeds.angular = projection.y * axes.angular_limit
         else:
             creeping.end(rows, axes)
-            projection.x, projection.y = x, y
+            projection.x, projection.y = present_x, present_y
         return 0
 
 

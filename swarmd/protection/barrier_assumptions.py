@@ -29,6 +29,18 @@ REACTION = cython.declare(cython.double, REACTION_TIME)
 """s from a decision to the first response of the base."""
 
 
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def is_standing(others: cython.double, others_speed: cython.double) -> cython.bint:
+    """True for a return of a wall that stands.
+
+    `others`: m/s at which the obstacle of the return may approach: `standing_speed` for a wall that
+    stands, `others_speed` for all other obstacles.
+    """
+    return others < others_speed
+
+
 @cython.final
 @cython.cclass
 class Assumptions:
@@ -90,9 +102,11 @@ class Assumptions:
     def binding_range(self, age: cython.double) -> cython.double:
         """The gap in m beyond which a return constrains no command of the robot.
 
-        `age`: s of the return when the command takes effect. See BindingRange.for_scan_age. A
-        return constrains the outline within one gap. If the platform keeps a circle around the
-        lidar free, a return constrains this circle within a second gap, and the greater gap counts.
+        If the platform keeps a circle around the lidar free, a return constrains the robot for two
+        reasons: the outline, and the circle. The gap is the greater of the gaps of both.
+        BindingRange.for_scan_age computes the same in Python.
+
+        `age`: s, the age of the return when the command takes effect.
         """
         outline_gap: cython.double = (
             self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age

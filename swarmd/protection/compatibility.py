@@ -142,7 +142,8 @@ def _granted(
 ) -> PeerFinding:
     """A finding that holds the robot unless the configuration accepts the peer.
 
-    `reason` is that of the acceptance, perhaps empty; None: not accepted.
+    `reason`: why the configuration accepts the peer; empty: accepted without a reason; None: not
+    accepted.
     """
     if reason is None:
         text += f"; see accepts_{kind}"

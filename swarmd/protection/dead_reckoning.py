@@ -29,7 +29,16 @@ _AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of a
 _max_step = cython.declare(cython.double, MAX_STEP)
 _max_speed = cython.declare(cython.double, MAX_SPEED)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
-_FIELDS = cython.declare(cython.Py_ssize_t, 7)  # of a reading: see `DeadReckoning._readings`
+
+# The fields of a reading of odometry.
+_R_STAMP = cython.declare(cython.Py_ssize_t, 0)  # s
+_R_X = cython.declare(cython.Py_ssize_t, 1)
+_R_Y = cython.declare(cython.Py_ssize_t, 2)
+_R_YAW = cython.declare(cython.Py_ssize_t, 3)
+_R_LINEAR = cython.declare(cython.Py_ssize_t, 4)  # the measured speeds
+_R_ANGULAR = cython.declare(cython.Py_ssize_t, 5)
+_R_LATERAL = cython.declare(cython.Py_ssize_t, 6)
+_R_FIELDS = cython.declare(cython.Py_ssize_t, 7)
 _turn = cython.declare(cython.double, 2.0 * math.pi)
 
 
@@ -84,22 +93,21 @@ class DeadReckoning:
     version: cython.Py_ssize_t  # rises with each reading
     resets: cython.Py_ssize_t  # how often the clock went back or the pose jumped
     _assumptions: Assumptions
-    # A ring buffer of readings, each with seven numbers: stamp in s; x, y, yaw; the linear, angular
-    # and lateral speed. `_count` readings are in use; `_newest` is the number of the newest.
+    # A ring buffer: _R_FIELDS of each reading. `_count` readings are in use, and `_newest` is the
+    # number of the newest reading.
     _readings: cython.double[::1]
     _newest: cython.Py_ssize_t
     _count: cython.Py_ssize_t
 
     def __init__(self, assumptions: Assumptions) -> None:
-        self._assumptions, self._readings = assumptions, doubles(_FIELDS * _history)
+        self._assumptions, self._readings = assumptions, doubles(_R_FIELDS * _history)
 
     @cython.cfunc
     def record(self, odometry):
         """Store a reading of odometry if it differs from the newest stored reading.
 
-        A new reading whose stamp does not rise, or whose pose jumps, is a reset: the function drops
-        the readings before, and `resets` rises. A jump is a step of more than MAX_STEP (m or rad)
-        plus MAX_SPEED times the seconds in between.
+        If the stamp does not rise, or the pose jumps, odometry had a reset: the function drops the
+        readings before, and `resets` rises.
         """
         self.odometry = odometry
         pose, twist = odometry.pose, odometry.twist
@@ -110,34 +118,54 @@ class DeadReckoning:
         linear: cython.double = twist.linear
         angular: cython.double = twist.angular
         lateral: cython.double = twist.lateral
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
-        start: cython.Py_ssize_t = _FIELDS * self._newest  # of the newest reading in the buffer
+        readings: cython.double[::1] = self._readings
+        start: cython.Py_ssize_t = _R_FIELDS * self._newest  # of the newest reading in the buffer
         if self._count:
-            if (
-                r[start] == stamp
-                and r[start + 1] == x
-                and r[start + 2] == y
-                and r[start + 3] == yaw
-                and r[start + 4] == linear
-                and r[start + 5] == angular
-                and r[start + 6] == lateral
-            ):
-                return
-            # m or rad, whichever is greater
-            jump: cython.double = maximum(
-                hypot(x - r[start + 1], y - r[start + 2]),
-                fabs(remainder(yaw - r[start + 3], _turn)),
+            is_same_pose: cython.bint = (
+                readings[start + _R_STAMP] == stamp
+                and readings[start + _R_X] == x
+                and readings[start + _R_Y] == y
+                and readings[start + _R_YAW] == yaw
             )
-            if stamp <= r[start] or jump > _max_step + _max_speed * (stamp - r[start]):
+            is_same_twist: cython.bint = (
+                readings[start + _R_LINEAR] == linear
+                and readings[start + _R_ANGULAR] == angular
+                and readings[start + _R_LATERAL] == lateral
+            )
+            if is_same_pose and is_same_twist:
+                return
+            if self._is_reset(stamp, x, y, yaw):
                 self._count = 0
                 self.resets += 1
         # Overwrites the oldest reading.
         self._newest = (self._newest + 1) % _history
         self._count = min(self._count + 1, _history)
         self.version += 1
-        start = _FIELDS * self._newest
-        r[start], r[start + 1], r[start + 2], r[start + 3] = stamp, x, y, yaw
-        r[start + 4], r[start + 5], r[start + 6] = linear, angular, lateral
+        start = _R_FIELDS * self._newest
+        readings[start + _R_STAMP] = stamp
+        readings[start + _R_X], readings[start + _R_Y] = x, y
+        readings[start + _R_YAW] = yaw
+        readings[start + _R_LINEAR], readings[start + _R_LATERAL] = linear, lateral
+        readings[start + _R_ANGULAR] = angular
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_reset(
+        self, stamp: cython.double, x: cython.double, y: cython.double, yaw: cython.double
+    ) -> cython.int:
+        """1 if the stamp of a new reading does not rise, or if its pose jumps.
+
+        A jump is a step of more than MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the
+        newest reading.
+        """
+        readings: cython.double[::1] = self._readings
+        start: cython.Py_ssize_t = _R_FIELDS * self._newest
+        distance: cython.double = hypot(x - readings[start + _R_X], y - readings[start + _R_Y])
+        turned: cython.double = fabs(remainder(yaw - readings[start + _R_YAW], _turn))
+        jump: cython.double = maximum(distance, turned)
+        longest_jump: cython.double = _max_step + _max_speed * (stamp - readings[start + _R_STAMP])
+        is_reset: cython.bint = stamp <= readings[start + _R_STAMP] or jump > longest_jump
+        return is_reset
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -146,41 +174,43 @@ class DeadReckoning:
     ) -> cython.int:
         """Set `into` to the pose `seconds_before` s before a decision.
 
-        The pose is interpolated between two readings. Before the oldest reading, the pose is
-        extrapolated at the twist of the oldest reading. After the newest reading, the pose is
-        extrapolated at the twist of the newest reading, for LONGEST_EXTRAPOLATION s at most.
-        Without a reading the pose is (0, 0, 0). `odometry_age` in s is the age of the newest
-        reading at the decision.
+        `odometry_age` in s is the age of the newest reading at the decision. Without a reading the
+        pose is (0, 0, 0).
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
+        later: cython.Py_ssize_t = _R_FIELDS * self._newest
+        stamp: cython.double = readings[later + _R_STAMP] + odometry_age - seconds_before
+
+        # 1. After the newest reading: extrapolates at its twist, for a limited time.
+        seconds: cython.double = stamp - readings[later + _R_STAMP]
+        if readings[later + _R_STAMP] <= stamp:
+            if seconds > LONGEST_EXTRAPOLATION:
+                seconds = LONGEST_EXTRAPOLATION
+            return self._extrapolate_measured(later, seconds, into)
+
+        # 2. Between two readings: goes back to the first reading that is not after `stamp`, and
+        # interpolates.
         k: cython.Py_ssize_t
-        earlier: cython.Py_ssize_t
-        later: cython.Py_ssize_t = _FIELDS * self._newest
-        stamp: cython.double = r[later] + odometry_age - seconds_before
-        # Goes back from the newest reading to the first reading that is not after `stamp`.
-        for k in range(self._count):
-            earlier = _FIELDS * ((self._newest - k + _history) % _history)
-            if r[earlier] <= stamp:
-                if k == 0:
-                    seconds: cython.double = stamp - r[earlier]
-                    if seconds > LONGEST_EXTRAPOLATION:
-                        seconds = LONGEST_EXTRAPOLATION
-                    return self._extrapolate(
-                        earlier, r[earlier + 4], r[earlier + 5], r[earlier + 6], seconds, into
-                    )
-                fraction: cython.double = (stamp - r[earlier]) / (r[later] - r[earlier])
-                turn: cython.double = remainder(r[later + 3] - r[earlier + 3], _turn)
+        for k in range(1, self._count):
+            earlier: cython.Py_ssize_t = _R_FIELDS * ((self._newest - k + _history) % _history)
+            if readings[earlier + _R_STAMP] <= stamp:
+                earlier_stamp: cython.double = readings[earlier + _R_STAMP]
+                later_stamp: cython.double = readings[later + _R_STAMP]
+                fraction: cython.double = (stamp - earlier_stamp) / (later_stamp - earlier_stamp)
+                x: cython.double = readings[earlier + _R_X]
+                y: cython.double = readings[earlier + _R_Y]
+                yaw: cython.double = readings[earlier + _R_YAW]
                 return into.set(
-                    r[earlier + 1] + fraction * (r[later + 1] - r[earlier + 1]),
-                    r[earlier + 2] + fraction * (r[later + 2] - r[earlier + 2]),
-                    r[earlier + 3] + fraction * turn,
+                    x + fraction * (readings[later + _R_X] - x),
+                    y + fraction * (readings[later + _R_Y] - y),
+                    yaw + fraction * remainder(readings[later + _R_YAW] - yaw, _turn),
                 )
             later = earlier
-        return self._extrapolate(
-            later, r[later + 4], r[later + 5], r[later + 6], stamp - r[later], into
-        )
+
+        # 3. Before the oldest reading: extrapolates back at its twist.
+        return self._extrapolate_measured(later, stamp - readings[later + _R_STAMP], into)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -199,10 +229,10 @@ class DeadReckoning:
         the command in force (`linear`, `angular`, `lateral`). The age counts up to
         LONGEST_EXTRAPOLATION. Without a reading the pose is (0, 0, 0).
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
-        newest: cython.Py_ssize_t = _FIELDS * self._newest
+        newest: cython.Py_ssize_t = _R_FIELDS * self._newest
         linear_braking: cython.double = self._assumptions.braking_linear
         angular_braking: cython.double = self._assumptions.braking_angular
         seconds: cython.double = odometry_age
@@ -211,12 +241,25 @@ class DeadReckoning:
         seconds += REACTION
         return self._extrapolate(
             newest,
-            _mean_speed(r[newest + 4], linear, linear_braking, seconds),
-            _mean_speed(r[newest + 5], angular, angular_braking, seconds),
-            _mean_speed(r[newest + 6], lateral, linear_braking, seconds),
+            _mean_speed(readings[newest + _R_LINEAR], linear, linear_braking, seconds),
+            _mean_speed(readings[newest + _R_ANGULAR], angular, angular_braking, seconds),
+            _mean_speed(readings[newest + _R_LATERAL], lateral, linear_braking, seconds),
             seconds,
             into,
         )
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1)
+    def _extrapolate_measured(
+        self, start: cython.Py_ssize_t, seconds: cython.double, into: PlanarPose
+    ) -> cython.int:
+        """Set `into` to the pose `seconds` after the reading at index `start`, at its twist."""
+        readings: cython.double[::1] = self._readings
+        linear: cython.double = readings[start + _R_LINEAR]
+        angular: cython.double = readings[start + _R_ANGULAR]
+        lateral: cython.double = readings[start + _R_LATERAL]
+        return self._extrapolate(start, linear, angular, lateral, seconds, into)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -234,17 +277,17 @@ class DeadReckoning:
         The robot moves along the chord of the arc: the way ahead and to the left, rotated by half
         of the turn.
         """
-        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        readings: cython.double[::1] = self._readings
         turn: cython.double = angular * seconds
-        yaw: cython.double = r[start + 3] + 0.5 * turn
+        yaw: cython.double = readings[start + _R_YAW] + 0.5 * turn
         ahead: cython.double = linear * seconds
         left: cython.double = lateral * seconds
         cos_yaw: cython.double = cos(yaw)
         sin_yaw: cython.double = sin(yaw)
         return into.set(
-            r[start + 1] + cos_yaw * ahead - sin_yaw * left,
-            r[start + 2] + sin_yaw * ahead + cos_yaw * left,
-            r[start + 3] + turn,
+            readings[start + _R_X] + cos_yaw * ahead - sin_yaw * left,
+            readings[start + _R_Y] + sin_yaw * ahead + cos_yaw * left,
+            readings[start + _R_YAW] + turn,
         )
 
 
@@ -330,15 +373,15 @@ class ScanMotion:
 
         False, and nothing changes, if the newest ray of the scan is not newer than the newest ray
         of the scan before. A scan of age 0 always counts, since all its rays arrived just now.
-        Times in s:
 
         Args:
-            now: the time of the call.
-            age: since the arrival of the scan, or of the oldest rays that conditioning remembered.
-            newest_age: of the newest ray on arrival, by the platform's latency.
-            delay: by which the scan arrives later than the platform's latency says.
-            odometry_age: of the newest odometry.
-            ages: (n,) of the rays against the newest ray; empty: all are 0.
+            now: s, the time of the call.
+            age: s from the arrival of the scan until `now`. For a scan with rays that conditioning
+                has remembered: from the arrival of the oldest of these rays.
+            newest_age: s, how old the newest ray is on arrival by the platform's latency.
+            delay: s by which the scan arrives later than the platform's latency says.
+            odometry_age: s, how old the newest odometry is at `now`.
+            ages: (n,) s, by how much each ray is older than the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest_age: cython.double = 0.0
@@ -347,22 +390,24 @@ class ScanMotion:
         for i in range(len(ages)):
             if ages[i] > oldest_age:
                 oldest_age = ages[i]
-        latency: cython.double = newest_age + delay
+        latency: cython.double = newest_age + delay  # s from the newest ray to its arrival
         measured_at: cython.double = now - latency - age
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
-        # 2. Where the scan was measured by odometry, and the motion since the scan before. An `age`
-        # above 0 is that of remembered rays: the pose is that of the rays that just arrived.
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
         # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
+
+        # 2. `pose` is still that of the scan before. After a reset of odometry it is in the frame
+        # before. Finds it in the new frame: new readings are extrapolated back by their speed.
         reckoning: DeadReckoning = self._reckoning
-        # After a reset of odometry the pose of the scan before is in another frame. It is found
-        # again in the new frame: the new readings are extrapolated back by their speed.
         if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age
             reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)
+
+        # 3. Where the scan was measured, and the motion since the scan before. `age` is left out:
+        # the pose is that of the rays that just arrived, not that of remembered rays.
         reckoning.find_pose(odometry_age, latency, self._now)
         self.moved.set_relative(self._now, self.pose)
         self.pose.set(self._now.x, self._now.y, self._now.yaw)

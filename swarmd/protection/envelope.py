@@ -45,9 +45,9 @@ class Envelope:
     """The constraints within which no corner of the robot moves faster than `speed`.
 
     Every robot assumes that no surface around it moves faster than `others_speed`. The envelope
-    makes this assumption true of this robot, corners in a turn included. In the plane of the two
-    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set,
-    whose vertices lie on its border.
+    lets this robot keep what its peers assume, also for corners in a turn. In the plane of the two
+    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set;
+    the vertices of the polygon lie on the border of the set.
     """
 
     speed: cython.double  # m/s
@@ -99,9 +99,10 @@ class Envelope:
     def find_rows(self, axes: SpeedAxes) -> cython.int:
         """Find the vertices and the constraints for a direction of the linear speed.
 
-        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in its
-        direction (row of _BOX_DIRECTIONS) for which no corner of the outline moves faster than
-        `speed`. A constraint is the line through two neighbouring vertices.
+        `axes` has the direction and the limits of the speeds. A vertex is the longest vector in a
+        direction (a row of _BOX_DIRECTIONS) that lies within the box of the limits, and for which
+        no corner of the outline moves faster than `speed`. A constraint is the line through two
+        neighbouring vertices.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -109,7 +110,8 @@ class Envelope:
         outline: Outline = self._outline
         directions: cython.double[:, ::1] = _BOX_DIRECTIONS
 
-        # 1. Vertices: speeds in each direction, scaled so that the fastest corner has `speed`.
+        # 1. Vertices: each direction is a place on the border of the box of the limits. If a corner
+        # is faster than `speed` there, the place moves inwards until no corner is faster.
         for i in range(ENVELOPE_ROWS):
             linear: cython.double = directions[i, 0] * axes.limit
             angular: cython.double = directions[i, 1] * axes.angular_limit
@@ -159,9 +161,9 @@ class Creeping:
     def allow(self, placed: PlacedPoints) -> cython.int:
         """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
 
-        The cap is CREEP_SPEED, or less if a `placed` point is so near that its obstacle could touch
-        the robot before the next scan: the robot may use half of the gap beyond contact until then,
-        since the obstacle may use the other half.
+        The cap is CREEP_SPEED, or less near an obstacle: until the next decision, the robot may use
+        half of the gap beyond contact, since the obstacle may use the other half. `placed`: the
+        points of the decision.
         """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED

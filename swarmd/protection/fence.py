@@ -3,12 +3,13 @@
 The pose of the robot in the shared frame comes as an `Anchor`: a measured pose, and the odometry at
 that time. The fence dead-reckons the pose at which the next command takes effect, and simulates
 stops from the command. A command is permitted if the outline keeps, at each step of each stop, the
-clearance that errors and margin need. A robot that is nearer to the fence than that, or outside,
-may only drive inwards: the clearance falls at no step, and exceeds the clearance at the begin by
-what an error of the direction can feign. Zero is always permitted.
+clearance that errors and margin need. A robot that is nearer to the fence than this clearance, or
+outside, may only drive inwards: the clearance falls at no step of a stop. An error of the direction
+can make a stop along the fence look like a stop inwards. So the clearance must also rise by more
+than this error. Zero is always permitted.
 
-A circle around the axle that holds the outline stands for the outline. So a robot can turn at the
-fence, and does not stay there.
+The fence uses a circle in place of the outline: the smallest circle around the axle that contains
+the outline. So the clearance does not depend on the yaw: a robot at the fence can turn and leave.
 
 The model is that of mode `barrier`: the base responds REACTION_TIME after a decision, a command
 stands for a tick, and the base brakes at least at `braking_linear` and `braking_angular`.
@@ -39,6 +40,7 @@ _kernel = load_kernel("swarmd.protection.fence_stops")
 _SHARES = 8  # a limited command has shares of the request in steps of 1 / _SHARES
 _SPACING = 0.1  # m between the points that stand for the fence
 _GRID = 40  # cells along each side, in the search for the widest place
+_HALF_STEP = 0.1  # share of the longest stop: more than the half of a step that a stop adds
 
 
 class FenceView(Struct, frozen=True):
@@ -53,7 +55,7 @@ class FenceView(Struct, frozen=True):
 
 
 class Fence:
-    """The fence of one robot. Without state beside what repeats a computation."""
+    """The fence of one robot. Its only state is stored results, which save computations."""
 
     def __init__(self, settings: FenceSettings, platform: Platform) -> None:
         self.frame, self._margin = settings.frame, settings.margin
@@ -131,34 +133,32 @@ class Fence:
         if requested.is_zero or context.anchor is None or context.odometry is None:
             return requested
 
-        # 1. The place at which the command takes effect; far from the fence nothing is limited.
+        # 1. The place at which the command takes effect. Far from the fence each command is
+        # permitted: even the longest stop keeps the clearance `need`.
         pose, speeds, error = self._predicted(context, context.anchor, command)
         need = error + self._margin
         turn_error = context.anchor.yaw_error + ODOMETRY_SHARE
-        # 1.1: `is_inside` of the kernel adds half a step, which is less than 0.1 of a stop.
-        most = need + self._longest_stop * (1.1 + turn_error)
-        if self._room(pose) > most:
+        if self._room(pose) > need + self._longest_stop * (1.0 + _HALF_STEP + turn_error):
             return requested
 
-        # 2. The request, else the nearest permitted share. The distance of a share from the request
-        # counts in linear and angular speed, each over its limit.
+        # 2. The share of the request that is permitted and nearest to the request, in the plane of
+        # linear and angular speed, each over its limit.
         limits, shares = self._limits, self._even if is_even else self._shares
+        linear_size = math.hypot(requested.linear, requested.lateral) / limits.linear
+        turn_size = abs(requested.angular) / limits.angular
         index = _kernel.nearest_permitted(
             self._edges,
             shares,
             (requested.linear, requested.lateral, requested.angular),
-            (
-                math.hypot(requested.linear, requested.lateral) / limits.linear,
-                abs(requested.angular) / limits.angular,
-            ),
+            (linear_size, turn_size),
             (pose.x, pose.y, pose.yaw),
             speeds,
             self._braking,
             (self.radius, self._clearance(pose), need, turn_error),
         )
-        if index < 0:
+        if index < 0:  # no share is permitted
             return Twist()
-        if index == len(shares):
+        if index == len(shares):  # the request is permitted
             return requested
         part, turn_part = shares[index].tolist()
         return Twist(
@@ -210,9 +210,10 @@ class Fence:
     def _predicted(
         self, context: DecisionContext, anchor: Anchor, command: Twist
     ) -> tuple[Pose, tuple[float, float, float], float]:
-        """Pose and speeds as the next command takes effect, and the bound of the place's error.
+        """Pose, speeds, and the error of the place in m, when the next command takes effect.
 
-        The speeds: ahead, left, turn. The error in m holds for each place of the outline.
+        The pose is in the frame of the fence. The speeds are in m/s ahead, m/s to the left, and
+        rad/s. The error is a bound for each place of the outline.
         """
         odometry, age = context.odometry, context.odometry_age or 0.0
         assert odometry is not None
@@ -233,13 +234,17 @@ class Fence:
         cos, sin = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
-        # 3. The bound of the error. Odometry is off by a share of the way, and across the way by
-        # the error of its heading, a share of the rad turned. The base may have changed its speed
-        # at once or not at all: the place is off by the whole `change` for `seconds`.
+        # 3. The bound of the error. The error of the anchor's yaw counts over the distance from the
+        # anchor.
+        of_anchor = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
+        # Odometry is wrong by a share of the way, and its heading by the same share of the turn. A
+        # wrong heading moves the robot across the way.
+        of_odometry = ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way
+        # The base may have changed its speed at once, or not at all. After MAX_EXTRAPOLATION the
+        # motion is not predicted.
         change = math.hypot(twist.linear - command.linear, twist.lateral - command.lateral)
-        error = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
-        error += ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way
-        error += change * seconds + self._top * max(age - MAX_EXTRAPOLATION, 0.0)
+        of_prediction = change * seconds + self._top * max(age - MAX_EXTRAPOLATION, 0.0)
+        error = of_anchor + of_odometry + of_prediction
         return pose, (ahead_speed, left_speed, turn_speed), error
 
 

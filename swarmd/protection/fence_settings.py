@@ -1,6 +1,7 @@
-"""The settings of the fence, and the faults of its polygons. No numpy: the schema of files uses it.
+"""The settings of the fence, and the faults of its polygons.
 
-Units: m in the shared frame.
+The schema of files imports this module, so the module does not import numpy. Units: m in the shared
+frame.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The distance to the fence, and stops inside the fence: the arithmetic of fence.py.
 
-A kernel (see `core/kernels.py`). An edge of the fence is a row x, y of its start, x, y of its end,
-and the number of its polygon: 0 the outer polygon, then those to keep out of, in order. Units: m,
-s, rad, in the shared frame.
+A kernel (see `core/kernels.py`). An edge of the fence is a row of five numbers: x and y of its
+start, x and y of its end, and the number of its polygon. Polygon 0 is the outer polygon. Robots
+keep out of the polygons from 1 on. The edges of a polygon follow each other. Units: m, s, rad, in
+the shared frame.
 """
 
 from __future__ import annotations
@@ -83,9 +84,11 @@ def _clearance(
     y: cython.double,
     radius: cython.double,
 ) -> cython.double:
-    """The distance of a place to the first `count` edges of `near`, less `radius`.
+    """The clearance in m of a circle of `radius` m around the place (x, y).
 
-    Outside: minus the distance, less `radius`.
+    Within the fence: the distance from the place to the nearest edge, less `radius`. For a place
+    outside: minus the distance, less `radius`. `edges`: all edges of the fence. `near`: its first
+    `count` rows are the edges that may be the nearest.
     """
     i: cython.Py_ssize_t
     least: cython.double = INFINITY
@@ -163,9 +166,10 @@ class _Stops:
     ) -> cython.bint:
         """True if all stops from a command are inside.
 
-        The stops: from the command with both brakes as weak as assumed, and with either brake
-        ideal, since the path bends differently if one brake is stronger; and from the speeds of the
-        base, which need not have reached the command.
+        There are four stops. Three stops begin at the command: with both brakes as weak as assumed,
+        with an ideal linear brake, and with an ideal angular brake. A stronger linear or angular
+        brake changes the path. The fourth stop begins at the speeds of the base, which need not
+        have reached the command.
         """
         b: cython.double = self.braking
         t: cython.double = self.turning
@@ -194,19 +198,21 @@ class _Stops:
         """True if the circle stays clear, or comes inwards, in a stop.
 
         The base begins at the speeds `ahead`, `left` and `turn`. For TICK these speeds change
-        towards `to_ahead`, `to_left` and `to_turn` (not beyond), and then towards zero, at
-        `braking` in m/s2 and `turning` in rad/s2. At each step of the stop the circle must be clear
-        or come inwards:
+        towards `to_ahead`, `to_left` and `to_turn`, then towards zero, at `braking` in m/s2 and
+        `turning` in rad/s2. At each step of the stop the circle must be clear, or come inwards.
 
-        - Clear: the clearance is at least `need`, plus what an error of the direction can hide,
-          plus half of the step, since between two steps the axle is up to half of a step away from
-          the nearer step.
-        - Inwards: the clearance has not fallen since the step before, and exceeds the clearance at
-          the begin by what an error of the direction can feign.
+        An error of the direction moves the place by `turn_error` times the way. So the clearance of
+        a step may be wrong by this distance (`off`):
+
+        - Clear: the clearance is at least the sum of `need`, `off` and half of the way in the step.
+          Between two steps the axle is up to half of a step away from the nearer step.
+        - Inwards: the clearance has not fallen since the step before, and has risen since the begin
+          by `off` at least.
         """
-        linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
-        fastest: cython.double = max(fabs(turn), fabs(to_turn))
-        step: cython.double = (_TICK + max(linear / braking, fastest / turning)) / _STEPS
+        top_speed: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
+        top_turn: cython.double = max(fabs(turn), fabs(to_turn))
+        stop_s: cython.double = _TICK + max(top_speed / braking, top_turn / turning)
+        step: cython.double = stop_s / _STEPS
         way: cython.double = 0.0
         east: cython.double = 0.0
         north: cython.double = 0.0
@@ -214,28 +220,30 @@ class _Stops:
         last_room: cython.double = self.present  # m, the clearance at the step before
         i: cython.Py_ssize_t
         for i in range(_STEPS):
-            until: cython.double = step * (i + 0.5)  # the middle of the step
-            driven: cython.double = min(until, _TICK)
-            braked: cython.double = max(until - _TICK, 0.0)
+            # 1. Moves the axle at the speeds in the middle of the step.
+            middle_s: cython.double = step * (i + 0.5)
+            driven: cython.double = min(middle_s, _TICK)  # s towards the command
+            braked: cython.double = max(middle_s - _TICK, 0.0)  # s towards zero
             along: cython.double = _slowed(ahead, to_ahead, driven, braked, braking) * step
             aside: cython.double = _slowed(left, to_left, driven, braked, braking) * step
             arc: cython.double = _slowed(turn, to_turn, driven, braked, turning) * step
             turned += arc
-            middle: cython.double = self.yaw + turned - 0.5 * arc
-            c: cython.double = cos(middle)
-            s: cython.double = sin(middle)
-            east += c * along - s * aside
-            north += s * along + c * aside
+            middle_yaw: cython.double = self.yaw + turned - 0.5 * arc
+            cos_yaw: cython.double = cos(middle_yaw)
+            sin_yaw: cython.double = sin(middle_yaw)
+            east += cos_yaw * along - sin_yaw * aside
+            north += sin_yaw * along + cos_yaw * aside
             moved: cython.double = hypot(along, aside)
             way += moved
+            # 2. The circle must be clear, or come inwards.
             room: cython.double = _clearance(
                 self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
             )
-            off: cython.double = self.turn_error * way  # m, by an error of the direction
+            off: cython.double = self.turn_error * way
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
-            comes_inwards: cython.bint = not (
-                room < self.present + off - _ROUNDING or room < last_room - _ROUNDING
-            )
+            has_fallen: cython.bint = room < last_room - _ROUNDING
+            has_risen: cython.bint = not room < self.present + off - _ROUNDING
+            comes_inwards: cython.bint = has_risen and not has_fallen
             if not (is_clear or comes_inwards):
                 return False
             last_room = room
@@ -265,7 +273,7 @@ def nearest_permitted(
     edges: Array,
     shares: Array,
     request: tuple[float, float, float],
-    offs: tuple[float, float],
+    sizes: tuple[float, float],
     pose: tuple[float, float, float],
     speeds: tuple[float, float, float],
     brakings: tuple[float, float],
@@ -273,48 +281,50 @@ def nearest_permitted(
 ) -> int:
     """The index of the permitted share of the request that is nearest to the request.
 
-    len(shares): the request itself is permitted. -1: no share is permitted.
+    len(shares) if the request itself is permitted; -1 if no share is permitted. Of equally near
+    shares the first counts.
 
     Args:
         edges: (k, 5) of the fence.
-        shares: (n, 2) of the linear speeds and of the turn; of equally near ones the first counts.
-        request: speeds ahead, left, and turn.
-        offs: the distance of a share of 0 from the request, by linear speeds and by the turn.
-        pose: at which the command takes effect.
-        speeds: of the base then.
+        shares: (n, 2) shares of the linear speeds, and of the angular speed.
+        request: m/s ahead, m/s to the left, rad/s.
+        sizes: the linear and the angular speed of the request, each over its limit. Distances from
+            the request are measured in these numbers.
+        pose: x and y in m, yaw in rad, when the command takes effect.
+        speeds: of the base at this time, as in `request`.
         brakings: m/s2 and rad/s2.
-        room: the radius around the axle, the clearance at the pose, the clearance that errors and
-            margin need, and the rad by which the direction of the simulated motion may be wrong.
+        room: `radius`, `present`, `need` and `turn_error` of `_Stops`.
     """
     table: cython.double[:, ::1] = _view(edges)
     given: cython.double[:, ::1] = _view(shares)
     ahead: cython.double
     left: cython.double
     turn: cython.double
-    linear_off: cython.double
-    turn_off: cython.double
+    linear_size: cython.double
+    turn_size: cython.double
     stops: _Stops = _Stops()
     ahead, left, turn = request
-    linear_off, turn_off = offs
+    linear_size, turn_size = sizes
     stops.speed_ahead, stops.speed_left, stops.speed_turn = speeds
     stops.braking, stops.turning = brakings
     stops.edges = table
     stops.x, stops.y, stops.yaw = pose
     stops.radius, stops.present, stops.need, stops.turn_error = room
-    linear: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
-    fastest: cython.double = max(fabs(turn), fabs(stops.speed_turn))
-    longest: cython.double = max(linear / stops.braking, fastest / stops.turning)
-    way: cython.double = linear * (_TICK + longest)  # m that a stop leads at most
-    stops.near, stops.count = _nearby(table, stops.x, stops.y, way)
+    # 1. The edges within the way of the longest stop.
+    top_speed: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
+    top_turn: cython.double = max(fabs(turn), fabs(stops.speed_turn))
+    longest_s: cython.double = max(top_speed / stops.braking, top_turn / stops.turning)
+    stops.near, stops.count = _nearby(table, stops.x, stops.y, top_speed * (_TICK + longest_s))
+    if stops.permits(ahead, left, turn):
+        return len(given)
+    # 2. The nearest permitted share.
     best: cython.Py_ssize_t = -1
     least: cython.double = INFINITY
     i: cython.Py_ssize_t
-    if stops.permits(ahead, left, turn):
-        return len(given)
     for i in range(len(given)):
-        far: cython.double = hypot((1.0 - given[i, 0]) * linear_off, (1.0 - given[i, 1]) * turn_off)
-        if far < least and stops.permits(
-            ahead * given[i, 0], left * given[i, 0], turn * given[i, 1]
-        ):
-            best, least = i, far
+        share: cython.double = given[i, 0]
+        turn_share: cython.double = given[i, 1]
+        off: cython.double = hypot((1.0 - share) * linear_size, (1.0 - turn_share) * turn_size)
+        if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
+            best, least = i, off
     return best

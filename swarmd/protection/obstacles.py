@@ -29,6 +29,12 @@ NO_NUMBERS = view(np.empty(0))
 NO_ROWS = view(np.empty((0, 4)))
 """No hidden obstacle, and no disc."""
 
+# The columns of the table of discs.
+DISC_X = cython.declare(cython.Py_ssize_t, 0)  # m, in the base frame when the disc was measured
+DISC_Y = cython.declare(cython.Py_ssize_t, 1)
+DISC_RADIUS = cython.declare(cython.Py_ssize_t, 2)  # m
+DISC_AGE = cython.declare(cython.Py_ssize_t, 3)  # s from the measurement until the decision
+
 _ROOM = 96  # points, before there are more
 _FIRST_RUN = cython.declare(cython.Py_ssize_t, 8)  # points that insertion sorts
 
@@ -208,8 +214,8 @@ class NearObstacles:
             ranges: (n,) m, -inf for a return too close to measure, inf for no return.
             range_min: m, the least range that the lidar measures.
             ages: (n,) s of the rays against the newest ray; empty: all are 0.
-            hidden: (m, 3) unit vector from the lidar to a hidden obstacle, and its least distance
-                in m.
+            hidden: (m, 3) unit vector from the lidar to each hidden obstacle, and the least
+                distance of the obstacle from the lidar in m.
         """
         count: cython.Py_ssize_t = len(ranges)
         room: cython.Py_ssize_t = count + len(hidden)
@@ -234,8 +240,8 @@ class NearObstacles:
             self._find_directions(ranges)
             walls.observe(ranges, self._directions, ages, self._motion)
 
-        # 3. Gaps up to which an obstacle matters. `extra_age` in s: how much older than usual the
-        # oldest ray may be.
+        # 3. Gaps in m up to which an obstacle matters: for the envelope, and for constraints.
+        # `extra_age` in s: how much older than usual the oldest ray may be.
         extra_age: cython.double = self._motion.extra_age
         envelope_range: cython.double = (
             self._assumptions.envelope_range + self._assumptions.others_speed * extra_age
@@ -244,16 +250,21 @@ class NearObstacles:
             self._assumptions.longest_scan_age + extra_age
         )
         self.envelope_range, self.binding_range = envelope_range, binding_range
-        reach: cython.double = (
+        # m from the lidar: a return with a greater range has a gap greater than both, since the
+        # whole outline lies within `outer` m of the lidar.
+        longest_range: cython.double = (
             envelope_range if envelope_range > binding_range else binding_range
         ) + self._outline.outer
 
-        # 4. Takes returns and hidden obstacles, and sorts them.
-        closest: cython.double = self._take_returns(ranges, range_min, ages, reach, binding_range)
-        closest_hidden: cython.double = self._take_hidden(hidden, binding_range)
-        if closest_hidden < closest:
-            closest = closest_hidden
-        self.is_near = self.rays.count > 0 or closest <= envelope_range
+        # 4. Takes returns and hidden obstacles, and sorts them. Each contact has a ray.
+        least_gap: cython.double = self._take_returns(
+            ranges, range_min, ages, longest_range, binding_range
+        )
+        least_hidden_gap: cython.double = self._take_hidden(hidden, binding_range)
+        if least_hidden_gap < least_gap:
+            least_gap = least_hidden_gap
+        has_contacts: cython.bint = self.rays.count > 0
+        self.is_near = has_contacts or least_gap <= envelope_range
         self._sort_points()
 
     @cython.cfunc
@@ -267,7 +278,7 @@ class NearObstacles:
     def drop_returns(self, is_dropped: cython.longlong[::1], room: cython.Py_ssize_t) -> cython.int:
         """Drop returns; `add_return` may then add up to `room` returns, and `end_refresh` follows.
 
-        `is_dropped`: for each point, from the last contact on, 1 if the return is dropped.
+        `is_dropped`: 1 for each point that is dropped. Contacts, the first points, always stay.
         """
         i: cython.Py_ssize_t
         points: Points = self.points
@@ -319,13 +330,16 @@ class NearObstacles:
     ) -> cython.double:
         """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
-        `min_gap` is the least gap of all returns, at any range. The result is the least gap in m
-        among the returns with a range up to `longest_range`; inf without such a return. Returns too
-        close to measure go to `rays`, and have no gap.
+        `min_gap` is the least gap of all returns, at any range. Returns too close to measure go to
+        `rays`, and have no gap. The result is the least gap in m among the returns with a range up
+        to `longest_range`, or inf without such a return.
 
-        `ranges`: (n,) m; -inf: too close to measure; inf: no return. `range_min`: m, the least
-        range that the lidar measures. `ages`: (n,) s against the newest ray; empty: 0.
-        `longest_range`: m from the lidar. `binding_range`: m from the outline.
+        Args:
+            ranges: (n,) m. -inf: too close to measure. inf: no return.
+            range_min: m, the least range that the lidar measures.
+            ages: (n,) s against the newest ray. Empty: all are 0.
+            longest_range: m from the lidar, beyond which no return is added.
+            binding_range: m from the outline.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
@@ -343,25 +357,27 @@ class NearObstacles:
         has_standing: cython.bint = walls is not None and walls.has_standing
         others_speed: cython.double = self._assumptions.others_speed
         near_count: cython.Py_ssize_t = 0
-        nearest: cython.double = _least_of(ranges)
-        # m, for `min_gap`, which counts returns beyond `longest_range`, too: the return nearest to
-        # the outline has at most this range (see `Outline.nearest_within`).
-        range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
-        smallest_gap: cython.double = INFINITY  # of all returns
-        closest_gap: cython.double = INFINITY  # of the returns up to `longest_range`
+        least_range: cython.double = _least_of(ranges)
+        # m: the return nearest to the outline, which gives `min_gap`, has at most this range. In a
+        # scan without near returns, this range may be above `longest_range`.
+        range_for_min_gap: cython.double = outline.nearest_within(least_range, range_min)
+        least_gap: cython.double = INFINITY  # of all returns
+        least_near_gap: cython.double = INFINITY  # of the returns up to `longest_range`
         for i in range(count):
             measured_range: cython.double = ranges[i]
-            if not (measured_range <= longest_range or measured_range <= range_of_nearest):
+            if not (measured_range <= longest_range or measured_range <= range_for_min_gap):
                 continue
-            # Finds the direction of the ray, if it is not known yet (NaN).
-            if directions[2 * i] != directions[2 * i]:
+            # A direction that no scan has needed so far is NaN.
+            has_direction: cython.bint = directions[2 * i] == directions[2 * i]
+            if not has_direction:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
             if measured_range == -INFINITY:
                 rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, others_speed)
                 continue
             measured_range = range_min if measured_range < range_min else measured_range
-            # Writes the return behind the near returns; `near_count` rises if it is near.
+            # Writes the return behind the near returns. If the return is not near, `near_count`
+            # stays, and the next return overwrites it.
             near_x[near_count] = outline.lidar_x + measured_range * directions[2 * i]
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
@@ -369,16 +385,16 @@ class NearObstacles:
             near_others[near_count] = others_speed
             if has_standing and walls.standing[i]:
                 near_others[near_count] = self._assumptions.standing_speed
-            if gap < smallest_gap:
-                smallest_gap = gap
+            if gap < least_gap:
+                least_gap = gap
             if ranges[i] <= longest_range:
-                if gap < closest_gap:
-                    closest_gap = gap
+                if gap < least_near_gap:
+                    least_near_gap = gap
                 if gap <= binding_range:
                     near_count += 1
         unsorted.count = near_count
-        self._set_min_gap(nearest, smallest_gap)
-        return closest_gap
+        self._set_min_gap(least_range, least_gap)
+        return least_near_gap
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)
@@ -399,9 +415,11 @@ class NearObstacles:
         for i in range(len(hidden)):
             ray_x: cython.double = hidden[i, 0]
             ray_y: cython.double = hidden[i, 1]
-            if hidden[i, 2] > outline.along_ray(ray_x, ray_y):
-                x: cython.double = outline.lidar_x + hidden[i, 2] * ray_x
-                y: cython.double = outline.lidar_y + hidden[i, 2] * ray_y
+            least_distance: cython.double = hidden[i, 2]
+            is_outside: cython.bint = least_distance > outline.along_ray(ray_x, ray_y)
+            if is_outside:
+                x: cython.double = outline.lidar_x + least_distance * ray_x
+                y: cython.double = outline.lidar_y + least_distance * ray_y
                 gap: cython.double = outline.gap_of(x, y)
                 if gap < closest_gap:
                     closest_gap = gap
@@ -504,7 +522,7 @@ class ObstacleDiscs:
     """Discs in which an obstacle is (see `ToldObstacle`), with those that can constrain a robot."""
 
     obstacles: tuple  # the argument of `set`
-    table: cython.double[:, ::1]  # (n, 4) x, y, radius, age
+    table: cython.double[:, ::1]  # (n, 4): DISC_X, DISC_Y, DISC_RADIUS and DISC_AGE of each disc
     count: cython.Py_ssize_t  # number of discs that can bind
     binding: cython.longlong[::1]  # the indices of these discs in `table`
 
@@ -533,8 +551,9 @@ class ObstacleDiscs:
         approach_speed: cython.double = assumptions.others_speed + assumptions.top_surface_speed
         self.count = 0
         for i in range(len(table)):
-            gap: cython.double = hypot(table[i, 0], table[i, 1]) - table[i, 2] - radius
-            age: cython.double = table[i, 3] + REACTION
+            distance: cython.double = hypot(table[i, DISC_X], table[i, DISC_Y])
+            gap: cython.double = distance - table[i, DISC_RADIUS] - radius
+            age: cython.double = table[i, DISC_AGE] + REACTION
             if not (gap > assumptions.fresh_binding_range + approach_speed * age):
                 self.binding[self.count] = i
                 self.count += 1

@@ -33,6 +33,7 @@ _BLOCKED_SHARE = 0.5  # a robot with less than this share of the requested speed
 _MOVE_BLOCKED_TIME = 0.1  # s of blocked motion before recovery begins
 _TURN_BLOCKED_TIME = 1.0  # s of blocked turning before the robot backs off instead
 _MIN_SPEED_SHARE = 0.1  # of the limits: a slower requested command never counts as blocked
+_HARDLY_MOVES = 0.25  # share of this least linear speed: a slower robot hardly moves
 _FOLLOW_TIME = 1.5  # s for which the robot follows a free corridor
 _FOLLOW_GAIN = 2.0  # 1/s: rad/s for each rad that the heading is off the corridor
 _BACK_OFF_TIME = 0.8  # s, the shortest back-off
@@ -217,7 +218,7 @@ class Recovery:
         is_moving = self._is_moving(request)
         share = 1.0  # of the request that protection allows
         if self._state == "pass" or self._creeps(safe):
-            share = 1.0 if abs(safe.linear) >= 0.25 * self._least_linear else 0.0
+            share = 1.0 if abs(safe.linear) >= _HARDLY_MOVES * self._least_linear else 0.0
         elif is_moving or self._is_turning(request):
             share = self._product(safe, request) / self._product(request, request)
         if share >= _BLOCKED_SHARE:
@@ -252,8 +253,10 @@ class Recovery:
             since, start = self._last_motion
             distance = math.hypot(pose.x - start.x, pose.y - start.y)
             has_stayed = distance <= _STALL_DISTANCE and abs(pose.yaw - start.yaw) <= _STALL_TURN
-            if has_stayed and (now - since <= _STALL_TIME or len(points())):
-                return now - since > _STALL_TIME
+            if has_stayed and now - since <= _STALL_TIME:
+                return False
+            if has_stayed and len(points()):
+                return True
         self._last_motion = now, pose
         return False
 
@@ -279,7 +282,7 @@ class Recovery:
         is_ahead = np.abs(_BEARINGS) <= 0.5 * np.pi
         is_enclosed = self._free_lengths(points, _BEARINGS[is_ahead]).max() < self.lookahead
         last_block, self._last_block = self._last_block, None if pose is None else (now, pose)
-        has_waited = self._patience != _MOVE_BLOCKED_TIME  # at the last block
+        has_waited = self._patience != _MOVE_BLOCKED_TIME  # since the last block: set in step 2
         self._patience = _MOVE_BLOCKED_TIME
         if (
             not is_enclosed

@@ -73,6 +73,8 @@ _FIRST_SEEN_IN = -0.1
 _BACKS_OUT = 0.1  # m back from its farthest place: the track comes out again
 _MEETING = 0.8  # m, in addition to the depth, within which a track that comes is met
 _EQUALLY_DEEP = 0.15  # m within which two robots count as equally deep
+# A track comes from the side of the robot, or from the other side of the opening.
+_THIS_SIDE, _OTHER_SIDE = -1.0, 1.0
 # m to another robot that goes in, and m beyond the opening, within which the robot waits behind it.
 _FOLLOW, _FOLLOW_BEYOND = 0.27, 0.2
 # m around the begin of an opening within which another robot on the same side waits for its turn.
@@ -135,7 +137,7 @@ class _Rule(Enum):
     The step does not depend on the state before (`WayState`), but on these attributes of
     `RightOfWay` (the rules are numbered below): `_is_backing` (rules 1 and 2), `_busy_at`,
     `_keep_clear_for`, `_within_at`, `_came_out` and `_passed_at` (rules 3 and 4), `_is_lined_up`
-    (rule 5), `_held_since` and `_held_at_s` (rules 3, 4 and 6). When the robot begins to give way,
+    (rule 5), `_held_since` and `_held_along` (rules 3, 4 and 6). When the robot begins to give way,
     the robot counts as not lined up and not held.
     """
 
@@ -190,38 +192,38 @@ _SETTLED = (WayState.IN, WayState.BACK, WayState.WAIT, WayState.LINE)
 class _Place(NamedTuple):
     """The pose of the robot in the frame of an opening, and the size of the opening."""
 
-    s: float  # m from the begin of the opening along its axis; negative before the opening
-    side: float  # m to the left of the axis
+    along: float  # m from the begin of the opening along its axis; negative before the opening
+    aside: float  # m to the left of the axis
     heading: float  # rad from the axis
     depth: float  # m of the opening along its axis
-    half: float  # m, half of the width of the opening
+    half_width: float  # m, of the opening
 
     @property
     def is_in(self) -> bool:
         """True if others must wait for the robot."""
-        if abs(self.side) >= self.half + _IN_BESIDE:
+        if abs(self.aside) >= self.half_width + _IN_BESIDE:
             return False
-        is_on_axis = abs(self.side) < _ALIGNED_SHARE * self.half
+        is_on_axis = abs(self.aside) < _ALIGNED_SHARE * self.half_width
         is_aligned = abs(self.heading) < _ALIGNED and is_on_axis
-        return self.s > -_IN_ANYHOW or (self.s > -_IN and is_aligned)
+        return self.along > -_IN_ANYHOW or (self.along > -_IN and is_aligned)
 
     @property
     def leaves_free(self) -> bool:
         """True if others can pass the robot."""
-        return abs(self.side) > self.half + _BESIDE or self.s < -_FREE
+        return abs(self.aside) > self.half_width + _BESIDE or self.along < -_FREE
 
     @property
     def to_line_up(self) -> float:
         """The distance in m to the place at which a robot lines up."""
-        return math.hypot(self.s + _LINE_UP, self.side)
+        return math.hypot(self.along + _LINE_UP, self.aside)
 
 
 class _PlacedTrack(NamedTuple):
     """Another moving object in the frame of an opening."""
 
     id: int
-    s: float  # m from the begin of the opening along its axis
-    side: float  # m to the left of the axis
+    along: float  # m from the begin of the opening along its axis
+    aside: float  # m to the left of the axis
 
 
 class _Traffic(NamedTuple):
@@ -267,7 +269,7 @@ class RightOfWay:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the request, and no opening that the robot knows."""
+        """Forget the request; keep all openings that the robot knows."""
         # m/s; the fastest speed requested so far, as in recovery
         self._speed = _UNKNOWN_SPEED_SHARE * self._limits.linear
         self._release()
@@ -285,7 +287,7 @@ class RightOfWay:
         self._sign = 1.0  # 1 or -1: the way through, along the angle of the opening or opposite
         self._chosen_at = 0.0  # when the opening was chosen
         self._wanted_yaw = 0.0  # rad, the direction of the request in the frame of the odometry
-        # By the id of a track. `_sides`: -1 if the track came from the side of this robot, else 1.
+        # By the id of a track. `_sides`: _THIS_SIDE or _OTHER_SIDE, from which the track came.
         # `_farthest`: its farthest place in m along the axis. `_seen_since`: in s.
         self._sides: dict[int, float] = {}
         self._farthest: dict[int, float] = {}
@@ -294,7 +296,7 @@ class RightOfWay:
         # Dropped when the robot sees the track elsewhere.
         self._within_at: dict[int, float] = {}
         self._came_out: set[int] = set()  # ids of the tracks that have come out to this side
-        self._progress_s = -math.inf  # m along the axis: where the robot last made progress
+        self._progress_along = -math.inf  # m along the axis: where the robot last made progress
         self._progress_at = -math.inf  # s, when this was
         self._is_backing = False
         self._busy_at = -math.inf  # when traffic last made the robot give way
@@ -306,7 +308,7 @@ class RightOfWay:
         # m to the left: the middle measured between the posts less that of the sightings.
         self._middle_offset: float | None = None
         self._held_since = -math.inf  # when the robot began to wait for a robot ahead
-        self._held_at_s = -math.inf  # m along the axis, where this was
+        self._held_along = -math.inf  # m along the axis, where this was
         self.state = WayState.NONE
 
     @property
@@ -393,12 +395,12 @@ class RightOfWay:
         place = _Place(along - begin, aside, heading, end - begin, opening.half)
 
         # 3. Drops the opening once it is passed, far away, not on the way, or after _GIVE_UP s.
-        is_passed = place.s > place.depth + _BEYOND
+        is_passed = place.along > place.depth + _BEYOND
         if is_passed and surroundings.tracks:
             self._passed_at = now  # others are near: next time this robot lets them pass longer
         cos_to_request = math.cos(self._wanted_yaw - opening.angle) * self._sign
         is_too_long = now - self._chosen_at > _GIVE_UP
-        if is_passed or place.s < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
+        if is_passed or place.along < -_TOO_FAR or cos_to_request < _LEADS_AWAY or is_too_long:
             self._release()
             return requested
 
@@ -487,27 +489,28 @@ class RightOfWay:
         `place`: the place of this robot in the frame of the opening. `others`: the tracks (other
         moving objects) in the same frame. `now`: s.
         """
-        # In an opening, a robot with priority backs out only for a robot clearly deeper in; before
-        # an opening, it lets a robot go first that is up to `slack` farther away.
+        # m. In an opening, a robot with priority backs out only for a robot that is deeper in by
+        # more than `slack`. Before an opening, a robot with priority lets another robot go first
+        # that is up to `slack` farther away. Without priority, `slack` is negative.
         slack = _EQUALLY_DEEP if self._has_priority else -_EQUALLY_DEEP
         is_busy = is_behind = is_met = is_close = is_queued = False
         for id, along, aside in others:
-            # 1. The side from which the track came: -1 the side of this robot, 1 the other side.
-            # The side stays while the track is near the opening.
+            # 1. The side from which the track came. The side stays while the track is within or
+            # near the opening.
             came_from = self._sides.get(id)
             is_within = -_THRESHOLD < along < place.depth + _THRESHOLD
             if not is_within:
                 self._within_at.pop(id, None)
-                if came_from == 1.0 and along < 0.0:
+                if came_from == _OTHER_SIDE and along < 0.0:
                     self._came_out.add(id)
             is_near = abs(aside) < _QUEUE_FAR and -_QUEUE_FAR < along < -_QUEUE_NEAR
             is_queued |= is_near and id not in self._came_out
             if came_from is None or not is_within:
                 border = _FIRST_SEEN_IN if came_from is None else 0.5 * place.depth
-                came_from = self._sides[id] = -1.0 if along < border else 1.0
+                came_from = self._sides[id] = _THIS_SIDE if along < border else _OTHER_SIDE
 
             # 2. Skips a track that is neither before nor in the opening.
-            max_aside = place.half + (-_NARROWER if along > -_IN_WALL else _WIDER)
+            max_aside = place.half_width + (-_NARROWER if along > -_IN_WALL else _WIDER)
             if not -_BEFORE < along < place.depth + _AFTER or abs(aside) > max_aside:
                 continue
             # How far it came; forgotten once it is back more than _LINE_UP before the opening.
@@ -516,20 +519,20 @@ class RightOfWay:
 
             # 3. What the track does.
             backs_out = farthest > -_IN and along < farthest - _BACKS_OUT
-            is_ahead = along > place.s
-            if came_from > 0.0 or backs_out:
+            is_ahead = along > place.along
+            if came_from == _OTHER_SIDE or backs_out:
                 # The track comes out. Compares the m that each robot would have to back out.
-                own_m, other_m = place.s + _IN, place.depth + _IN - along
+                own_m, other_m = place.along + _IN, place.depth + _IN - along
                 is_in_or_through = along < place.depth + _IN
                 if place.is_in and is_ahead:
-                    meets = along - place.s < _MEETING + place.depth
+                    meets = along - place.along < _MEETING + place.depth
                     is_met |= meets and other_m > max(own_m + slack, 0.0)
-                elif is_in_or_through or along - place.depth < -place.s + slack:
+                elif is_in_or_through or along - place.depth < -place.along + slack:
                     is_busy = True  # the track is in or through the opening, or nearer to it
                     if is_within:
                         self._within_at[id] = now
             elif is_ahead and along > -_IN:  # the track goes in ahead of the robot
-                is_close |= along - place.s < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
+                is_close |= along - place.along < _FOLLOW and along < place.depth + _FOLLOW_BEYOND
             elif math.hypot(along + _LINE_UP, aside) < place.to_line_up + slack:
                 is_behind = True  # the track is nearer to the place to line up
         return _Traffic(is_busy, is_behind, is_met, is_close, is_queued)
@@ -564,7 +567,7 @@ class RightOfWay:
         if abs(middle_offset) > _WRONG_BY and self._openings.forget(self._opening):
             self._release()  # the sightings took a robot for a post
             return ZERO
-        place = place._replace(side=place.side - middle_offset)
+        place = place._replace(aside=place.aside - middle_offset)
         others = [_PlacedTrack(id, along, aside - middle_offset) for id, along, aside in others]
 
         # 3. Judges the traffic. The time to keep clear counts from the last decision with traffic,
@@ -582,13 +585,17 @@ class RightOfWay:
 
     def _update_progress(self, place: _Place, traffic: _Traffic, now: float) -> None:
         """Set `_is_backing`, and store where and when the robot last made progress."""
+        is_stuck = now - max(self._progress_at, self._chosen_at) > _STUCK
+        has_moved = abs(place.along - self._progress_along) > _PROGRESS
         if not place.is_in:
             self._is_backing = False
-        elif traffic.is_met or now - max(self._progress_at, self._chosen_at) > _STUCK:
-            self._is_backing = traffic.is_met or not self._is_backing
-        elif not abs(place.s - self._progress_s) > _PROGRESS:
+        elif traffic.is_met:
+            self._is_backing = True
+        elif is_stuck:  # tries the other way
+            self._is_backing = not self._is_backing
+        elif not has_moved:
             return
-        self._progress_s, self._progress_at = place.s, now
+        self._progress_along, self._progress_at = place.along, now
 
     def _rule(self, place: _Place, traffic: _Traffic, now: float) -> _Rule:
         """The first rule of `_Rule` whose condition is true.
@@ -608,29 +615,31 @@ class RightOfWay:
             return self._giving_way(place)
 
         # Rule 5: lined up at the place before the opening, or on the axis; until far off the axis.
-        is_on_axis = abs(place.side) < _ON_AXIS and place.s < -_ON_AXIS_FAR
+        is_on_axis = abs(place.aside) < _ON_AXIS and place.along < -_ON_AXIS_FAR
         self._is_lined_up |= place.to_line_up < _AT_LINE_UP or is_on_axis
-        most_off_axis = _OFF_AXIS if place.s < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * place.half
-        self._is_lined_up &= abs(place.side) < most_off_axis
+        most_off_axis = (
+            _OFF_AXIS if place.along < -_OFF_AXIS_NEAR else _OFF_AXIS_SHARE * place.half_width
+        )
+        self._is_lined_up &= abs(place.aside) < most_off_axis
         if not self._is_lined_up:
             return _Rule.IS_NOT_LINED_UP
 
         # Rule 6; or rules 3 and 4 (by case c) after _HELD_TIME s without progress behind a robot
         # that is close ahead.
-        if not traffic.is_close or place.s > self._held_at_s + _PROGRESS:
-            self._held_since, self._held_at_s = now, place.s
+        if not traffic.is_close or place.along > self._held_along + _PROGRESS:
+            self._held_since, self._held_along = now, place.along
         elif now - self._held_since > _HELD_TIME:
             self._busy_at, self._keep_clear_for = now, self._rng.uniform(*_CLEAR_TIMES) + _HIDDEN
             return self._giving_way(place)
         if traffic.is_close:
             return _Rule.FOLLOWS
-        is_at_line_up = place.s > -_LINE_UP - _NEARLY_LINED_UP
+        is_at_line_up = place.along > -_LINE_UP - _NEARLY_LINED_UP
         return _Rule.IS_AT_LINE_UP if is_at_line_up else _Rule.IS_BEFORE_LINE_UP
 
     def _giving_way(self, place: _Place) -> _Rule:
         """Rule 3 or 4, by the place. The robot counts as not lined up and not held from now on."""
         self._is_lined_up = False
-        self._held_since = self._held_at_s = -math.inf
+        self._held_since = self._held_along = -math.inf
         return _Rule.MUST_GIVE_WAY_ASIDE if place.leaves_free else _Rule.MUST_GIVE_WAY
 
     def _request(self, place: _Place, others: list[_PlacedTrack], safe_for: Allows) -> Twist:
@@ -641,29 +650,29 @@ class RightOfWay:
         """
         match self.state:
             case WayState.BACK:  # turns the rear to a place on the axis behind, and drives there
-                behind = math.atan2(-place.side, -_BACK_AIM) + math.pi - place.heading
+                behind = math.atan2(-place.aside, -_BACK_AIM) + math.pi - place.heading
                 turn = min(max(math.remainder(behind, 2.0 * math.pi), -_BACK_TURN), _BACK_TURN)
                 return self._fastest(Twist(-_BACK_SHARE * self._speed, turn), safe_for)
             case WayState.IN:
-                is_in_corridor = place.depth > _DEEP and place.s > -_LEAN_FROM
+                is_in_corridor = place.depth > _DEEP and place.along > -_LEAN_FROM
                 lean = self._lean if is_in_corridor else 0.0
-                return self._fastest(self._drive(place.s + _PURSUIT, lean, place), safe_for)
+                return self._fastest(self._drive(place.along + _PURSUIT, lean, place), safe_for)
             case WayState.ASIDE:  # to the side of the axis on which the robot is, else right
                 # A chosen side stays until the robot is clearly on the other side.
                 least_aside = _KEEPS_SIDE if self._waiting_side else _HAS_SIDE
-                if abs(place.side) > least_aside:
-                    self._waiting_side = math.copysign(1.0, place.side)
+                if abs(place.aside) > least_aside:
+                    self._waiting_side = math.copysign(1.0, place.aside)
                 elif not self._waiting_side:
                     self._waiting_side = -1.0
                 return self._drive(*self._waiting_place(place, others), place)
             case WayState.GO:
                 return self._drive(-_LINE_UP, 0.0, place)
             case WayState.LINE:
-                return self._fastest(self._drive(place.s + _PURSUIT, 0.0, place), safe_for)
+                return self._fastest(self._drive(place.along + _PURSUIT, 0.0, place), safe_for)
             case WayState.APPROACH:
-                return self._drive(place.s + _PURSUIT, 0.0, place)
+                return self._drive(place.along + _PURSUIT, 0.0, place)
             case WayState.WAIT if place.leaves_free:  # faces the place where it will line up
-                bearing = math.atan2(-place.side, -_LINE_UP - place.s) - place.heading
+                bearing = math.atan2(-place.aside, -_LINE_UP - place.along) - place.heading
                 error = math.remainder(bearing, 2.0 * math.pi)
                 if abs(error) < _FACES:
                     return ZERO
@@ -676,10 +685,10 @@ class RightOfWay:
 
         The first of _PLACES places that no other robot takes, from the opening back; else the last.
         """
-        aside = self._waiting_side * (place.half + _BESIDE + _FARTHER_BESIDE)
-        along = min(place.s, -_ASIDE_FAR) - _ASIDE_STEP
+        aside = self._waiting_side * (place.half_width + _BESIDE + _FARTHER_BESIDE)
+        along = min(place.along, -_ASIDE_FAR) - _ASIDE_STEP
         for _ in range(_PLACES - 1):
-            if all(math.hypot(o.s - along, o.side - aside) > _TAKEN for o in others):
+            if all(math.hypot(o.along - along, o.aside - aside) > _TAKEN for o in others):
                 break
             along -= _NEXT_PLACE
         return along, aside
@@ -691,17 +700,18 @@ class RightOfWay:
         axis of sightings from afar is off by 1 cm, and by more where a sighting took a robot for a
         post. With 1 cm off the middle, protection allows half of the speed between the posts.
         """
-        if not -_LINE_UP - _NEARLY_LINED_UP < place.s < place.depth + _PAST_POSTS:
+        if not -_LINE_UP - _NEARLY_LINED_UP < place.along < place.depth + _PAST_POSTS:
             return
         offset = self._middle_offset
-        from_m = max(place.s - _POSTS_BEHIND, -_AT_POST)
-        to_m = min(max(place.s, 0.0) + _POSTS_AHEAD, place.depth + _AT_POST)
+        # Returns count beside the robot and shortly ahead, but only near the opening.
+        from_m = max(place.along - _POSTS_BEHIND, -_AT_POST)
+        to_m = min(max(place.along, 0.0) + _POSTS_AHEAD, place.depth + _AT_POST)
         measured = gap_middle(
             points(),
-            (place.s, place.side, place.heading),
+            (place.along, place.aside, place.heading),
             (from_m, to_m),
-            (2.0 * place.half, _SAME_WIDTH),
-            (offset or 0.0, place.half + _AT_POST),
+            (2.0 * place.half_width, _SAME_WIDTH),
+            (offset or 0.0, place.half_width + _AT_POST),
         )
         if measured is None:
             return
@@ -718,6 +728,7 @@ class RightOfWay:
         for speed in (fastest, *_SPEEDS):
             candidate = Twist(math.copysign(min(speed, fastest), twist.linear), twist.angular)
             allowed = safe_for(candidate)
+            # m/s in the direction of the candidate; negative if protection reverses the motion.
             value = math.copysign(allowed.linear, allowed.linear * candidate.linear)
             value -= _TURN_COST * abs(allowed.angular - candidate.angular)
             if value > best_value:
@@ -731,14 +742,12 @@ class RightOfWay:
         robot near or in the opening drives backwards to a goal behind it.
         """
         limits = self._limits
-        bearing = math.atan2(goal_aside - place.side, goal_along - place.s) - place.heading
+        bearing = math.atan2(goal_aside - place.aside, goal_along - place.along) - place.heading
         yaw_error = math.remainder(bearing, 2.0 * math.pi)
         speed = self._speed
-        if (
-            goal_along < place.s > -_LINE_UP
-            and abs(place.side) < place.half
-            and abs(yaw_error) > _BACKS_TO
-        ):
+        is_near = place.along > -_LINE_UP and abs(place.aside) < place.half_width
+        is_goal_behind = goal_along < place.along and abs(yaw_error) > _BACKS_TO
+        if is_near and is_goal_behind:
             yaw_error = math.remainder(yaw_error - math.pi, 2.0 * math.pi)
             speed = -speed
         turn = min(max(_GAIN * yaw_error, -limits.angular), limits.angular)

@@ -5,8 +5,8 @@
 2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
    line by total least squares. Parts on one line are joined again over returns that are off the
    line, unless a ray passes through between the parts. The result is a run.
-3. A run is long if its ends are `length` m apart and its returns do not bend. The parts of a round
-   surface are runs, too: the parabola through their returns tells these from parts of a wall.
+3. A run is long if its ends are `length` m apart and its returns do not bend. Parts of a round
+   surface are runs, too, but bend: a parabola is fitted to the returns of each run.
 
 Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """
@@ -51,7 +51,7 @@ _STACK = cython.declare(cython.Py_ssize_t, 128)  # two numbers for each part tha
 # The fields of a run.
 RUN_FIRST = cython.declare(cython.Py_ssize_t, 0)  # the index of its first return
 RUN_LENGTH = cython.declare(cython.Py_ssize_t, 1)  # the returns that follow, a whole number
-RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)  # six: the count, the sums of x, y, xx, xy, yy
+RUN_SUMS = cython.declare(cython.Py_ssize_t, 2)  # the first of the _SUMS sums below
 RUN_X = cython.declare(cython.Py_ssize_t, 8)  # m, a point of its line
 RUN_Y = cython.declare(cython.Py_ssize_t, 9)
 RUN_UX = cython.declare(cython.Py_ssize_t, 10)  # the unit vector along its line
@@ -61,6 +61,15 @@ RUN_TO = cython.declare(cython.Py_ssize_t, 13)  # m along its line from this poi
 RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)  # 1 once the run belongs to a wall
 RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)  # 1 for a long and straight run
 RUN_FIELDS = cython.declare(cython.Py_ssize_t, 16)
+
+# The sums over returns.
+_SUM_COUNT = cython.declare(cython.Py_ssize_t, 0)
+_SUM_X = cython.declare(cython.Py_ssize_t, 1)
+_SUM_Y = cython.declare(cython.Py_ssize_t, 2)
+_SUM_XX = cython.declare(cython.Py_ssize_t, 3)
+_SUM_XY = cython.declare(cython.Py_ssize_t, 4)
+_SUM_YY = cython.declare(cython.Py_ssize_t, 5)
+_SUMS = cython.declare(cython.Py_ssize_t, 6)
 
 
 @cython.final
@@ -79,7 +88,7 @@ class StraightRuns:
     _oldest: cython.double  # s, the greatest age of a ray of this revolution
     _returns: cython.Py_ssize_t
     _is_cut: cython.longlong[::1]  # of each return: 1 if a ray before passes through
-    _sums: cython.double[::1]  # running sums over the returns
+    _sums: cython.double[::1]  # _SUMS for each return: the sums over all returns before it
     _places: cython.double[::1]  # of the returns on the line of a run: m along and across the line
     _stack: cython.longlong[::1]
 
@@ -92,7 +101,7 @@ class StraightRuns:
     def _allocate(self, rays):
         """Make the arrays of a scan anew, for so many rays."""
         self.ray, self._is_cut = indices(rays), indices(rays)
-        self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(6 * (rays + 1))
+        self.x, self.y, self._sums = doubles(rays), doubles(rays), doubles(_SUMS * (rays + 1))
         self._places = doubles(2 * rays)
 
     @cython.cfunc
@@ -121,44 +130,51 @@ class StraightRuns:
     @cython.cfunc
     @cython.exceptval(-1)
     def _is_straight(self, run: cython.Py_ssize_t) -> cython.int:
-        """1 unless the returns of a run bend with a radius below _LEAST_RADIUS m.
+        """1 if the returns of a run bend with a radius of at least _LEAST_RADIUS m.
 
-        The radius is that of the parabola that fits the returns on the line best.
+        0 also if fewer than _FEWEST returns are on the line of the run. A parabola is fitted to the
+        returns on the line: their distance across the line as a function of their place along the
+        line. The radius is that of the parabola.
         """
         k: cython.Py_ssize_t
         on_line: cython.Py_ssize_t = 0
         runs: cython.double[::1] = self.fields
         places: cython.double[::1] = self._places
-        # 1. The returns on the line, and the moments of their places along the line.
+        # 1. The returns on the line, and the sums of the powers of their places along the line.
         first: cython.double = 0.0
         second: cython.double = 0.0
         third: cython.double = 0.0
         for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
-            t: cython.double = self.along(run, k)
-            if t != t:
-                continue
-            places[2 * on_line] = t
-            places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
-            first += t
-            second += t * t
-            third += t * t * t
-            on_line += 1
+            place: cython.double = self.along(run, k)
+            is_on_line: cython.bint = place == place  # NaN for a return off the line
+            if is_on_line:
+                places[2 * on_line] = place
+                places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
+                first += place
+                second += place * place
+                third += place * place * place
+                on_line += 1
         if on_line < _FEWEST:
             return 0
         mean: cython.double = first / on_line
         variance: cython.double = second / on_line - mean * mean
-        skew: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
+        third_moment: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
         if not variance > 0.0:
             return 0
-        # 2. Least squares of the part that neither a shift nor a turn of the line explains.
-        fitted: cython.double = 0.0
+        # 2. The coefficient of the square, by least squares: covariance / square. `bend` is the
+        # square of the place, less what a shift and a turn of the line explain.
+        covariance: cython.double = 0.0
         square: cython.double = 0.0
         for k in range(on_line):
-            t = places[2 * k] - mean
-            shape: cython.double = t * t - t * skew / variance - variance
-            fitted += shape * places[2 * k + 1]
-            square += shape * shape
-        return 2.0 * fabs(fitted) * _LEAST_RADIUS <= square
+            off_mean: cython.double = places[2 * k] - mean
+            across: cython.double = places[2 * k + 1]
+            bend: cython.double = (
+                off_mean * off_mean - off_mean * third_moment / variance - variance
+            )
+            covariance += bend * across
+            square += bend * bend
+        # 3. The radius is 1 / (2 * coefficient). The comparison has no division by 0.
+        return 2.0 * fabs(covariance) * _LEAST_RADIUS <= square
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -168,37 +184,55 @@ class StraightRuns:
         directions: cython.double[::1],
         ages: cython.const[cython.double][::1],
     ) -> cython.int:
-        """Place the returns of this revolution within reach, with running sums of coordinates."""
+        """Place the returns of this revolution within REACH m, and add them to the running sums.
+
+        A ray passes through before a return if the ray has no return within REACH m. A return too
+        close to measure is left out, but no ray passes through there. The arguments are those of
+        `find`.
+        """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t = 0
         has_ages: cython.bint = len(ages) > 0
         is_cut: cython.bint = False
-        sums: cython.double[::1] = self._sums
-        for i in range(6):
-            sums[i] = 0.0
+        for i in range(_SUMS):
+            self._sums[i] = 0.0
         for i in range(len(ranges)):
-            if has_ages and not ages[i] <= self._oldest:
+            is_of_revolution: cython.bint = not has_ages or ages[i] <= self._oldest
+            if not is_of_revolution:
                 continue
             distance: cython.double = ranges[i]
-            if not distance <= REACH:
+            if not distance <= REACH:  # the ray passes through
                 is_cut = True
                 continue
-            if not distance > 0.0:
+            if not distance > 0.0:  # -inf: too close to measure
                 continue
             x: cython.double = self.lidar_x + distance * directions[2 * i]
             y: cython.double = self.lidar_y + distance * directions[2 * i + 1]
             self.x[k], self.y[k] = x, y
             self.ray[k], self._is_cut[k] = i, is_cut
-            sums[6 * k + 6] = sums[6 * k] + 1.0
-            sums[6 * k + 7], sums[6 * k + 8] = sums[6 * k + 1] + x, sums[6 * k + 2] + y
-            sums[6 * k + 9] = sums[6 * k + 3] + x * x
-            sums[6 * k + 10] = sums[6 * k + 4] + x * y
-            sums[6 * k + 11] = sums[6 * k + 5] + y * y
+            self._add_to_sums(k, x, y)
             is_cut = False
             k += 1
         self._returns = k
-        if k and is_cut:  # behind the last return, which the first one follows
+        # The first return follows the last return, so a ray behind the last return counts, too.
+        if k and is_cut:
             self._is_cut[0] = True
+        return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1)
+    def _add_to_sums(self, k: cython.Py_ssize_t, x: cython.double, y: cython.double) -> cython.int:
+        """Set the sums over the returns up to return `k`, whose place is (x, y) in m."""
+        sums: cython.double[::1] = self._sums
+        before: cython.Py_ssize_t = _SUMS * k
+        to: cython.Py_ssize_t = before + _SUMS
+        sums[to + _SUM_COUNT] = sums[before + _SUM_COUNT] + 1.0
+        sums[to + _SUM_X] = sums[before + _SUM_X] + x
+        sums[to + _SUM_Y] = sums[before + _SUM_Y] + y
+        sums[to + _SUM_XX] = sums[before + _SUM_XX] + x * x
+        sums[to + _SUM_XY] = sums[before + _SUM_XY] + x * y
+        sums[to + _SUM_YY] = sums[before + _SUM_YY] + y * y
         return 0
 
     @cython.cfunc
@@ -275,8 +309,10 @@ class StraightRuns:
         runs: cython.double[::1] = self.fields
         run: cython.Py_ssize_t = RUN_FIELDS * self.count
         runs[run + RUN_FIRST], runs[run + RUN_LENGTH] = first, last - first
-        for j in range(6):
-            runs[run + RUN_SUMS + j] = self._sums[6 * (last + 1) + j] - self._sums[6 * first + j]
+        for j in range(_SUMS):
+            runs[run + RUN_SUMS + j] = (
+                self._sums[_SUMS * (last + 1) + j] - self._sums[_SUMS * first + j]
+            )
         if self._fit(run):
             self.count += 1
         return 0
@@ -289,28 +325,33 @@ class StraightRuns:
         The line is fitted by total least squares, and leads from the first return to the last. A
         run is rough if its returns are too far off this line.
         """
+        # 1. The covariance of the returns.
         runs: cython.double[::1] = self.fields
-        n: cython.double = runs[run + RUN_SUMS]
-        x: cython.double = runs[run + RUN_SUMS + 1] / n
-        y: cython.double = runs[run + RUN_SUMS + 2] / n
-        xx: cython.double = runs[run + RUN_SUMS + 3] / n - x * x
-        xy: cython.double = runs[run + RUN_SUMS + 4] / n - x * y
-        yy: cython.double = runs[run + RUN_SUMS + 5] / n - y * y
+        n: cython.double = runs[run + RUN_SUMS + _SUM_COUNT]
+        x: cython.double = runs[run + RUN_SUMS + _SUM_X] / n
+        y: cython.double = runs[run + RUN_SUMS + _SUM_Y] / n
+        xx: cython.double = runs[run + RUN_SUMS + _SUM_XX] / n - x * x
+        xy: cython.double = runs[run + RUN_SUMS + _SUM_XY] / n - x * y
+        yy: cython.double = runs[run + RUN_SUMS + _SUM_YY] / n - y * y
+        # 2. The lesser eigenvalue of the covariance: the mean square of the distances to the line.
         half: cython.double = 0.5 * (xx - yy)
         root: cython.double = sqrt(half * half + xy * xy)
-        if not 0.5 * (xx + yy) - root <= _ROUGH * _ROUGH:
+        lesser: cython.double = 0.5 * (xx + yy) - root
+        if not lesser <= _ROUGH * _ROUGH:
             return 0
+        # 3. The direction of the line: the eigenvector of the greater eigenvalue. There are two
+        # formulas for this vector. Each is exact where both numbers that it adds have one sign.
         ux: cython.double = half + root if half >= 0.0 else xy
         uy: cython.double = xy if half >= 0.0 else root - half
         length: cython.double = hypot(ux, uy)
         if not length > 0.0:
             return 0
+        # 4. The unit vector of this direction, towards the last return.
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_FIRST])
         last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
         along: cython.double = ux * (self.x[last] - self.x[first])
         along += uy * (self.y[last] - self.y[first])
-        if along < 0.0:
-            length = -length
+        length = -length if along < 0.0 else length  # a negative length reverses the vector
         ux, uy = ux / length, uy / length
         runs[run + RUN_X], runs[run + RUN_Y] = x, y
         runs[run + RUN_UX], runs[run + RUN_UY] = ux, uy
@@ -353,43 +394,57 @@ class StraightRuns:
     def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
         """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
 
-        They may be SPACING m apart at most, and no ray may pass through between them.
+        Both indices are of `fields`.
         """
         j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields
         last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + RUN_FIRST])
-        # 1. They are SPACING m apart at most. If the robot turns with the lidar, the first run
-        # and the last one overlap.
+        # 1. The distance from the last return of `run` to the first return of `after`: at most
+        # SPACING m along the line. The distance is negative if the runs overlap: if the robot turns
+        # with the lidar, the last run of the scan overlaps the first run.
         dx: cython.double = self.x[first] - self.x[last]
         dy: cython.double = self.y[first] - self.y[last]
         along: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
         across: cython.double = runs[run + RUN_UX] * dy - runs[run + RUN_UY] * dx
-        overlap: cython.double = runs[run + RUN_FROM] - runs[run + RUN_TO]
-        if not (overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
+        most_overlap: cython.double = runs[run + RUN_FROM] - runs[run + RUN_TO]
+        if not (most_overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
             return 0
-        # 2. No ray between both passes through the line.
-        between: cython.Py_ssize_t = first - last
-        if between <= 0:
-            between += self._returns
-        for k in range(1, between + 1):
-            place: cython.Py_ssize_t = last + k
-            place = place - self._returns if place >= self._returns else place
-            if self._is_cut[place]:
-                return 0
-            if self._before(run, place) < -_THROUGH:
-                return 0
-        # 3. Both have one line.
+        # 2. No ray between the two runs may pass through the line. The first return follows the
+        # last return.
+        steps: cython.Py_ssize_t = first - last  # from the last return of `run` to `first`
+        if steps <= 0:
+            steps += self._returns
+        if self._passes_through(run, last, steps):
+            return 0
+        # 3. Fits a line to the returns of both runs. If the joined run is rough, or contains all
+        # returns of the scan, `run` becomes what it was.
         kept: cython.double = runs[run + RUN_LENGTH]
-        for j in range(6):
+        for j in range(_SUMS):
             runs[run + RUN_SUMS + j] += runs[after + RUN_SUMS + j]
-        runs[run + RUN_LENGTH] = kept + between + runs[after + RUN_LENGTH]
+        runs[run + RUN_LENGTH] = kept + steps + runs[after + RUN_LENGTH]
         if runs[run + RUN_LENGTH] < self._returns and self._fit(run):
             return 1
-        for j in range(6):
+        for j in range(_SUMS):
             runs[run + RUN_SUMS + j] -= runs[after + RUN_SUMS + j]
         runs[run + RUN_LENGTH] = kept
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _passes_through(
+        self, run: cython.Py_ssize_t, last: cython.Py_ssize_t, steps: cython.Py_ssize_t
+    ) -> cython.int:
+        """1 if a ray at the `steps` returns behind return `last` passes through the line of a run.
+
+        A ray without a return passes through, and so does a ray whose return is behind the line.
+        """
+        k: cython.Py_ssize_t
+        for k in range(1, steps + 1):
+            place: cython.Py_ssize_t = last + k
+            place = place - self._returns if place >= self._returns else place
+            if self._is_cut[place] or self._before(run, place) < -_THROUGH:
+                return 1
         return 0
 
     @cython.cfunc
