@@ -52,9 +52,7 @@ class MemberSearch:
         now = discovery.started
         solicit_timer = RepeatTimer(now, SOLICIT_PACE)
         status_timer = RepeatTimer(now, POLL_PACE)
-        over_timer = RepeatTimer(
-            now, ((float("inf"), OVER_PERIOD),)
-        )  # when to call `discovery.is_over`
+        over_timer = RepeatTimer(now, ((float("inf"), OVER_PERIOD),))  # for `discovery.is_over`
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY
         while True:

@@ -27,7 +27,7 @@ from swarmd.network.datagram import MAX_HOPS, MAX_MS, Ack, Address, Stop
 from swarmd.network.stops.stop_freshness import REPLAYED
 
 _Key = tuple[str, str, tuple[str, ...] | None]
-Send = tuple[Stop | Ack, Address | None]  # the receiver; None: all robots
+Send = tuple[Stop | Ack, Address | None]  # datagram, receiver (None: all robots)
 
 FIRST_INTERVAL = 0.2  # s
 LAST_INTERVAL = 6.4  # s
@@ -64,7 +64,8 @@ class _Relayed:
     interval_ends: float
     due: float  # when to send in the present interval, or _SENT
     copies: int = 0  # copies of other members in the present interval
-    sources: dict[Address, float] = field(default_factory=dict)  # by sender, the time of its ack
+    # By sender of the stop, when the last ack was sent to this sender.
+    sources: dict[Address, float] = field(default_factory=dict)
     heard_directly: float = _NEVER  # when the last copy came from the operator itself
     acks: dict[str, Ack] = field(default_factory=dict)  # by name of another robot, its last ack
     acks_sent: float = _NEVER  # when acks of other robots were last returned
