@@ -122,7 +122,7 @@ def _carry_out(
 def _run_epochs(
     view: MembersView, plan: Plan, label_outcomes: list[Outcome]
 ) -> dict[str, Epoch | None]:
-    """The epochs to quote with the new goal of `plan`, by robot.
+    """By robot, the epoch to quote with the new goal of `plan`.
 
     The epochs are those of `view`, the query before the labels were sent: a robot that somebody
     stopped or changed since that query refuses the goal. A robot that took new labels has raised
@@ -159,7 +159,10 @@ def _send_remaining_params(operator: Operator, view: MembersView) -> list[Outcom
 
 
 def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:
-    """The names of the robots by the key of their value, for equal requests to several robots."""
+    """By key of a value, the names of the robots whose values have this key.
+
+    Robots with equal keys get one request together.
+    """
     names_by_key: dict[Any, list[str]] = defaultdict(list)
     for name, value in by_robot.items():
         names_by_key[key(value)].append(name)

@@ -286,10 +286,11 @@ def _end_findings(
 
 
 def _disproved(robot: str, status: Status, report: Mapping[str, object]) -> dict[str, str]:
-    """The figure, as text, that disproves a finding, by finding; warns of all other findings.
+    """The disproved findings of a robot, each with the measured figure that disproves it, as text.
 
-    The measured braking (m/s^2 or rad/s^2), less 2 standard deviations, disproves a finding on
-    brakes if it exceeds 85 % (SOUND) of the braking in the platform file.
+    Warns of each finding that is not disproved. The measured braking (m/s^2 or rad/s^2), less 2
+    standard deviations, disproves a finding on brakes if this difference exceeds 85 % (SOUND) of
+    the braking in the platform file.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 
@@ -371,7 +372,8 @@ def _print_figures(figures: Mapping[str, Figure]) -> None:
 
     print_table(("FIGURE", "MEASURED", "SD", "SAMPLES", "PLATFORM"), rows(figures))
     for name, figure in figures.items():
-        is_computed = name == "margin"  # from the other figures, so never measured
+        # The margin follows from the other figures, and is never measured.
+        is_computed = name == "margin"
         if figure.why and not is_computed:
             click.echo(f"{name} is not measured: {figure.why}")
 

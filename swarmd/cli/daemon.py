@@ -126,20 +126,22 @@ def swarmd(
     if ctx.invoked_subcommand is not None:
         _refuse_options(ctx)
         return
-    overrides = {  # of the values in the file; None: the value of the file counts
+    overrides = {  # options that replace values of the file; None: the value of the file counts
         **options,
         "seeds": list(seeds) or None,
         "insecure": insecure or None,
         "driver_options": _read_options(driver_options) or None,
         "die_with_parent": die_with_parent,
     }
-    if die_with_parent is not None:  # a process id
+    if die_with_parent is not None:  # the id of the parent process
         tie_to(die_with_parent)
     check_descriptors()  # each link of an operator needs an open file
     # numpy, which is loaded below, would start a BLAS thread per core for arrays of 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     starts_daemon = not (check or print_effective_config)
     if starts_daemon:
+        # Before the settings and keys are read: the forked process, which will run the pattern,
+        # must not hold them. `ctx` ends the process when this command ends.
         _fork_host(ctx)
     from swarmd.settings.settings import load_daemon_settings
 
@@ -164,11 +166,7 @@ def swarmd(
 
 
 def _fork_host(ctx: click.Context) -> None:
-    """Fork the process that will run the pattern, and end it with `ctx`.
-
-    Called before the settings and keys of the daemon are read, so that the process does not hold
-    them.
-    """
+    """Fork the process that will run the pattern, and end it with `ctx`."""
     from swarmd.pattern_host.forked import forked_host
 
     # Without -P the first folder in `sys.path` is the folder of the program, or with -m the present

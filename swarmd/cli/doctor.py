@@ -92,7 +92,7 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
     time.sleep(LISTEN_TIME)
     reachable = in_reach(view, robots)
     for robot in robots:
-        other_robots = set(view.alive) - {robot}  # that `robot` should hear
+        other_robots = set(view.alive) - {robot}  # robots that `robot` should hear
         timeout = (options.timeout or ASK_TIME) if robot in reachable else None
         for finding in _findings_of(operator, robot, len(other_robots), timeout):
             yield _Line(robot, finding)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys  # nothing more: an interrupt during imports of this file is not caught
+import sys  # no other import: an interrupt during imports of this file is not caught
 
 INTERRUPTED = 130
 

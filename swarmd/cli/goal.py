@@ -76,33 +76,35 @@ def _counted(view: MembersView, found: list[Difference]) -> list[Difference]:
 
 
 def _exit_code(view: MembersView, found: list[Difference]) -> int:
-    if all(one.is_as_desired for one in found):
+    if all(difference.is_as_desired for difference in found):
         return APPLIED
-    return PARTIAL if view.answered & {one.robot for one in found} else TIMEOUT
+    return PARTIAL if view.answered & {difference.robot for difference in found} else TIMEOUT
 
 
 def _print(view: MembersView, found: list[Difference]) -> None:
     rows = [
         (
-            one.robot,
-            NOTHING if one.goal is None else f"{one.goal.generation} of {one.goal.issuer}",
-            one.desired,
-            one.actual,
-            one.reason or one.note or ("as desired" if one.goal else NOTHING),
+            difference.robot,
+            NOTHING
+            if difference.goal is None
+            else f"{difference.goal.generation} of {difference.goal.issuer}",
+            difference.desired,
+            difference.actual,
+            difference.reason or difference.note or ("as desired" if difference.goal else NOTHING),
         )
-        for one in found
+        for difference in found
     ]
     print_table(("NAME", "GOAL", "DESIRED", "ACTUAL", "DIFFERENCE"), rows)
     if not goals_of(view):
         click.echo("# no goal is set; `swarmctl run` sets one")
         return
-    wanted = {one.goal.id for one in found if one.goal is not None}
+    wanted = {difference.goal.id for difference in found if difference.goal is not None}
     for known in reversed(goals_of(view).values()):
         if known.goal.id in wanted:
             age = "of unknown age" if known.age is None else f"set {seconds(known.age)} ago"
             click.echo(printable(f"# {describe_goal(known.goal)}, {age}"))
     counted = _counted(view, found)
-    differing = [one.robot for one in counted if not one.is_as_desired]
+    differing = [difference.robot for difference in counted if not difference.is_as_desired]
     rest = f"; not: {', '.join(differing)}" if differing else ""
     click.echo(f"# {len(counted) - len(differing)}/{len(counted)} as desired{rest}")
 

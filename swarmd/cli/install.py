@@ -49,8 +49,8 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
         )
     base = _base(root)
     machine_root = root or Path("/")
-    is_of_service = base == machine_root / "etc/swarmd"  # else of this user
-    is_this_machine = machine_root == Path("/")  # else a mounted file system, such as an SD card
+    is_of_service = base == machine_root / "etc/swarmd"  # False: the identity is of this user
+    is_this_machine = machine_root == Path("/")  # False: a mounted file system, such as an SD card
     if is_of_service:
         keep_for_root(machine_root)
     # All is checked before the first write.

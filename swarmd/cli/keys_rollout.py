@@ -223,7 +223,7 @@ def _send_roster(
     from swarmd.network.operator.operator import Operator
 
     replies: dict[str, Reply] = {}
-    seconds = 0.0  # of all queries and requests
+    seconds = 0.0  # the duration of all queries and requests
     for identity in _identities(own, authority, robots):
         generation = identity.roster.generation
         # A robot never has an earlier generation than the authority has recorded for it.
@@ -260,8 +260,8 @@ def _send_in_batches(
 ) -> list[Outcome]:
     """Send the roster to `robots`, in requests with at most MAX_CERTIFICATES certificates each.
 
-    `view`: a query, whose epochs the requests quote. `issued`: the new certificate of each robot;
-    empty to send the roster alone, in one request.
+    `view`: the result of a query; a robot that has changed since this query refuses its request.
+    `issued`: the new certificate of each robot; empty to send the roster alone, in one request.
     """
     batch_size = MAX_CERTIFICATES if issued else len(robots)
     outcomes = []

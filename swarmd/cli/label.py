@@ -66,7 +66,7 @@ def label(
     if is_neither_or_both:
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
     if changes:
-        read_changes(changes)  # only checks: ConfigError for a word that is no label
+        read_changes(changes)  # a check only: ConfigError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
         if reset:  # `labels` None: those of the swarm file
             outcome = joined([asked.targeted.request(LabelRequest, labels=None)])

@@ -37,12 +37,12 @@ LEVELS = {
 }
 LOOK_PERIOD = 5.0  # s between two looks for robots that are new or have returned
 MAX_WAITING = 2000  # batches that the terminal has not taken yet
-_COLOURS = ("cyan", "green", "magenta", "blue", "yellow")  # of robots
+_COLOURS = ("cyan", "green", "magenta", "blue", "yellow")  # the colours of the robots, in turn
 _LEVEL_COLOURS = {logging.WARNING: "yellow", logging.ERROR: "red", logging.CRITICAL: "red"}
 
 
 class _Line(NamedTuple):
-    """A log record of a robot, with its time by this machine's clock, in s since 1970."""
+    """A log record of a robot; its time is in s since 1970 on this machine's clock."""
 
     at: float
     robot: str
@@ -118,7 +118,7 @@ class _Follower:
     ) -> None:
         self._options, self._operator = options, operator
         self._targets = targets
-        self._view = view  # of the last query
+        self._view = view  # the result of the last query
         self._printer = printer
         self._robots = set(robots_of(view, targets))
         self._batches: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)

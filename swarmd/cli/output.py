@@ -45,7 +45,7 @@ def print_line(kind: str, content: Mapping[str, Any]) -> None:
 
 
 def fields(one: object, *names: str) -> dict[str, Any]:
-    """These attributes of a value, for JSON."""
+    """The attributes `names` of a value, for JSON."""
     return {name: getattr(one, name) for name in names}
 
 

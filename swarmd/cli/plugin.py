@@ -35,7 +35,7 @@ from swarmd.texts.values import printable
 RELOAD_TIMEOUT = 15.0  # s: a trial on a robot may take 10 s, and loading again 3 s more
 CHECK_TIMEOUT = 30.0  # s for one point
 _MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}
-_NAME_WIDTH = 43  # of a point of the contract
+_NAME_WIDTH = 43  # characters of the name of a point of the contract
 
 
 @click.group(cls=VerbGroup)
@@ -157,7 +157,7 @@ def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) ->
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")
     fields = {"pattern": name, "is_rerun": is_run}
-    send_to(options, ReloadRequest, targets, least=RELOAD_TIMEOUT, **fields)
+    send_to(options, ReloadRequest, targets, least_timeout=RELOAD_TIMEOUT, **fields)
 
 
 plugin.add_command(push)
@@ -201,7 +201,7 @@ def write_plugin(
     is_used = class_title in "".join(texts.values())  # by the templates themselves, such as Twist
     if is_used:
         class_title += "Pattern"
-    fields = {  # of the templates, such as `$class_name`
+    fields = {  # values for the fields of the templates, such as `$class_name`
         "name": name,
         "module": pattern_file.stem,
         "class_name": class_title,

@@ -143,7 +143,7 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
        if a point hangs.
     3. Raises PluginError if the child fails before the first point.
     """
-    checked_names: list[str] = []  # of points
+    checked_names: list[str] = []  # the names of the points that were checked so far
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
     side_effects: list[str] = []
     needs_child = True
@@ -174,9 +174,9 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
 
 
 class _Check(NamedTuple):
-    """The check of a point, by a row of `_inspect`."""
+    """The result of the check of a point, made from a row of `_inspect`."""
 
-    name: str  # of the point
+    name: str  # the name of the point
     fields: Record  # `fault` and `on`, or `text` without a fault
     hangs: bool
     has_ended_child: bool  # the plugin's code ended the child
@@ -220,9 +220,9 @@ def _inspect(
 ) -> Iterator[Record]:
     """Yields the rows (JSON objects) of a child process that imports plugin code.
 
-    The child works on items: the points of a check, or the patterns to describe. An item begins
-    with a row that has the key `begin`, which is not yielded, and ends with a row that has the key
-    `result`. If the child ends or hangs in an item, this function adds a last row, which has the
+    The child works on items: the points of a check, or the patterns to describe. The first row of
+    an item has the key `begin`, and the last row the key `result`. The row `begin` is not yielded.
+    If the child ends or hangs in an item, this function adds a last row, which has the
     fields of the row `begin`, and
 
     - `lost`: the name of the item,

@@ -179,31 +179,31 @@ def pushed_patterns_of(
     return ask_robots(options, operator, in_reach(view, names), PLUGINS)
 
 
-def _row(one: PushedPatternReport) -> tuple[str, ...]:
-    standing = one.standing
-    if standing == "provisional" and one.ran:
-        standing += f" ({one.ran:.0f} s)"
-    origin = f"{one.issuer}, {one.source}" if one.source else one.issuer
-    cells = (one.name, one.version, one.digest, standing, origin, one.text)
+def _row(report: PushedPatternReport) -> tuple[str, ...]:
+    standing = report.standing
+    if standing == "provisional" and report.ran:
+        standing += f" ({report.ran:.0f} s)"
+    origin = f"{report.issuer}, {report.source}" if report.source else report.issuer
+    cells = (report.name, report.version, report.digest, standing, origin, report.text)
     return tuple(cell or NOTHING for cell in cells)
 
 
-def _differing(found: Mapping[str, PushedPatternsReply]) -> set[tuple[str, str]]:
+def _differing(reply_by_robot: Mapping[str, PushedPatternsReply]) -> set[tuple[str, str]]:
     """Pairs of robot and name whose hash differs from the most frequent hash of the name."""
     hashes: dict[str, Counter[str]] = {}
-    for reply in found.values():
-        for one in reply.patterns:
-            hashes.setdefault(one.name, Counter())[one.digest] += 1
+    for reply in reply_by_robot.values():
+        for report in reply.patterns:
+            hashes.setdefault(report.name, Counter())[report.digest] += 1
     return {
-        (robot, one.name)
-        for robot, reply in found.items()
-        for one in reply.patterns
-        if one.digest != hashes[one.name].most_common(1)[0][0]
+        (robot, report.name)
+        for robot, reply in reply_by_robot.items()
+        for report in reply.patterns
+        if report.digest != hashes[report.name].most_common(1)[0][0]
     }
 
 
 def _print_list_json(
-    found: Mapping[str, PushedPatternsReply],
+    reply_by_robot: Mapping[str, PushedPatternsReply],
     missing: Collection[str],
     marked: Collection[tuple[str, str]],
     code: int,
@@ -211,16 +211,16 @@ def _print_list_json(
     robots = {
         robot: [
             {
-                **fields(one, "name", "version"),
-                "hash": one.digest,
-                **fields(one, "pushed", "standing"),
-                "ran": round(one.ran, 1),
-                **fields(one, "issuer", "generation", "source", "text"),
-                "differs": (robot, one.name) in marked,
+                **fields(report, "name", "version"),
+                "hash": report.digest,
+                **fields(report, "pushed", "standing"),
+                "ran": round(report.ran, 1),
+                **fields(report, "issuer", "generation", "source", "text"),
+                "differs": (robot, report.name) in marked,
             }
-            for one in reply.patterns
+            for report in reply.patterns
         ]
-        for robot, reply in found.items()
+        for robot, reply in reply_by_robot.items()
     }
     answer = {"robots": robots, "missing": list(missing), "exit_code": code}
     print_json("PushedPatterns", answer)
@@ -317,16 +317,18 @@ class _Pusher:
         """
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
-        epochs = self._asked.view.epochs(robots)
+        # The robots that take the next piece, each with its epoch: the count of the robot's changes
+        # that this operator has seen. A robot that has changed since then refuses the piece.
+        epoch_by_robot = self._asked.view.epochs(robots)
         outcome: Outcome | None = None
         timeout = self._asked.options.timeout
         # A removal has no code, and is a single empty piece.
         for offset in range(0, max(len(code), 1), PIECE):
             sent = self._operator.request(
                 PushRequest,
-                epochs,
+                epoch_by_robot,
                 timeout=timeout,
-                least=PUSH_TIMEOUT,
+                least_timeout=PUSH_TIMEOUT,
                 content=content,
                 signature=signature,
                 offset=offset,
@@ -334,8 +336,9 @@ class _Pusher:
                 is_rerun=self._rerun,
             )
             outcome = sent if outcome is None else _joined(outcome, sent)
-            epochs = {name: epochs[name] for name in outcome.applied}
-            if not epochs:
+            # A robot that did not apply this piece gets no further piece.
+            epoch_by_robot = {name: epoch_by_robot[name] for name in outcome.applied}
+            if not epoch_by_robot:
                 break
         assert outcome is not None
         return outcome
@@ -462,4 +465,4 @@ def _canary_failure(why: str, rest: Collection[str]) -> Failure:
 
 def _named(reply: PushedPatternsReply | None, name: str) -> PushedPatternReport | None:
     rows = () if reply is None else reply.patterns
-    return next((one for one in rows if one.name == name), None)
+    return next((report for report in rows if report.name == name), None)

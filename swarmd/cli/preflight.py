@@ -200,7 +200,8 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     """
     try:
         origins = pattern_names(settings.plugin_dir)
-        in_plugin_dir = pattern_names(settings.plugin_dir, installed={})  # without packages
+        # The patterns of the folder, without those of packages.
+        in_plugin_dir = pattern_names(settings.plugin_dir, installed={})
         rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
     except SwarmError as error:
         yield Finding("patterns", False, str(error))

@@ -88,7 +88,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
             click.echo(f"{len(rows)} files of {len(replies)} robots")
             for robot, fault in faults.items():
                 warn(f"{robot} ended its recording: {fault}")
-        _end(replies.keys(), without_answer)
+        _exit_if_failed(replies.keys(), without_answer)
 
 
 @record.command()
@@ -128,7 +128,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
             print_json("Fetched", {"files": files, "missing": failed_robots})
         else:
             print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
-        _end(replies.keys(), failed_robots)
+        _exit_if_failed(replies.keys(), failed_robots)
 
 
 def _copied(ask: Ask, robot: str, reply: RecordingsReply, folder: Path) -> tuple[list[Copy], bool]:
@@ -178,7 +178,8 @@ def _ask(
     return operator.ask(robot, name, payload, timeout=options.timeout or ASK_TIME)
 
 
-def _end(answered: object, failed: list[str]) -> None:
+def _exit_if_failed(answered: object, failed: list[str]) -> None:
+    """Exit with code PARTIAL if a robot failed, or TIMEOUT if no robot answered; else return."""
     if failed:
         click.get_current_context().exit(PARTIAL if answered else TIMEOUT)
 
@@ -188,9 +189,9 @@ def _tell(robot: str, name: str, received: int, size: int) -> None:
         rewrite(f"{robot} {name}: {megabytes(received, 2)} of {megabytes(size, 2)}")
 
 
-def _times(one: RecordingFile, now: float) -> tuple[str, str]:
-    if one.is_open:
+def _times(file: RecordingFile, now: float) -> tuple[str, str]:
+    if file.is_open:
         return NOTHING, "records"
-    if one.begin is None or one.end is None:
+    if file.begin is None or file.end is None:
         return NOTHING, "cut off"
-    return seconds(one.end - one.begin), f"{seconds(max(now - one.end, 0.0))} ago"
+    return seconds(file.end - file.begin), f"{seconds(max(now - file.end, 0.0))} ago"

@@ -29,7 +29,7 @@ from swarmd.daemon.systemd import (
 )
 from swarmd.texts.keys import UNSET_CLOCK, day
 
-NOT_ACTIVE = 3  # as systemctl status
+NOT_ACTIVE = 3  # the exit code of `systemctl status` for a unit that does not run
 _TIMEOUT = 5.0  # s for systemctl and journalctl
 _DAY = 86400.0  # s
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")

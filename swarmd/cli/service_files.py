@@ -110,7 +110,7 @@ def keep_for_root(root: Path = Path("/")) -> None:
                 os.fchmod(handle, 0o700 if account is None else 0o750)
     except FileNotFoundError:
         return
-    except NotADirectoryError as error:  # also a link
+    except NotADirectoryError as error:  # the path is a file or a link
         where = folder / _IDENTITIES
         raise ConfigError(f"{folder} or {where} is a link; make it a folder of root") from error
 

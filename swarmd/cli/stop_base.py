@@ -17,7 +17,7 @@ from swarmd.driver_api.watchdog import ZERO_PERIOD, made_zero_sender
 ZERO_TIME = 0.5
 """Seconds of zeros: ten commands, of which a base on a bad link gets one."""
 _CLOSE_TIMEOUT = 1.0
-_NO_DRIVER = 5  # as in swarmd.cli.daemon
+_NO_DRIVER = 5  # the exit code of a DriverError, as in swarmd.cli.daemon
 
 
 @click.command("stop-base")

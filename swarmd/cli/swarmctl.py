@@ -169,7 +169,7 @@ def main(args: list[str] | None = None) -> NoReturn:
     is_fork = _FORK_SERVER in sys.modules  # of a process that may have a server, which goes on
     try:
         code = run_cli(cli, args, "swarmctl", exit_code_of)
-    except SystemExit as end:  # by a signal
+    except SystemExit as end:  # a signal ended the command
         code = end.code if isinstance(end.code, int) else 1
     code = code or _flushed()
     if "zenoh" in sys.modules:
@@ -243,7 +243,7 @@ def run_cli(
         if not fault:
             raise
         return _fail(fault, 2, words)
-    except OSError as error:  # of the system, such as a full disk
+    except OSError as error:  # an error of the system, such as a full disk
         import logging
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)

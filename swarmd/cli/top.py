@@ -127,43 +127,48 @@ def records(view: MembersView, names: Sequence[str], known: Known) -> Iterator[d
 def rows(view: MembersView, names: Sequence[str], known: Known, sort: str) -> list[list[str]]:
     """The sorted table: the highest figure first, for scan rates the lowest; silent robots last."""
     ranked, silent = [], []
-    for one in records(view, names, known):
-        if not one["answered"]:
-            silent.append([one["robot"], "silent", *[NOTHING] * (len(HEADER) - 3), one["text"]])
+    for record in records(view, names, known):
+        if not record["answered"]:
+            silent.append(
+                [record["robot"], "silent", *[NOTHING] * (len(HEADER) - 3), record["text"]]
+            )
         else:
-            ranked.append((_rank(one, sort), one["robot"], _row(one)))
+            ranked.append((_rank(record, sort), record["robot"], _row(record)))
     return [row for _, _, row in sorted(ranked)] + silent
 
 
-def _row(one: Mapping[str, Any]) -> list[str]:
-    cpu = [NOTHING if one[key] is None else f"{one[key]:.0%}" for key in ("cpu", "pattern_cpu")]
+def _row(record: Mapping[str, Any]) -> list[str]:
+    cpu = [
+        NOTHING if record[key] is None else f"{record[key]:.0%}" for key in ("cpu", "pattern_cpu")
+    ]
     memory = [
-        NOTHING if one[key] is None else megabytes(one[key]) for key in ("memory", "pattern_memory")
+        NOTHING if record[key] is None else megabytes(record[key])
+        for key in ("memory", "pattern_memory")
     ]
     return [
-        one["robot"],
-        f"{one['state']}, base lost" if one["lost"] else one["state"],
+        record["robot"],
+        f"{record['state']}, base lost" if record["lost"] else record["state"],
         *cpu,
         *memory,
-        seconds(one["loop_p99"]),
-        f"{one['scan_rate']:.1f} Hz",
-        NOTHING if one["scan_delay"] is None else seconds(one["scan_delay"]),
-        str(one["dropped"]),
-        "now" if one["age"] < 1.5 else f"{seconds(one['age'])} ago",
-        one["pattern"] or NOTHING,
+        seconds(record["loop_p99"]),
+        f"{record['scan_rate']:.1f} Hz",
+        NOTHING if record["scan_delay"] is None else seconds(record["scan_delay"]),
+        str(record["dropped"]),
+        "now" if record["age"] < 1.5 else f"{seconds(record['age'])} ago",
+        record["pattern"] or NOTHING,
     ]
 
 
-def _rank(one: Mapping[str, Any], sort: str) -> float:
+def _rank(record: Mapping[str, Any], sort: str) -> float:
     """The sort key; a row with a low key is shown first."""
     if sort == "name":
         return 0.0
     if sort == "scan":
-        return float(one["scan_rate"])
+        return float(record["scan_rate"])
     if sort in ("cpu", "memory"):
-        return -float((one[sort] or 0.0) + (one[f"pattern_{sort}"] or 0.0))
+        return -float((record[sort] or 0.0) + (record[f"pattern_{sort}"] or 0.0))
     key = {"loop": "loop_p99", "delay": "scan_delay", "drops": "dropped"}.get(sort, sort)
-    return -float(one[key] or 0.0)
+    return -float(record[key] or 0.0)
 
 
 def _usage(prefix: str, usage: ProcessUsage | None) -> dict[str, Any]:
@@ -189,8 +194,8 @@ def _print_records(watch: SwarmWatch, targets: Targets, sort: str) -> None:
     while True:
         time.sleep(PERIOD)
         view = watch.view
-        for one in records(view, _names(view, targets), watch.statuses()):
-            print_line("Load", {"time": round(time.time(), 3), **one})
+        for record in records(view, _names(view, targets), watch.statuses()):
+            print_line("Load", {"time": round(time.time(), 3), **record})
 
 
 def _show(watch: SwarmWatch, targets: Targets, sort: str) -> None:

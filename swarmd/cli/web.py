@@ -117,7 +117,7 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
         **kwargs: Any,
     ) -> R:
         if viewer_token and not token:
-            token = "-"  # else a page without a token would command
+            token = "-"  # without a token anyone could command from the page
         web = WebOptions(bind, port, _token(token), _token(viewer_token), _files(tls))
         return function(*args, page=web, **kwargs)
 

@@ -42,7 +42,7 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         settings = operator.settings
         known_members(options, operator, needs_status=False)
         identity = operator.identity  # after the query, which may have brought a newer roster
-        endpoints = operator.endpoints()  # by robot
+        endpoints = operator.endpoints()  # the Zenoh endpoints of each robot
         is_routed = settings.profile == "routed"  # the session dials routers, not robots
         if not endpoints and not is_routed:
             raise unreachable(operator)

@@ -137,7 +137,8 @@ def _targets_of(
     content: Mapping[str, Any], robot_labels: Mapping[str, tuple[str, ...]]
 ) -> tuple[str, ...]:
     """The robots, of those in `robot_labels`, that a goal with this content is for."""
-    goal = Goal(generation=1, issuer="file", id="file", **content)  # only for `is_for`, never sent
+    # This goal serves only `is_for`, and is never sent.
+    goal = Goal(generation=1, issuer="file", id="file", **content)
     return tuple(name for name in sorted(robot_labels) if goal.is_for(name, robot_labels[name]))
 
 
@@ -154,7 +155,7 @@ def _unknown_robots(
 
 
 def labels_in(file: SwarmFile, robot: str) -> tuple[str, ...]:
-    """The labels of a robot in a file, in its order."""
+    """The labels that a file gives a robot, in the order of the file."""
     return tuple(label for label, robots in file.members.items() if robot in robots)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
 
 ASK_TIME = 5.0  # s for an answer, without a timeout
-MAX_ANSWER = 512 * 1024  # bytes
+MAX_ANSWER = 512 * 1024  # bytes of an answer, at most
 
 
 class Answer(Protocol):

@@ -153,7 +153,7 @@ def connect(
     if not isinstance(insecure, bool):  # a text such as "no" would count as True
         raise ConfigError(f"insecure is {insecure!r}; expected True or False")
     if config is None and context is None:  # `context` counts more than the environment
-        config = NetworkOptions.of_environment().config  # of $SWARM_CONFIG
+        config = NetworkOptions.of_environment().config  # the file that $SWARM_CONFIG names
     options = NetworkOptions(
         swarm=swarm,
         config=None if config is None else Path(config),

@@ -63,7 +63,7 @@ def _next(news: queue.SimpleQueue[Status | MembersView]) -> Status | MembersView
         return None
 
 
-def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> list[EventLine]:
-    if one is None:
+def _lines_of(feed: EventFeed, news: Status | MembersView | None, now: float) -> list[EventLine]:
+    if news is None:
         return []
-    return feed.on_status(one, now) if isinstance(one, Status) else feed.on_view(one, now)
+    return feed.on_status(news, now) if isinstance(news, Status) else feed.on_view(news, now)

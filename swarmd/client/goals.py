@@ -25,14 +25,15 @@ def resume_on(
     operator: Operator, view: MembersView, names: tuple[str, ...], *, timeout: float | None
 ) -> Outcome:
     """Ask each robot to run its own goal, as `view` shows it."""
+    # By digest of a goal: the robots with this own goal, each with the epoch to quote.
     by_digest: dict[str, dict[str, Epoch | None]] = defaultdict(dict)
     for name, epoch in view.epochs(names).items():
         status = view.members[name].status if name in view.members else None
         own = status.goal.own if status is not None and status.goal is not None else None
         by_digest[own.digest if own is not None else ""][name] = epoch
     return joined(
-        operator.request(ResumeRequest, epochs, timeout=timeout, digest=digest)
-        for digest, epochs in by_digest.items()
+        operator.request(ResumeRequest, epoch_by_robot, timeout=timeout, digest=digest)
+        for digest, epoch_by_robot in by_digest.items()
     )
 
 

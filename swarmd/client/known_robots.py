@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
 
-MAX_NAMES = 1024  # of robots, and of labels
+MAX_NAMES = 1024  # the most names of robots, and the most labels
 MAX_SWARMS = 32
 """Swarms whose names are kept: those of the latest looks."""
 MAX_AGE = 60.0

@@ -73,16 +73,16 @@ class Members(Mapping[str, SeenMember]):
         """A row for each robot, as `swarmctl members` prints it, for tables."""
         heads = [head.lower() for head in HEADER]
         rows: list[dict[str, Any]]
-        rows = [dict(zip(heads, row(one), strict=True)) for one in self.values()]
-        for one in rows:
-            x, y, yaw = self.poses.get(one["name"], (math.nan,) * 3)
-            one |= {"x": x, "y": y, "yaw": yaw} if self.poses else {}
+        rows = [dict(zip(heads, row(robot), strict=True)) for robot in self.values()]
+        for fields in rows:
+            x, y, yaw = self.poses.get(fields["name"], (math.nan,) * 3)
+            fields |= {"x": x, "y": y, "yaw": yaw} if self.poses else {}
         return rows
 
     def __repr__(self) -> str:
-        cells = [HEADER, *(row(one) for one in self.values())]
+        cells = [HEADER, *(row(robot) for robot in self.values())]
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        lines = ["  ".join(map(str.ljust, one, widths)).rstrip() for one in cells]
+        lines = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in cells]
         return printable_lines([*lines, *(f"# {note}" for note in self.notes)])
 
     def _repr_html_(self) -> str:

@@ -43,8 +43,8 @@ class Run(Struct, frozen=True, kw_only=True):
     pattern: str
     params: Mapping[str, Value] = {}
     seconds: float | None = None  # duration of the run; None: until a stop
-    conditions: tuple[str, ...] = ()  # as `--until`: the first condition that is met ends the run
-    on_join: str = "offer"  # to robots that join; "run": they run the goal within `valid`
+    conditions: tuple[str, ...] = ()  # conditions of `--until`: the first that is met ends the run
+    on_join: str = "offer"  # what robots that join do; "run": they run the goal within `valid`
     valid: float | None = None  # s from now on
     lease: float | None = None  # s without a renewal after which robots stop
     at: float | None = None  # s from now at which all robots start
@@ -244,7 +244,7 @@ def _send_start(targeted: TargetedView, goal: Goal, start: _Start) -> Outcome:
             epochs,
             goal,
             timeout=targeted.time_left,
-            least=REQUEST_WAIT + start.delay,  # robots reply when they start
+            least_timeout=REQUEST_WAIT + start.delay,  # robots reply when they start
             is_ended=is_cancelled_before_start,
             at=start.by_robot,
         )

@@ -53,7 +53,7 @@ class RobotState(Struct, frozen=True, kw_only=True):
     linear: float = math.nan  # m/s of the safe command
     angular: float = math.nan  # rad/s of the safe command
     lateral: float = math.nan  # m/s to the left, of the safe command
-    report: Mapping[str, Scalar] = {}  # of the pattern
+    report: Mapping[str, Scalar] = {}  # the values that the pattern reports
     readings: Mapping[str, Scalar] = {}  # scalar sensors, such as `battery` from 0 to 1
 
 

@@ -135,7 +135,7 @@ def named(view: MembersView, targets: Targets) -> Targets:
 
 
 def stop_targets(view: MembersView, targets: Targets) -> Targets:
-    """The targets of a stop by labels, with the labels replaced by names.
+    """The targets of a stop, with labels replaced by the names of the robots that have them.
 
     The targets are robots that `targets` names, robots with one of the labels, and robots whose
     labels are not known: in doubt a robot is stopped. Excluded robots are no targets. RequestError

@@ -159,7 +159,7 @@ def _printable(text: str) -> str:
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
-MAX_BYTES = 1 << 20  # of one file
+MAX_BYTES = 1 << 20  # bytes of a file
 FILES = 4
 MAX_PENDING = 256  # entries that wait for the disk
 CLOSE_TIMEOUT = 1.0  # s that the end of the daemon waits for the disk
@@ -181,7 +181,7 @@ class AuditLog:
     ) -> None:
         self._folder, self._on_event, self._max_bytes = folder, on_event, max_bytes
         self._queue: queue.Queue[AuditEntry | threading.Event | None] = queue.Queue(MAX_PENDING)
-        self._lock = threading.Lock()  # of the files
+        self._lock = threading.Lock()  # guards the files
         self._thread: threading.Thread | None = None
         self._seq: int | None = None
         # Counts of entries: dropped by the loop, not written by the thread, and reported as lost.

@@ -92,11 +92,12 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
-        self._opened = settings  # with the port of the last session, once a session was open
+        self._opened = settings  # the settings; once a session was open, with its port
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
-        self._watch: InterfaceWatch | None = None  # in profile field
-        self._reopening: asyncio.Task[None] | None = None  # under way
+        # Watches the interface in profile field, else None.
+        self._watch: InterfaceWatch | None = None
+        self._reopening: asyncio.Task[None] | None = None  # the task that opens the session again
         self._is_stale = False  # the sockets belong to an earlier state of the interface
         self._ipv4: tuple[str, ...] = ()  # addresses of the interface at the last change
         self._first_ipv4: tuple[str, ...] | None = None  # addresses at the first session

@@ -139,11 +139,11 @@ class Daemon:
         self._begin_driver(driver)
         self._instance = secrets.token_hex(6)  # marks this life of the daemon
         self._seed = secrets.randbits(48)  # of the robot's random generator
-        self._notify = Notifier()  # to systemd
+        self._notify = Notifier()  # tells systemd that the daemon is ready, and that it is alive
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
-        self._provisional: tuple[int, ...] = ()  # what the last ProvisionalInput has told
+        self._provisional: tuple[int, ...] = ()  # the generations in the last ProvisionalInput
         folder = settings.state_dir / settings.network.swarm / settings.id
         # In this order, since each part uses the parts before it.
         self._begin_records(folder)
@@ -312,7 +312,7 @@ class Daemon:
                     await _end(task)
                 await self._goals.close()
                 await self._pattern_versions.close()
-        if self._crash is not None:  # before or in `_leave`
+        if self._crash is not None:  # the error occurred before or in `_leave`
             raise self._crash
 
     # Start and end

@@ -74,7 +74,8 @@ class DatagramGuard:
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
         self._trust = Trust.of(identity)
-        self._written: Mapping[bytes, int] = self._file.read().counters  # on disk now
+        # The counters that are on disk now.
+        self._written: Mapping[bytes, int] = self._file.read().counters
         self._writing = threading.Lock()  # guards the file, which a thread writes
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)  # of replayed stops
         self._strange: Counter[str] = Counter()  # refused datagrams by flaw, until the next warning
@@ -135,7 +136,7 @@ class DatagramGuard:
             self._on_event(f"refused datagrams: {kinds}; {_shown(source)}")
 
     def proven(self, ack: Ack, stop: Stop) -> Ack:
-        """The ack with the proof, for the operator of the stop, that this robot made it."""
+        """The ack with a proof by which the operator of the stop sees that this robot made it."""
         return replace(ack, proof=self._trust.signer.proof(ack, owner_of(stop.operator)))
 
     def refusal(self, stop: Stop, source: Address, ack: Ack, now: float) -> Ack | None:

@@ -1,7 +1,7 @@
 """Carries out the commands that the driver receives from the robot's own system, such as ROS.
 
 A command becomes the request of an operator for this one robot: with an id, an audit entry, and the
-epoch that the robot had when the command was issued.
+epoch (count of the robot's changes) that the robot had when the command was issued.
 
 1. The robot refuses a run or reset if its epoch has changed since the command was issued.
 2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.

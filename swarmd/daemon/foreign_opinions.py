@@ -51,7 +51,7 @@ class ForeignOpinions:
         self._link, self._channel, self._robots = link, channel, robots
         self._step, self._on_event = step, on_event
         self._is_secured, self._drops, self._clock = is_secured, drops, clock
-        self._limits: dict[str, SenderLimits] = {}  # by sender
+        self._limits: dict[str, SenderLimits] = {}  # the limits of each sender
         self._has_refused = False
         link.hear(self._hear)
 

@@ -24,7 +24,7 @@ _ARP = Path("/proc/net/arp")
 
 
 def parse_stations(text: str) -> dict[str, float]:
-    """The signal in dBm by hardware address, from the output of `iw dev NAME station dump`."""
+    """By hardware address, the signal in dBm; `text` is from `iw dev NAME station dump`."""
     found: dict[str, float] = {}
     _, *parts = _STATION.split(text)
     for station, figures in zip(parts[::2], parts[1::2], strict=True):
@@ -34,7 +34,7 @@ def parse_stations(text: str) -> dict[str, float]:
 
 
 def parse_arp(text: str) -> dict[str, str]:
-    """The IPv4 address by hardware address, from the text of /proc/net/arp."""
+    """By hardware address, the IPv4 address; the text is that of /proc/net/arp."""
     rows = (line.split() for line in text.splitlines()[1:])
     return {row[3].lower(): row[0] for row in rows if len(row) >= 6 and row[2] != "0x0"}
 

@@ -65,7 +65,7 @@ from swarmd.security.identity import Identity, authority_of
 
 log = logging.getLogger(__name__)
 
-MAX_ACK_TEXT = 300  # bytes
+MAX_ACK_TEXT = 300  # bytes of the text of an ack, at most
 CLAIM_WARNING = 5.0  # s of a claim after which the rivals are logged
 MAX_CLAIM_PAUSE = 0.05  # s between two steps of a claim, at most
 SYNC_PERIOD = 0.02  # s between two checks whether the latches of the peers have come
@@ -604,10 +604,11 @@ class Network:
 
 
 def _as_relayed(stop: Stop) -> Stop:
-    """The stop as if a robot had relayed it (1 hop or more).
+    """A copy of the stop that says that a robot relayed the stop (1 hop or more).
 
-    A relayed emergency stop does not renew a latch that was reset. So an attacker cannot renew the
-    latch with a replayed datagram.
+    In a secured swarm each further copy of a stop gets this mark, since an attacker may have
+    recorded and replayed it. A relayed emergency stop does not renew a latch that was reset, and
+    with the mark a replayed copy does not renew the latch either.
     """
     return replace(stop, hops=max(stop.hops, 1))
 

@@ -282,7 +282,9 @@ class PatternIntake:
         self._state.candidate = Candidate(id, entry, version)
         targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
         is_rerun, age = False, 0.0
-        # Only a rerun moves the robot, so only a rerun needs the epoch that the operator saw.
+        # Only a rerun moves the robot, so only a rerun needs the epoch (count of the robot's
+        # changes) that the operator saw. Any other trial quotes the present epoch, which the robot
+        # does not refuse.
         if request is not None and request.is_rerun:
             targets, is_rerun, age = request.targets, True, request.age
         self._state.control.try_code(

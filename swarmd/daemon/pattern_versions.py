@@ -2,8 +2,10 @@
 
 `PatternVersions` has the table (all signed manifests of the swarm) and the versions on this robot,
 and writes table and versions to disk. `robot/pushed_pattern.py` has the rules by which a version
-changes its standing (provisional, held, returned). `PushedRuns` chooses the version for a load by
-the pattern host, and counts the seconds of a version's runs.
+changes its standing: provisional (new), held (has run for 60 s without a fault) or returned (has
+failed; the version before is current again). `PushedRuns` chooses the version for a load by the
+pattern host, and counts the seconds of a version's runs. The generation of a load is its number;
+the generation of a manifest is the version number that orders the manifests of a pattern.
 """
 
 from __future__ import annotations
@@ -418,7 +420,8 @@ class PushedRuns:
     def __init__(self, state: PatternVersions) -> None:
         self._state = state
         self._loads: dict[int, LoadedCode] = {}
-        self._ran_to: tuple[int, float] = (-1, 0.0)  # generation, time
+        # At the last `advance`: the generation of the run (-1 without a run), and the time in s.
+        self._ran_to: tuple[int, float] = (-1, 0.0)
 
     def overlay(
         self, installed: Mapping[str, Origin], load: Load, is_trial: bool

@@ -159,7 +159,7 @@ class Recorder:
                 folder=str(folder),
                 name=name,
                 about=dict(about),
-                wall=time.time() - (boottime() - began),  # at `began`
+                wall=time.time() - (boottime() - began),  # the time of day at `began`
                 limits=limits,
             )
         )

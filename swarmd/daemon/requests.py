@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     from swarmd.daemon.tools import FieldTools
 
 MAX_PENDING = 64  # requests without a reply
-MAX_REPLIES = 64  # kept for repeated requests; the epoch refuses repeats of older requests
+# Replies kept for repeated requests. A repeat of an older request is refused by its epoch: the
+# count of a robot's changes (`core/messages.Epoch`) that the operator saw and the request quotes.
+MAX_REPLIES = 64
 MAX_ID, MAX_OPERATOR, MAX_TEXT = 63, 128, 300  # characters
 UNREADABLE = "?"
 """The id in the refusal of a request without a readable id."""
@@ -56,7 +58,7 @@ class _Pending:
     answer: Callable[[Reply], None]
     source: Callable[[], str]
     is_relayed: bool = False
-    query: Query | None = None  # None: a datagram
+    query: Query | None = None  # None if the request came as a datagram or from the own system
 
 
 class SendReply(Protocol):
@@ -123,7 +125,7 @@ class RequestServer:
         self._is_secured = is_secured
         self._robot = robot
         self._on_request = on_request
-        self._handlers: dict[str, Callable[..., Any]] = {}  # by verb
+        self._handlers: dict[str, Callable[..., Any]] = {}  # the handler of each verb
         for row in verbs.VERBS.values():
             if row.handler is verbs.Handler.NETWORK:
                 continue  # the bus itself answers these verbs
@@ -135,8 +137,8 @@ class RequestServer:
         # By verb: the tasks that wait for an answer, which a thread makes.
         self._answer_tasks: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
-        self._pending: dict[str, _Pending] = {}  # by request id, without a reply so far
-        self._replies: dict[str, Reply] = {}  # by request id, the last MAX_REPLIES replies
+        self._pending: dict[str, _Pending] = {}  # by id, the requests without a reply so far
+        self._replies: dict[str, Reply] = {}  # by id of the request, the last MAX_REPLIES replies
 
     def serve(self, bus: ZenohBus) -> None:
         """Answer all verbs on a newly opened bus, except verbs that the bus itself answers."""
@@ -195,13 +197,16 @@ class RequestServer:
         `source`: the address of the sender. `answer` sends the ack. An operator repeats a stop with
         one id: each copy is carried out and answered, and `reply` audits only the first copy.
         """
+        # In a request each target has an epoch. A stop names no epochs: None, for "not compared".
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
             return
         request: verbs.StopRequest | verbs.EstopRequest
         operator = stop.operator or "unknown"
-        age = min(stop.age / 1000.0, MAX_SECONDS)  # from ms
-        is_relayed = stop.hops > 0
+        age = min(stop.age / 1000.0, MAX_SECONDS)  # s; `stop.age` is in ms
+        is_relayed = stop.hops > 0  # the audit notes this for both verbs
+        # Only an estop has `is_relayed`: a relayed estop does not renew a latch that was reset. A
+        # stop leaves no latch, and the robot treats a relayed stop as any other stop.
         if stop.verb == "stop":
             request = verbs.StopRequest(id=stop.id, operator=operator, targets=targets, age=age)
         else:
@@ -319,8 +324,10 @@ class RequestServer:
         reply = self._refusal(id, verb, codec.version_of(query.payload), code, text)
         is_repeat = has_id and id in self._replies
         if has_id:
+            # `_end_pending` removes only a request that came in this `query`. If the id is pending
+            # afterwards, another request has the same id and waits for its own reply.
             self._end_pending(id, query)
-            is_id_of_other = id in self._pending  # of another request, which waits for its reply
+            is_id_of_other = id in self._pending
             if not is_repeat and not is_id_of_other:
                 keep_newest(self._replies, id, reply, MAX_REPLIES)  # repeats get this reply
         with self._drops.refusing("control/reply"):
@@ -337,7 +344,7 @@ class RequestServer:
         return self._robot in _names_of(targets)
 
     def _end_pending(self, id: str, query: Query) -> None:
-        """The request in `query` waits for no reply any more, since its handler has failed."""
+        """Remove the pending request `id` if it came in `query`, since its handler has failed."""
         pending = self._pending.get(id)
         if pending is not None and pending.query is query:
             del self._pending[id]

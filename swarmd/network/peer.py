@@ -101,10 +101,10 @@ class PeerActions:
     """Datagrams with their receiver; None: all."""
     stops: list[tuple[Stop, Address]] = field(default_factory=list)
     """Stops to carry out, with their senders, which get an ack if `Peer.wants_ack`."""
-    latches: dict[str, Latch] = field(default_factory=dict)  # of peers
+    latches: dict[str, Latch] = field(default_factory=dict)  # latches that peers have shown, by id
     changed: list[str] = field(default_factory=list)  # robots whose presence changed
-    messages: list[Message] = field(default_factory=list)  # of patterns
-    places: list[PeerPlace] = field(default_factory=list)  # of peers in a shared frame
+    messages: list[Message] = field(default_factory=list)  # messages from patterns of peers
+    places: list[PeerPlace] = field(default_factory=list)  # places of peers in a shared frame
     clocks: list[ClockSample] = field(default_factory=list)  # answers of peers to clock queries
     indirect_addresses: list[Address] = field(default_factory=list)
     """The addresses of robots that other robots hear."""
@@ -120,7 +120,7 @@ class PeerActions:
     """In a secured swarm: stops that are refused as replayed."""
     is_repeated: bool = False
     """In a secured swarm: an earlier copy of the stop was heard."""
-    goals: list[FoundGoal] = field(default_factory=list)  # of peers
+    goals: list[FoundGoal] = field(default_factory=list)  # goals that peers have shown
     invalid_goals: int = 0  # goals that their issuer has not signed
     leases: list[RunLease] = field(default_factory=list)
 

@@ -68,7 +68,7 @@ class Author(NamedTuple):
     """The author of a datagram."""
 
     role: Role
-    name: str = ""  # of an operator or viewer; empty for a robot
+    name: str = ""  # the name of an operator or viewer; empty for a robot
     is_previous: bool = False  # signed with keys of the generation before the current roster
 
 

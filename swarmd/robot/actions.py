@@ -37,7 +37,8 @@ class Actions(Struct, frozen=True, eq=False):
 
     twist: Twist  # the safe command
     decision: Decision
-    requested_scan_seq: int = -1  # of the scan that the pattern's last step used; -1 without
+    # The number of the scan that the pattern's last step used; -1 if it used none.
+    requested_scan_seq: int = -1
     is_idle: bool = False  # the state is idle and the base is connected
     is_stopped: bool = False  # the state is stopped, estopped or faulted
     is_quiet: bool = False  # there is no work but step 1, and the next deadline is as before
@@ -45,7 +46,7 @@ class Actions(Struct, frozen=True, eq=False):
     goals: GoalRecord | None = None
     trial: StartTrial | CancelTrial | None = None
     host: HostCommand | None = None
-    messages: Mapping[str, Value] = {}  # by `<pattern>/<channel>`
+    messages: Mapping[str, Value] = {}  # the messages of the pattern, by `<pattern>/<channel>`
     has_status: bool = False
     replies: tuple[Reply, ...] = ()
     failed_code: FailedCode | None = None

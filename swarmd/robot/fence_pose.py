@@ -35,9 +35,9 @@ class _Fix(Struct, frozen=True):
     """A measured pose with the odometry at the same time."""
 
     shared: SharedPose  # the measured pose, in the frame of the fence
-    odometry: Pose  # in the frame of odometry
+    odometry: Pose  # the pose by odometry at the same time
     error: float  # m, the bound of the error of `shared`
-    yaw_error: float  # rad, the same for the yaw
+    yaw_error: float  # rad, the bound of the error of the yaw of `shared`
     at: float  # s, the time of the pose
     way: float  # m driven since the start of the daemon; the error of odometry grows with it
     turned: float  # rad turned since the start, both senses counted
@@ -57,7 +57,7 @@ class FencePose:
         self._new: _Fix | None = None
         self._newest: _Fix | None = None
         self._agreeing = 0  # poses after `_new` that agree each with the pose before
-        self._is_used = False  # the last pose agreed with `_used`
+        self._is_used = False  # True if the last pose agreed with `_used`
         self._fault = f"no pose in the frame {self._frame!r} has arrived"
 
     def on_odometry(self, odometry: Odometry) -> None:

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 
 class _PeerGoal(NamedTuple):
-    """The last goal for this robot that came from a peer, and the epochs around its adoption."""
+    """The last goal for this robot that came from a peer.
+
+    `epoch_before`: the epoch (count of the robot's changes) before the robot took the goal over.
+    `revision_after`: the count of changes (`Epoch.revision`) afterwards.
+    """
 
     goal: Goal
     epoch_before: Epoch

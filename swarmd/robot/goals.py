@@ -77,15 +77,16 @@ class Goals:
         record = record or GoalRecord()
         self._robot = robot  # the name of this robot
         self._file_labels = labels
-        self._set_labels = record.labels  # by an operator; None: the labels of the swarm file count
+        # Labels that an operator has set; None: the labels of the swarm file count.
+        self._set_labels = record.labels
         # The age of a goal from disk is unknown (None) until a peer reports the age.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
         self.before = record.before  # the goal that `swarmctl goal undo` restores
-        self.state: GoalState | None = None  # of the own goal; None without an own goal
+        self.state: GoalState | None = None  # the state of the own goal; None without an own goal
         self.superseded = ""  # the goal, as text, that ended the last run
         self._reason = ""  # text that explains `state`
-        self._may_join = False  # the own goal may be run without a request
+        self._may_join = False  # True if the robot may run the own goal without a request
         # A run lease ends the run once its operator is not heard any more. Time in s on the own
         # clock; None without a run lease.
         self.lease_until: float | None = None
@@ -96,14 +97,15 @@ class Goals:
         self._held_since = now  # s, own clock: when the held goal arrived or was read from disk
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
-        self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
+        # True if the last daemon ended during a run of the own goal.
+        self._ended_during_run = record.ran
         # The bytes of a held goal that a stop has barred (`_bar_greatest_goal`); empty without.
         self._stopped_content = b""
-        self.is_changed = False  # since the record was last written to disk
+        self.is_changed = False  # True if the record has changed since it was last written to disk
         # The number of the load that failed for lack of the pattern; None without such a load, and
         # after a later load, run or label.
         self._awaits_code: int | None = None
-        self._has_retried = False  # the failed load has been repeated
+        self._has_retried = False  # True if the robot has repeated a failed load
         if self.own is not None:
             self._offer(record.ended, may_join=record.may_join)
 

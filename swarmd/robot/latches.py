@@ -46,8 +46,10 @@ class Latches:
     @property
     def text(self) -> str:
         """The issuers and reasons of the held latches, in one line."""
-        held = self._held.values()
-        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
+        texts = (
+            f"by {latch.issuer}" + (f": {latch.reason}" if latch.reason else "")
+            for latch in self._held.values()
+        )
         return ", ".join(dict.fromkeys(texts))
 
     def add(self, latch_id: str, latch: Latch) -> bool:

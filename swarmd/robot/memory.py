@@ -131,7 +131,7 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
         content = packed.decompress(data, most)
         if not packed.eof:
             raise ValueError(f"it is cut off, or has more than {most} bytes")
-        if content[:1] == b"\x80":  # as a pickle begins
+        if content[:1] == b"\x80":  # a pickle begins with this byte
             raise ValueError(f"it has format 1; expected {FORMAT}")
         memory = msgspec.msgpack.decode(content, type=_Memory)
         if memory.format != FORMAT:
@@ -228,7 +228,7 @@ class _Writer:
     def _add_instance(self, value: Any) -> tuple[int]:
         """Add the node of an instance of a class of swarmd; an object gets its parts later."""
         class_name, field_names = self._class_of(type(value))
-        if field_names is None:  # an object
+        if field_names is None:  # the node is an object
             place = self._add(value, 0, [])
             self._objects.append((self._nodes[-1], value))
             return place
@@ -316,7 +316,8 @@ class _Reader:
 
         ValueError or TypeError for invalid bytes, which may come from an untrusted machine.
         """
-        makers = [self._maker(kind) for kind in self._memory.kinds]  # by index of the kind
+        # The function that makes an object of each kind, by index.
+        makers = [self._maker(kind) for kind in self._memory.kinds]
         objects = self._make_objects(makers)
         self._make_values(makers)
         for made in objects:
@@ -457,7 +458,7 @@ def _fields_of(kind: Any) -> tuple[str, ...] | None:
     if issubclass(kind, Enum):
         return ("value",)
     if issubclass(kind, tuple):
-        return tuple(kind._fields)  # of a NamedTuple
+        return tuple(kind._fields)  # the fields of a NamedTuple
     if not kind.__dictoffset__ and is_dataclass(kind):
         return tuple(field.name for field in fields(kind))
     return None

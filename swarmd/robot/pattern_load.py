@@ -48,7 +48,7 @@ class Loading:
     request: RunRequest | ReloadRequest | ResumeRequest | None  # answered once the pattern runs
     wish: Wish
     until: tuple[str, ...] = ()  # conditions; the first that holds ends the run
-    goal: Goal | None = None  # of the run
+    goal: Goal | None = None  # the goal of the run
     start_at: float | None = None  # the run does not begin before this time
     loaded: Loaded | None = None  # the host's answer, kept until `start_at`
     is_restart: bool = False  # a failed pattern is loaded again

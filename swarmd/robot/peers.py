@@ -90,8 +90,10 @@ class Peers:
         self._seen_beyond: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
         self._told_within = _told_within(platform)
         # By peer, one dict per source: a false place of one source must not displace a true place.
-        self._sensed: dict[str, _PeerDisc] = {}  # from range and bearing
-        self._located: dict[str, _PeerDisc] = {}  # from poses in the shared frame
+        # Discs of peers that were sensed by range and bearing.
+        self._sensed: dict[str, _PeerDisc] = {}
+        # Discs of peers that report poses in a shared frame.
+        self._located: dict[str, _PeerDisc] = {}
         # Peers that the lidar misses and that `accepts` does not list: each needs a known place.
         self._unseen: tuple[str, ...] = ()
         self._holds_always = False
@@ -162,7 +164,7 @@ class Peers:
         if not self._radii:
             return False
         for neighbor in neighbors:
-            body_radius = self._radii.get(neighbor.id)  # of a neighbour whose place is used
+            body_radius = self._radii.get(neighbor.id)  # None for a peer whose place is not used
             disc = None if body_radius is None else _disc_of(neighbor, body_radius, now)
             if disc is not None:
                 _keep_newer(self._sensed, neighbor.id, disc)
@@ -191,7 +193,7 @@ class Peers:
 
     @property
     def pose_errors(self) -> tuple[float, float]:
-        """m and rad: bounds of the errors of the last own pose, with those of its time."""
+        """Bounds in m and rad of the errors of the last own pose; its time error is included."""
         own = self._own_pose
         assert own is not None
         return own.shared.error + own.shift, own.shared.yaw_error + own.turn

@@ -47,7 +47,8 @@ class Version(Struct, frozen=True, kw_only=True):
     label: Line
     source: Line  # the operator or robot that sent the version
     ran: Seconds = 0.0  # s of runs without a fault
-    ends: Annotated[int, Meta(ge=0, le=1000)] = 0  # of the daemon during a run of this version
+    # The count of ends of the daemon during a run of this version.
+    ends: Annotated[int, Meta(ge=0, le=1000)] = 0
     is_held: bool = False
 
     @classmethod
@@ -62,7 +63,7 @@ class PushedPattern(Struct, frozen=True, kw_only=True):
 
     current: Version | None = None
     before: Version | None = None  # the robot returns to it if the provisional `current` fails
-    failed: Version | None = None  # failed on this robot, in a run or in its trial
+    failed: Version | None = None  # the version that failed on this robot, in a run or in its trial
     fault: Line = ""  # why `failed` failed
     is_running: bool = False  # a run of the current version has begun and not ended
     is_damaged: bool = False

@@ -1,8 +1,8 @@
 """Carries out the requests of operators on one robot, or refuses them. Pure.
 
-No late request starts motion: run, reset, reload and param quote the epoch that the operator saw,
-and the robot refuses any other epoch. The robot obeys stop and estop in every state and at every
-epoch.
+No late request starts motion: run, reset, reload and param quote the epoch (count of the robot's
+changes) that the operator saw, and the robot refuses any other epoch. The robot obeys stop and
+estop in every state and at every epoch.
 
 A stop may arrive late. A run and a load (of the pattern for the next run) each have a `Wish`: the
 time at which that run was requested. The robot compares the time at which the stop was issued with
@@ -92,7 +92,8 @@ class RequestHandler:
         self._sensors = sensors
         self._trials = 0
         self._heard_by = now + STOP_TIME  # a base may move unheard until this time
-        self._executed: dict[str, float] = {}  # by id of a stop: when it was first carried out
+        # By id of a stop, the time at which it was first carried out.
+        self._executed: dict[str, float] = {}
         # A robot without a run or load has obeyed all stops that were issued before this time.
         self._obeyed_until = -math.inf
         self._epoch_raised_at = -math.inf  # when a stop, an estop or a reset last raised the epoch
@@ -494,6 +495,7 @@ class RequestHandler:
         lifecycle.stop(Reason.RELOADED, detail, effects)
         run.awaiting_since = math.inf  # no answer to a step is awaited any more: the host ends
         if request.is_rerun:
+            # `start_run` replies to the request later, when the new run begins or its load fails.
             lifecycle.start_run(
                 request.pattern,
                 running.params,

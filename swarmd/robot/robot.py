@@ -150,7 +150,7 @@ class Robot(Ticker):
     def generations(self) -> tuple[int, ...]:
         """The generations of the patterns that run or are being loaded."""
         run = self._run
-        return tuple(one.generation for one in (run.running, run.loading) if one is not None)
+        return tuple(load.generation for load in (run.running, run.loading) if load is not None)
 
     def channel_named(self, name: str) -> str | None:
         """The full name of a channel of the running pattern or of its part; None without one."""

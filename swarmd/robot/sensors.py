@@ -122,7 +122,8 @@ class Sensors(InputAges):
         self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
         # Segments of a turn; None if the driver hands over whole turns alone.
         self._segments = SegmentCheck(platform.scan) if platform.scan.segments else None
-        self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)  # of arrival, for the scan rate
+        # The arrival times of scans, for the scan rate.
+        self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)
 
     def _begin_driver_reports(self) -> None:
         """Set hazards, readings, own pose and driver state to the values before any report."""

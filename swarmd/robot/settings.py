@@ -34,7 +34,7 @@ class RobotSettings:
     tells_pose: bool = False
     """The robot sends its pose in a shared frame to its peers, which compute its range and bearing
     from the pose."""
-    fence: FenceSettings | None = None  # of the area that the robot does not leave
+    fence: FenceSettings | None = None  # the area that the robot does not leave
     on_low_battery: LowBatterySettings | None = None  # None: a low battery changes nothing
 
 
@@ -43,7 +43,8 @@ class EarlierLives:
     """The records of earlier daemon processes of a robot, from which the next process continues.
 
     `latches`, `goals`: the contents of their files, None without a file. `revision`: the last
-    revision of the epoch. `generation`: the number of the last pattern load.
+    count of changes of the robot (a part of its epoch). `generation`: the number of the last load
+    of a pattern.
     """
 
     latches: LatchRecord | None = None
@@ -54,7 +55,7 @@ class EarlierLives:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotIdentity:
-    """The robot that a pattern is loaded for, in the life `instance` of its daemon."""
+    """The robot that a pattern is loaded for; `instance`: the id of its daemon process."""
 
     robot: str
     platform: Platform

@@ -192,20 +192,24 @@ class Lifecycle:
         self.latches = Latches(latches)  # the emergency stops that hold the robot
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()  # limits the messages of the pattern
-        self.revision = 0  # part of the epoch: each change makes earlier requests stale
+        # The count of changes of this robot. A request quotes the epoch (instance and revision)
+        # that the operator saw; once the revision has changed, the request is refused.
+        self.revision = 0
         self.changed_by = "no one yet"  # the cause of the last change of `revision`, as text
         self.duplicate: str | None = None  # another daemon process that uses this robot's id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
-        self.report: Mapping[str, Scalar] = {}  # the last report of the pattern
+        self.report: Mapping[str, Scalar] = {}  # the values that the pattern reported last
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
-        self.params_request: PendingParams | None = None  # that the pattern has not answered
+        self.params_request: PendingParams | None = None  # the request that waits for the pattern
         self.trial: Trial | None = None  # the present trial of new code
         self.hold_since = math.inf  # s, own clock, of the present hold; inf without a hold
         self.wrong_type_count = 0  # messages with a value of an undeclared type
-        self.provisional: tuple[int, ...] = ()  # numbers of the loads of provisional code
+        # The generations (numbers) of the loads whose code is provisional: pushed by an operator,
+        # and not yet proved by 60 s of runs without a fault.
+        self.provisional: tuple[int, ...] = ()
         self.battery = LowBattery()
-        self._last_fault_text = ""  # of the pattern
-        self._load_command: host_messages.Load | None = None  # the last sent
+        self._last_fault_text = ""  # the last failure of the pattern, as text
+        self._load_command: host_messages.Load | None = None  # the last command to load a pattern
         if self.latches.held:
             text = shortened(self.latches.text, MAX_TEXT)
             self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, text, now)
@@ -443,7 +447,10 @@ class Lifecycle:
             self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
     def _is_provisional(self, generation: int, text: str, effects: Effects) -> bool:
-        """True if the code of a generation is provisional; then puts the failure in `effects`."""
+        """True if the load `generation` loaded provisional code; then notes the failure `text`.
+
+        `effects` takes the failure, by which the daemon returns to the version before.
+        """
         is_provisional = generation in self.provisional
         if is_provisional:
             effects.failed_code = FailedCode(generation, text)

@@ -191,8 +191,9 @@ class ZenohBus:
             self.drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
-        """Answer Zenoh queries on `<plane>/<name>` of this robot, or of all robots, by `handler`.
+        """Answer Zenoh queries on `<plane>/<name>` by `handler`.
 
+        The key of a query names this robot, or has the wildcard ANY in the place of its name.
         `plane`, `name`: a row of the tables in `core/key_table.py`, such as "control" and "run";
         ValueError for any other. Any asker that the links permit may query. A query is dropped and
         counted if its key or size is wrong, or if `handler` raises. `handler` runs on the loop.
@@ -215,9 +216,10 @@ class ZenohBus:
             if not is_taken:
                 query.drop()
 
-        # A key of `control` or `shared` ends with the name of its asker, a key of `state` does not.
-        any_asker = ANY if plane in (CONTROL, SHARED) else ""
-        served_key = build(self.swarm, self.robot, plane, name, any_asker)
+        # A key of `control` or `shared` ends with the name of its asker, here ANY; a key of `state`
+        # has no asker. Zenoh also hands over the queries to all robots, since their keys match.
+        asker = ANY if plane in (CONTROL, SHARED) else ""
+        served_key = build(self.swarm, self.robot, plane, name, asker)
         self._queryables.append(self._session.declare_queryable(served_key, on_query))
 
     def _checked(self, query: zenoh.Query, plane: str, name: str) -> ZenohQuery | None:

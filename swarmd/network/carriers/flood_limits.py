@@ -30,7 +30,7 @@ from swarmd.network.datagram import URGENT, Address, Kind
 # sent twice while broadcast is the fallback.
 RATE, BURST = 400.0, 400.0
 URGENT_RATE = 800.0  # a robot that relays a stop also hands on the acks of other robots
-STRANGERS_RATE = 2000.0  # of all new sources together
+STRANGERS_RATE = 2000.0  # datagrams a second of all new sources together
 EXCESS = 400  # datagrams beyond the budget within a second that make a flood
 BLOCK_TIME, MAX_BLOCK_TIME = 5.0, 60.0  # s of a block; doubled with each repeated flood
 KNOWN_TIME = 3.0  # s of datagrams after which a source is known

@@ -39,9 +39,9 @@ _SOURCE_PORT = 0
 _UDP_HEAD = 8
 _SO_ATTACH_FILTER = 26  # asm-generic/socket.h
 _KIND_AT, _TAG_AT = _UDP_HEAD + len(MAGIC), _UDP_HEAD + len(MAGIC) + 1
-_KEY_CELL, _KIND_CELL = 0, 1  # of the program's memory
+_KEY_CELL, _KIND_CELL = 0, 1  # indices of cells in the memory of the filter program
 
-_ACCEPT = 0xFFFFFFFF  # verdicts of a block
+_ACCEPT = 0xFFFFFFFF  # the verdict of a block that passes the datagram
 _DROP = 0
 _NEXT_STAGE = -1
 

@@ -68,13 +68,13 @@ class Programs:
         self._swarm = swarm
         self._robot = robot
         self._is_robot, self._drops = is_robot, drops
-        self._limits: dict[str, SenderLimits] = {}  # by sender
+        self._limits: dict[str, SenderLimits] = {}  # the limits of each sender
         self._lock = threading.Lock()  # guards `_tokens`: Zenoh's threads call `_on_token`
         self._tokens: dict[str, None] = {}  # the names of programs that are alive
         liveliness = session.liveliness()
         # indirect=False: on Zenoh's own thread. history: also tokens that were declared before.
         on_token = Callback(self._on_token, indirect=False)
-        self._declared: list[Any] = [  # to undeclare at the end
+        self._declared: list[Any] = [  # Zenoh declarations that `close` ends
             liveliness.declare_token(token(swarm, robot)),
             liveliness.declare_subscriber(token(swarm, ANY), on_token, history=True),
         ]

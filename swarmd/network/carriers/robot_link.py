@@ -173,7 +173,7 @@ class Connection:
             if payload_size > MAX_PAYLOAD:
                 self.is_open = False
                 break
-            begin = at + _HEAD.size + name_size  # of the payload
+            begin = at + _HEAD.size + name_size  # where the payload begins
             end = begin + payload_size
             if end > len(buffer):
                 break

@@ -345,7 +345,7 @@ def _options(
     connect: Sequence[str],
     identity: Identity | None,
 ) -> dict[str, object]:
-    """Zenoh's options of a session, by path; ConfigError for wrong settings.
+    """Zenoh's options of a session, each with its path as key; ConfigError for wrong settings.
 
     `mode`: Zenoh's "peer" or "client". `listen`, `connect`: endpoints; with an `identity` TCP
     endpoints become TLS endpoints, and other protocols are refused. The session finds nothing

@@ -109,7 +109,7 @@ class _Way(Enum):
     UNICAST = "unicast"
     MULTICAST = "multicast"
     BROADCAST = "broadcast"
-    COPY = "copy"  # by IPv6, from a robot that has IPv4
+    COPY = "copy"  # a second copy by IPv6, from a robot that also has IPv4
 
 
 class _Listener(NamedTuple):
@@ -165,7 +165,7 @@ class UdpCarrier:
         self._listeners: list[_Listener] = []
         self._own4: socket.socket | None = None  # sends by IPv4
         self._own6: socket.socket | None = None  # sends by IPv6
-        self._addresses: frozenset[str] = frozenset()  # of the interface
+        self._addresses: frozenset[str] = frozenset()  # the addresses of the interface
         self._has_ipv4 = self._is_dev  # the interface has an IPv4 address
         self._refreshed_at = _NEVER  # when the addresses were last read
 
@@ -370,13 +370,13 @@ class UdpCarrier:
         """The source of a datagram; None if the datagram is dropped.
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
-        beyond the flood limits, and the second copy of a datagram that came by two ways. The way of
-        a beacon of this swarm is noted for the user (`ways`), and decides how datagrams are sent to
-        the source. In a secured swarm a beacon may be forged: its way decides only once the caller
-        has called `confirm`.
+        that are too short for a kind, datagrams beyond the flood limits, and the second copy of a
+        datagram that came by two ways. The way of a beacon of this swarm is noted for the user
+        (`ways`), and decides how datagrams are sent to the source. In a secured swarm a beacon may
+        be forged: its way decides only once the caller has called `confirm`.
         """
         host, port = name[0], name[1]
-        self._reads += 1
+        self._reads += 1  # `_weigh` compares the datagrams read with the datagrams lost
         if port == self.port and (host in self._addresses or self._is_dev):
             return None  # this robot's own datagram, which its multicast brought back
         source = _address(name)
@@ -386,7 +386,7 @@ class UdpCarrier:
         if not self._limits.admits(source, payload[KIND_OFFSET], now, self._weight):
             return None
         is_beacon = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
-        if is_beacon:  # of both copies, since each copy shows that its way works
+        if is_beacon:  # the way of both copies is noted, since each copy shows that its way works
             shown_way = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, shown_way.value, now)
         if self._is_second_copy(payload, source, way, now):

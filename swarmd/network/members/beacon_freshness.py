@@ -40,7 +40,7 @@ _Key = tuple[str, bytes]
 class _ProvenLife(Struct):
     """An instance that has answered."""
 
-    sequence: int  # of the last beacon
+    sequence: int  # the sequence number of the last beacon
     heard: float
     said: int  # messages up to this number were sent before the answer
     clock: int  # ms; places up to this time were sent before the answer or the last place

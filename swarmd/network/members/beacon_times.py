@@ -25,7 +25,7 @@ class BeaconTimes:
     """The times of the next beacon and of the next copies of the latches."""
 
     def __init__(self, now: float) -> None:
-        self._beacons = 0  # sent to all
+        self._beacons = 0  # the count of beacons sent to all
         self._beacon_at = now
         self._last_beacon = -math.inf
         self._content: tuple[object, ...] = ()

@@ -16,13 +16,13 @@ WINDOW = 32
 """Beacons of a robot over which its loss is counted: half a minute of an idle robot."""
 MAX_LINKS = 1024
 ROUND_TRIP_KEPT = 60.0  # s for which a measured round trip is given
-_GRACE = 0.5  # of a period by which a beacon may be late
+_GRACE = 0.5  # the share of a period by which a beacon may be late
 
 
 class LinkQuality(Struct, frozen=True):
     """How well a robot is heard, over its last WINDOW beacons to all."""
 
-    received: int  # beacons
+    received: int  # the count of beacons that came
     lost: int  # beacons that are missing or overdue
     age: float  # s since the last beacon
     round_trip: float | None = None  # s; None: not measured in the last minute

@@ -55,9 +55,9 @@ class Life(Struct):
 
     since: float  # the time of the first beacon of the robot as the owner of its id
     heard: float  # the time of the newest beacon
-    beacon: Beacon  # the newest
-    address: Address  # the newest
-    version: str = ""  # of the package, once a beacon has it
+    beacon: Beacon  # the newest beacon
+    address: Address  # the address of the newest beacon
+    version: str = ""  # the version of the package, once a beacon has shown it
     left: float | None = None  # the time of the farewell
     has_returned: bool = False  # a beacon came after the farewell, which was false
 
@@ -91,7 +91,7 @@ class Life(Struct):
 class Change(Enum):
     """What a beacon has changed in the membership."""
 
-    IGNORED = auto()  # nothing
+    IGNORED = auto()  # the beacon has changed nothing
     REFRESHED = auto()  # the time, address and content of a known life
     FOUND = auto()  # a new life, or a life whose farewell was false
     LEFT = auto()  # the life has ended by its farewell
@@ -101,9 +101,9 @@ class _Robot(Struct):
     """The lives of one robot."""
 
     first: float  # the time of the first beacon
-    lives: dict[bytes, Life] = {}  # by instance, in the order of their first beacons
-    body: BodyReport | None = None  # of the latest life that reports a body
-    shown: tuple[bytes, Presence] | None = None  # instance and presence as last reported
+    lives: dict[bytes, Life] = {}  # the lives by instance, in the order of their first beacons
+    body: BodyReport | None = None  # the body that the latest life with a body reports
+    shown: tuple[bytes, Presence] | None = None  # the instance and presence that were last reported
     since: float = 0.0  # the time of that report
     probed: float = 0.0  # the time of the last solicit
 

@@ -23,7 +23,7 @@ class PeerClocks:
         self._robot = robot
         self._clock = bytes.fromhex(clock)
         self._due_at, self._pause = -math.inf, FIRST_CLOCK_PERIOD
-        self._asked: dict[str, int] = {}  # ns: when the question was sent, by robot
+        self._asked: dict[str, int] = {}  # by robot, the time in ns at which the question was sent
 
     def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
         """Questions for the clocks of some robots, with their addresses; empty if none is due.

@@ -84,17 +84,19 @@ class Discovery:
         self._needs_status = needs_status
         self._first_robot_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
-        self._news_at = now  # when anything new was heard or reported of any robot
-        self._prolonging_news_at = now  # the same, of robots for which the look waits (`_prolongs`)
+        self._news_at = now  # when anything new was last heard or reported of any robot
+        # When anything new was last heard or reported of a robot that prolongs the look: after
+        # PROLONGING_TIME only a robot that did not come too late (`_prolongs`).
+        self._prolonging_news_at = now
         self._roster = set(roster)
         self._programs: set[str] = set()  # Zenoh programs that robots hear
-        self._members = Membership("", FRESH_TIME)  # by the beacons heard here
-        self._trips = RoundTrips()  # from each solicit to the beacons that answer it
-        self._reports = MemberReports(is_local=is_local)  # of robots on other robots
+        self._members = Membership("", FRESH_TIME)  # the robots whose beacons are heard here
+        self._trips = RoundTrips()  # the times from each solicit to the beacons that answer it
+        self._reports = MemberReports(is_local=is_local)  # what robots report of other robots
         self._statuses = StatusTable()
         self._known_since: dict[str, float] = {}  # each robot heard or reported, and since when
-        # When a robot last sent a member list, or was last named in a list or view. A robot that no
-        # list names any more is forgotten (`_forget`); inf: never.
+        # When a robot last sent a member list, or was last named in a list or view. `_forget` drops
+        # a robot that no list has named for long. A robot with the time inf is never forgotten.
         self._last_named_at: dict[str, float] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")  # when member lists were last asked for
@@ -106,7 +108,7 @@ class Discovery:
         for robot, member in earlier.members.items():
             if member.presence is Presence.LEFT:
                 continue
-            was_heard_here = not member.by  # else only another robot reported the member
+            was_heard_here = not member.by  # `by`: the robot that reported a member not heard here
             self._known_since[robot] = now
             self._last_named_at[robot] = float("inf") if was_heard_here else now
             report = PeerReport(member.instance, Presence.FAILED, now - member.age)
@@ -240,7 +242,7 @@ class Discovery:
         return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
 
     def holders(self, robot: str) -> frozenset[str]:
-        """The living instances of an id, by beacons and by the report of any single robot."""
+        """The living instances of an id that beacons or the report of any robot show."""
         reported = self._reports.doubles(robot) - self._members.farewells(robot).keys()
         return self._members.holders(robot) | reported
 
@@ -262,7 +264,7 @@ class Discovery:
         to_dial: dict[tuple[str, str], Address] = {}
         unproven: dict[tuple[str, str], Address] = {}  # case 3: perhaps invented by a robot
         for robot in self._known_since:
-            heard = self._members.lives(robot)  # by instance
+            heard = self._members.lives(robot)  # the lives of the robot, by instance
             for living in self.holders(robot) & heard.keys():
                 to_dial[robot, living] = heard[living].address
             if not heard and (report := self._present_report(robot, now)) is not None:

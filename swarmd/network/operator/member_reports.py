@@ -30,7 +30,7 @@ class PeerReport(Struct, frozen=True):
     presence: Presence
     at: float  # s at which the robot was heard (alive), left or failed
     by: str = ""  # the robot that reports
-    address: Address | None = None  # of the reported robot
+    address: Address | None = None  # the address of the reported robot
 
 
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
@@ -74,7 +74,7 @@ def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
 
 
 def reports_of_view(view: PeerView, now: float) -> dict[str, list[PeerReport]]:
-    """What a view reports, by robot."""
+    """The reports in a view, by the robot that they concern."""
     reports: dict[str, list[PeerReport]] = {}
     for member in view.members:
         at = now if member.presence is Presence.ALIVE else now - member.age
@@ -113,7 +113,8 @@ class MemberReports:
         reports: dict[str, list[PeerReport]] = {}
         for part, at in parts.values():
             for member in part.members:
-                if member.presence < len(PRESENCES):  # else of a later version
+                # A greater number is a presence of a later version.
+                if member.presence < len(PRESENCES):
                     report = self._report(member, new_part.robot, at)
                     reports.setdefault(member.robot, []).append(report)
         return reports

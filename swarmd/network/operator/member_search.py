@@ -60,13 +60,16 @@ class MemberSearch:
                 now, count = boottime(), self._arrivals.count
                 is_complete = discovery.is_complete(now)
                 if deadline is not None:
-                    is_over = now >= deadline
+                    ends_incomplete = now >= deadline
+                elif now - discovery.started >= cap:
+                    ends_incomplete = True
                 else:
-                    is_capped = now - discovery.started >= cap
-                    is_over = is_capped or (over_timer.is_due(now) and discovery.is_over(now))
+                    ends_incomplete = over_timer.is_due(now) and discovery.is_over(now)
             if is_complete:
+                # The caller sends requests next, and needs links to all robots. Robots that wait to
+                # be dialled together are dialled before the return; this may sleep.
                 now = self._dial_last_robots(discovery, now)
-            if is_complete or is_over:
+            if is_complete or ends_incomplete:
                 with self._arrivals.lock:
                     return discovery.result(now)
             if solicit_timer.is_due(now):
@@ -79,10 +82,7 @@ class MemberSearch:
             self._arrivals.wait(count, min(timers_due_in, to_end_check, dial_due_in))
 
     def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
-        """Dial the robots that still wait to be dialled together; returns the time afterwards.
-
-        The caller of a complete look needs links to all robots for its requests.
-        """
+        """Dial the robots that still wait to be dialled together; returns the time afterwards."""
         wait = self._sessions.dial(discovery, now)
         while wait < math.inf:
             time.sleep(wait)
@@ -91,20 +91,24 @@ class MemberSearch:
         return now
 
     def _ask_members(self, discovery: Discovery) -> None:
-        """Ask all linked robots for status and members, by Zenoh; the replies go to `discovery`.
+        """Query `members` of all linked robots by Zenoh; the replies go to `discovery`.
 
-        The query names the robots that have answered, which stay silent. The status of a robot of
-        another version is asked for on its own, and only the head of such a status is read.
+        Each robot replies with a `PeerView`: its own status, and the members that it knows. The
+        query names the robots that have answered, and these robots do not reply again. The view of
+        a robot of another version is not read. Such a robot gets a second query, for its status, of
+        which only the header is read.
         """
         if not self._sessions.is_open:
             return
+        # The module loads Zenoh, which a look without an open session does without.
         from swarmd.network.carriers.session import MAX_WIRE
 
         with self._arrivals.lock:
             answered = sorted(discovery.answered)
         decode = Decoder(PeerView, MAX_WIRE)
 
-        # Zenoh's threads call both functions with the lock held (`OperatorSessions.get`).
+        # `OperatorSessions.get` calls both functions on Zenoh's threads, with the lock held, and
+        # drops a reply for which a function raises CodecError.
         def on_view(robot: str, payload: bytes) -> None:
             if version_of(payload) != codec.VERSION:
                 return

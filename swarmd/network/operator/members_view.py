@@ -30,11 +30,11 @@ class SeenMember(Member, frozen=True, kw_only=True):
 
     contact: Contact = Contact.ANSWERED
     by: Annotated[str, Meta(max_length=63)] = ""  # the robot that reported a member not heard here
-    state: Word = ""  # of the beacon
+    state: Word = ""  # the state that the last beacon showed
     wire: int | None = None  # the version of the member's requests
     version: Word = ""
     header: StatusHeader | None = None  # the readable part of the status of another version
-    epoch: Epoch | None = None  # of the status, or, without a status, of the newest beacon
+    epoch: Epoch | None = None  # the epoch of the status or, without a status, of the newest beacon
 
 
 class MembersView(Struct, frozen=True):
@@ -44,7 +44,7 @@ class MembersView(Struct, frozen=True):
     answered: frozenset[str] = frozenset()  # robots that answered this operator themselves
     roster: frozenset[str] = frozenset()
     duplicates: Mapping[str, tuple[str, ...]] = {}  # ids of several instances, with the instances
-    round_trip: float = 0.0  # the longest, in s
+    round_trip: float = 0.0  # the longest round trip, in s
     loss: float = 0.0  # the largest share of solicits that a robot left unanswered, 0 to 1
     seconds: float = 0.0  # the duration of the look
     goal_generation: int = 0  # the greatest generation of a goal that a robot shows; 0 without
@@ -84,7 +84,11 @@ class MembersView(Struct, frozen=True):
         return tuple(name for name, member in members if member.contact is Contact.OTHER_VERSION)
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
-        """The epoch of each robot, to quote in a request; None for a robot that was not heard."""
+        """The epoch of each robot, to quote in a request; None for a robot that was not heard.
+
+        The epoch counts the changes of a robot (`core/messages.Epoch`): a robot that has changed
+        since this view refuses the request.
+        """
         members = ((name, self.members.get(name)) for name in names)
         return {name: member.epoch if member else None for name, member in members}
 

@@ -114,10 +114,11 @@ class Operator:
         self._roster = frozenset(roster)
         if identity is not None:
             self._roster |= frozenset(identity.roster.robots)
-        self._discovery: Discovery | None = None  # of the last look (query of all members)
+        self._discovery: Discovery | None = None  # the last look (query of all members)
         self._last_view = MembersView({})  # the result of the last look
         self._swarms: set[str] = set()  # names of swarms that answered a solicit of any swarm
-        self._listeners: dict[type, Callable[[Any, float], object]] = {}  # by kind of datagram
+        # The listener of each kind of datagram.
+        self._listeners: dict[type, Callable[[Any, float], object]] = {}
         self._rosters = RosterFollower(self, is_on=takes_rosters)
         self._arrivals = Arrivals()
         self._sessions = OperatorSessions(settings, identity, self._arrivals)
@@ -245,7 +246,7 @@ class Operator:
         return self._last_view
 
     def seen(self) -> MembersView:
-        """The members that the last look or stop has found, by all that was heard until now."""
+        """The members that the last look or stop has found, with all that was heard until now."""
         now = boottime()
         with self._arrivals.lock:
             return (self._discovery or Discovery(now, self._roster)).result(now)
@@ -330,7 +331,7 @@ class Operator:
         targets: Mapping[str, Epoch | None],
         *,
         timeout: float | None = None,
-        least: float = REQUEST_WAIT,
+        least_timeout: float = REQUEST_WAIT,
         is_ended: Callable[[], bool] = lambda: False,
         **fields: Any,
     ) -> Outcome:
@@ -341,9 +342,9 @@ class Operator:
         since then refuses the request. With None instead of an epoch the robot does not compare.
 
         Returns once all robots have replied, once `is_ended` returns True, and after `timeout` s at
-        the latest. `timeout` None: a time of at least `least` s, which grows with the round trip
-        and the loss of datagrams. A robot that is unreachable or gone counts as missing at once.
-        Raises ConfigError if the role of the own identity does not permit the request.
+        the latest. `timeout` None: a time of at least `least_timeout` s, which grows with the round
+        trip and the loss of datagrams. A robot that is unreachable or gone counts as missing at
+        once. Raises ConfigError if the role of the own identity does not permit the request.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -354,7 +355,7 @@ class Operator:
         }
         request = self._new(kind, targets=asked, **fields)
         if timeout is None:
-            timeout = request_timeout(last_view, least)
+            timeout = request_timeout(last_view, least_timeout)
         outcome, linked = self._requests.send(
             request, targets, asked, last_view, self._discovery, timeout, is_ended
         )
@@ -398,8 +399,9 @@ class Operator:
 
         Sending ends once all expected robots have acked and rest, once `is_ended` returns True, and
         after `timeout` s at the latest; `timeout` None: a time that follows from the round trip.
-        With `until_all` there is no time limit, `on_progress` gets the robots that have not stopped
-        whenever these change, and a KeyboardInterrupt ends sending without an error.
+        `until_all` True: there is no time limit, `on_progress` gets the robots that have not
+        stopped whenever these robots change, and a KeyboardInterrupt ends sending without an error.
+        `until_all` False: `on_progress` is not called, and a KeyboardInterrupt is raised.
         """
         self._check_role(verb)
         now = boottime()

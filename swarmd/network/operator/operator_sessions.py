@@ -51,7 +51,8 @@ class OperatorSessions:
         self._waiting_since: float | None = None  # since when robots wait to be dialled
         # By robot and instance: the address that was dialled last, and when.
         self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
-        self._watched: dict[tuple[str, str], Handler] = {}  # by state name and robot
+        # The handler of each watched state (name and robot).
+        self._watched: dict[tuple[str, str], Handler] = {}
         self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
 
     @property

@@ -113,7 +113,7 @@ class Acks:
 
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
-        self._replies: dict[str, dict[str, Reply]] = {}  # by robot, then by instance
+        self._replies: dict[str, dict[str, Reply]] = {}  # the replies by robot, then by instance
         # Robot and instance of each ack "at rest" that came directly. An ack is "at rest" unless
         # `is_moving` says that the base moves.
         self._direct_at_rest: set[tuple[str, str]] = set()

@@ -38,13 +38,13 @@ _reply_header = Decoder(ReplyHeader, any_version=True)
 _reply = Decoder(Reply, MAX_CONTROL)
 
 
-def request_timeout(view: MembersView, least: float) -> float:
-    """Seconds for which a request waits for replies: `least`, longer by round trip and loss.
+def request_timeout(view: MembersView, least_timeout: float) -> float:
+    """Seconds for which a request waits for replies; they grow with round trip and loss.
 
-    At most REQUEST_CAP, or `least` if that is longer.
+    At least `least_timeout`, and at most the greater of REQUEST_CAP and `least_timeout`.
     """
-    timeout = least + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
-    return min(timeout, max(least, REQUEST_CAP))
+    timeout = least_timeout + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
+    return min(timeout, max(least_timeout, REQUEST_CAP))
 
 
 def aged(request: AnyRequest, age: float) -> AnyRequest:

@@ -1,4 +1,4 @@
-"""Takes the newer roster, or the missing keys, of an operator or viewer from robots.
+"""An operator or viewer takes a newer roster, or keys that it lacks, from robots.
 
 Robots do not answer a datagram that is signed with keys of an earlier generation of the roster. So
 an operator with such keys needs the newer roster first.

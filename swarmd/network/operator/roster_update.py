@@ -21,7 +21,7 @@ from swarmd.security.identity import Identity
 from swarmd.security.roster_change import SharedRoster, read_shared, take_answers, take_roster
 
 PULL_TIMEOUT = 5.0  # s
-MAX_PULLS = 8  # at a time
+MAX_PULLS = 8  # pulls at a time
 KEYS_TIMEOUT = 10.0  # s for the keys of all robots
 _FAULTS = (NetworkError, TimeoutError, CodecError, ConfigError, OSError)
 

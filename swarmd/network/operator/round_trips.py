@@ -27,7 +27,7 @@ class RoundTrips:
     """
 
     def __init__(self) -> None:
-        self.solicits = 0  # solicits sent
+        self.solicits = 0  # the count of solicits that were sent
         self._sent: dict[int, float] = {}
         self._answers: dict[tuple[str, str], _Answers] = {}
         self._trips: dict[str, float] = {}

@@ -14,8 +14,8 @@ class StatusAnswer(Struct, frozen=True):
     """The answer of a robot to a query of its status."""
 
     status: Status | StatusHeader  # a header from a robot of another version
-    members: tuple[Member, ...]  # as the robot sees them
-    at: float  # s
+    members: tuple[Member, ...]  # the members as the robot sees them
+    at: float  # when the status came, in s
 
 
 class StatusTable:

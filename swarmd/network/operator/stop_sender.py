@@ -36,7 +36,7 @@ class _Progress:
         Before `_rest_time` these are only the robots without an ack, since a base needs time to
         stop. From `_rest_time` on, robots whose last ack says "moving" are added.
         """
-        lacking = pending.lacking(now)  # without an ack, or the base still moves
+        lacking = pending.lacking(now)  # robots without an ack, and robots that still move
         self._unstopped = lacking if now >= self._rest_time else pending.silent(now)
         self._is_any_moving = bool(lacking)
 
@@ -82,10 +82,12 @@ class StopSender:
 
         - once `is_ended` returns True,
         - at the time `until` in s,
-        - if `until` is None: once a longer wait is of no use (`PendingStop.is_over`).
+        - if `until` is None and `until_all` is False: once a longer wait is of no use
+          (`PendingStop.is_over`),
+        - on a KeyboardInterrupt, which is raised again only if `until_all` is False.
 
-        `until_all`: the last of these ends does not apply. `on_progress` gets the robots that have
-        not stopped whenever these change, and a KeyboardInterrupt ends sending without an error.
+        `on_progress` is called only if `until_all` is True: it gets the robots that have not
+        stopped, whenever these robots change.
         """
         with self._arrivals.lock:
             self._pending = pending
@@ -111,7 +113,7 @@ class StopSender:
                 if is_repeat_due or new_targets:
                     for stop_part, addresses in stops:
                         self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
-                self._rosters.begin()  # if a robot shows a newer roster: takes it, on a thread
+                self._rosters.begin()  # if a robot shows a newer roster, a thread takes this roster
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
                 if until_all:
@@ -121,7 +123,7 @@ class StopSender:
                 self._arrivals.wait(count, min(pause, to_end_check))
         except KeyboardInterrupt:
             if not until_all:
-                raise
+                raise  # `_pending` stays until the next stop: the caller ends and reads no acks
         with self._arrivals.lock:
             self._pending = None
             return pending.outcome(boottime())

@@ -30,7 +30,8 @@ class Asks:
         self._window = period if window is None else window
         self._known: dict[Hashable, bytes] = {}
         self._asked_until: dict[Hashable, float] = {}
-        self._asked_at: dict[Hashable, list[float]] = {}  # of a group
+        # By group, the times in s of the last questions to its peers.
+        self._asked_at: dict[Hashable, list[float]] = {}
 
     def knows(self, peer: Hashable, digest: bytes) -> bool:
         """True if the peer has answered for this digest."""

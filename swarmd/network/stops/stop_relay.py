@@ -27,7 +27,7 @@ from swarmd.network.datagram import MAX_HOPS, MAX_MS, Ack, Address, Stop
 from swarmd.network.stops.stop_freshness import REPLAYED
 
 _Key = tuple[str, str, tuple[str, ...] | None]
-Send = tuple[Stop | Ack, Address | None]  # None: to all
+Send = tuple[Stop | Ack, Address | None]  # datagram, receiver (None: all robots)
 
 FIRST_INTERVAL = 0.2  # s
 LAST_INTERVAL = 6.4  # s
@@ -64,9 +64,10 @@ class _Relayed:
     interval_ends: float
     due: float  # when to send in the present interval, or _SENT
     copies: int = 0  # copies of other members in the present interval
-    sources: dict[Address, float] = field(default_factory=dict)  # senders; last ack to each
-    heard_directly: float = _NEVER  # the last copy of the operator itself
-    acks: dict[str, Ack] = field(default_factory=dict)  # the last ack of each other robot
+    # By sender of the stop, when the last ack was sent to this sender.
+    sources: dict[Address, float] = field(default_factory=dict)
+    heard_directly: float = _NEVER  # when the last copy came from the operator itself
+    acks: dict[str, Ack] = field(default_factory=dict)  # by name of another robot, its last ack
     acks_sent: float = _NEVER  # when acks of other robots were last returned
     handed_on: set[tuple[str, Address, bytes | None, str, bool]] = field(default_factory=set)
     """Acks that were handed on: robot, receiver, origin of a refusal, code, is_moving."""
@@ -175,8 +176,9 @@ class StopRelay:
         relayed = self._stops.get(key) or self._begin(stop, now)
         is_from_operator = stop.hops == 0
         relayed.take_ages(stop, now)
-        # Relay the copy that came by the fewest robots. Of several such copies relay the last: the
-        # operator gives a stop that a robot refused as replayed a new origin and counter.
+        # Relay the copy with the fewest hops, and the last of several such copies. If a robot
+        # refuses the stop as replayed, the operator repeats the stop with a new origin and counter:
+        # only the last copy has them.
         if stop.hops <= relayed.stop.hops:
             relayed.stop = replace(
                 relayed.stop, hops=stop.hops, origin=stop.origin, counter=stop.counter

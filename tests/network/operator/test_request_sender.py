@@ -41,7 +41,7 @@ def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
     with Operator(settings) as operator:
         view = operator.members(needs_status=False)
         targets = view.epochs(["a", "b"])
-        outcome = operator.request(RunRequest, targets, pattern="x", least=20.0)
+        outcome = operator.request(RunRequest, targets, pattern="x", least_timeout=20.0)
     assert view.missing == ()
     assert targets["a"] == swarm["a"].status().epoch
     assert outcome.line == "2 targeted, 2 applied"
