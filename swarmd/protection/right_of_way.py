@@ -584,7 +584,7 @@ class RightOfWay:
         """Set `_is_backing`, and store where and when the robot last made progress."""
         if not place.is_in:
             self._is_backing = False
-        elif traffic.is_met or now - self._progress_at > _STUCK:
+        elif traffic.is_met or now - max(self._progress_at, self._chosen_at) > _STUCK:
             self._is_backing = traffic.is_met or not self._is_backing
         elif not abs(place.s - self._progress_s) > _PROGRESS:
             return

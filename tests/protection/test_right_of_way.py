@@ -94,6 +94,13 @@ def test_a_free_opening_is_driven_through() -> None:
     assert asked.linear == pytest.approx(0.22)
 
 
+def test_a_robot_that_comes_upon_an_opening_while_in_it_drives_on() -> None:
+    ride = Ride()
+    asked = ride.at(near(-0.1))
+    assert ride.state() is WayState.IN
+    assert asked.linear == pytest.approx(0.22)
+
+
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_request_into_a_wall_leads_to_the_opening_beside(side: float) -> None:
     ride = Ride()
