@@ -61,6 +61,28 @@ _no_scan = cython.declare(object, Reason.NO_SCAN)
 _driver_lost = cython.declare(object, Reason.DRIVER_LOST)
 
 
+@cython.cfunc
+def _is_finite(twist) -> cython.bint:
+    """True if no speed of a Twist is NaN or infinite."""
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    return linear * 0.0 + angular * 0.0 + lateral * 0.0 == 0.0  # NaN * 0 and inf * 0 are NaN
+
+
+@cython.cfunc
+def _is_nearly_zero(twist) -> cython.bint:
+    """True if each speed of a Twist is zero, up to _ZERO_TOLERANCE."""
+    linear: cython.double = twist.linear
+    angular: cython.double = twist.angular
+    lateral: cython.double = twist.lateral
+    return (
+        fabs(linear) <= _ZERO_TOLERANCE
+        and fabs(angular) <= _ZERO_TOLERANCE
+        and fabs(lateral) <= _ZERO_TOLERANCE
+    )
+
+
 @cython.cclass
 class Protection:
     """Decides on the safe command of one robot, in every state and mode.
@@ -231,90 +253,113 @@ class Protection:
             hold: the reason of a hold, which zeroes the command; None without a hold.
             permit: what the pattern permits: recovery, avoidance, a touch zone.
         """
-        recovery, touch, self._is_running = self._recovery, permit.touch, is_running
-        # 1. Switches avoidance on or off; a mode without avoidance has no `recovery`. A hold of a
-        # running robot comes without the pattern's permit, so it leaves avoidance unchanged.
-        if recovery is not None and (hold is None or not is_running):
-            may_avoid = self._avoids if permit.avoids is None else permit.avoids
-            is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
-            if is_avoiding != self._is_avoiding:
-                self._is_avoiding = is_avoiding
-                if not self._has_avoided and self._odometry is not None:
-                    self._right_of_way.on_odometry(self._odometry)
-                self._has_avoided = True
-                self._tracker.reset()  # objects have moved meanwhile
-                self._avoidance.reset()
-                self._right_of_way.reset()
-        # 2. Clips the request. Most requests are judged more than once, so the result is stored.
-        if requested is not self._requested:
-            self._requested, self._clipped_request = requested, _zero
-            if requested is not None and requested.is_finite:
-                self._clipped_request = self._limits.clip(requested)
-        clipped = candidate = self._clipped_request
+        touch, self._is_running = permit.touch, is_running
         self._ring_points = context.near_points if context.near else None
         self._points_context = context
-        # 3. Decides zero outside `running` and under a hold.
+        # 1. A hold of a running robot comes without the pattern's permit, so such a hold leaves
+        # avoidance as it is.
+        if hold is None or not is_running:
+            self._switch_avoidance(is_running, permit)
+        clipped = self._clip(requested)
         if is_running and hold is None and context.scan_age is None:
             hold = _no_scan
+        # 2. The base need not follow its commands if they are zero anyway, if its driver is lost,
+        # or if an object in a touch zone may stop the base.
         if self._has_followed and (not is_running or hold is _driver_lost or touch is not None):
-            # The base need not follow: it is not commanded, its driver is lost, or in a touch zone
-            # an object may stop the base.
             self._has_followed = False
             self.following.reset()
+        # 3. Decides zero outside `running` and under a hold.
         if not is_running or hold is not None:
-            if self._may_recover:
-                self._may_recover = self._is_recovering = False
-                recovery.reset()
-                self._avoidance.reset()
-                self._right_of_way.reset()
+            self._end_recovery()
             return self._decision(clipped, _zero, False, (), hold, context)
-        # 4. Right of way, avoidance and recovery may replace the request by a candidate.
-        if recovery is not None and permit.may_recover:
-            self._may_recover = True
-            safe_for = partial(self._safe_for, context, touch)
-            passing_request, others = self._pass_others(clipped, context, safe_for)
-            if self._has_walls:  # recovery waits longer while near walls are about to have stood
-                patience = self._arbiter.wall_patience(context.now)
-                if patience > 0.0:
-                    others = replace(others, patience=patience)
-            candidate = recovery.replacement(
-                passing_request, self._mode_command, context, self._points, others, safe_for
-            )
-            self._is_recovering = recovery.is_active
-        # 5. Repeats the last decision for the same case in the same context. A candidate that only
-        # equals the request (`is` is false) still counts as a replacement.
-        if context is self._last_context:
-            case = clipped, candidate, candidate is clipped, self._is_recovering, touch
-            if case == self._last_case:
-                return self._last_decision
-        # 6. The mode limits the candidate.
-        mode_request = candidate if candidate is clipped else self._limits.clip(candidate)
+        # 4. Right of way, avoidance and recovery may replace the request by a candidate. A
+        # candidate that equals the request, but is another object, is a replacement, too.
+        candidate = clipped
+        if self._recovery is not None and permit.may_recover:
+            candidate = self._replacement(clipped, context, touch)
+        is_replaced: cython.bint = candidate is not clipped
+        # 5. For the same case in the same context each mode decides the same.
+        case = clipped, candidate, is_replaced != 0, self._is_recovering, touch
+        if context is self._last_context and case == self._last_case:
+            return self._last_decision
+        # 6. The mode limits the candidate, within the fence.
+        mode_request = self._limits.clip(candidate) if is_replaced else candidate
         is_fenced: cython.bint = False
         if self._fence is not None:
             decision, is_fenced = self._fenced(mode_request, context, touch)
         else:
             decision = self._arbiter.decide(mode_request, context, self._safe, touch)
         twist = decision.twist
-        is_active: cython.bint = candidate is not clipped or decision.is_active
-        linear: cython.double = twist.linear
-        angular: cython.double = twist.angular
-        lateral: cython.double = twist.lateral
-        if linear * 0.0 + angular * 0.0 + lateral * 0.0 != 0.0:  # NaN or infinite
+        is_active: cython.bint = is_replaced or decision.is_active
+        if not _is_finite(twist):
             twist, is_active = _zero, True
-            linear = angular = lateral = 0.0
+        # 7. Reports the decision, and stores it for step 5.
         reason = None
-        if (
-            fabs(linear) <= _ZERO_TOLERANCE
-            and fabs(angular) <= _ZERO_TOLERANCE
-            and fabs(lateral) <= _ZERO_TOLERANCE
-        ):
+        if _is_nearly_zero(twist):
             reason = Reason.PROTECTION if is_active else Reason.NO_REQUESTED_COMMAND
         last = self._last_decision = self._decision(
             clipped, twist, is_active, decision.rows, reason, context, is_fenced
         )
-        self._last_context = context
-        self._last_case = clipped, candidate, candidate is clipped, self._is_recovering, touch
+        self._last_context, self._last_case = context, case
         return last
+
+    @cython.cfunc
+    def _switch_avoidance(self, is_running: cython.bint, permit):
+        """Switch avoidance on or off by the permit; a mode without recovery has no avoidance."""
+        if self._recovery is None:
+            return
+        may_avoid = self._avoids if permit.avoids is None else permit.avoids
+        is_avoiding: cython.bint = is_running and permit.may_recover and may_avoid
+        if is_avoiding == self._is_avoiding:
+            return
+        self._is_avoiding = is_avoiding
+        if not self._has_avoided and self._odometry is not None:
+            self._right_of_way.on_odometry(self._odometry)
+        self._has_avoided = True
+        self._tracker.reset()  # objects have moved meanwhile
+        self._avoidance.reset()
+        self._right_of_way.reset()
+
+    @cython.cfunc
+    def _clip(self, requested):
+        """The request within the limits; zero without a finite request.
+
+        Most requests are judged more than once, so the result is stored.
+        """
+        if requested is not self._requested:
+            self._requested, self._clipped_request = requested, _zero
+            if requested is not None and requested.is_finite:
+                self._clipped_request = self._limits.clip(requested)
+        return self._clipped_request
+
+    @cython.cfunc
+    def _end_recovery(self):
+        """Reset recovery, avoidance and right of way, if they have decided since the last hold."""
+        if self._may_recover:
+            self._may_recover = self._is_recovering = False
+            self._recovery.reset()
+            self._avoidance.reset()
+            self._right_of_way.reset()
+
+    @cython.cfunc
+    def _replacement(self, clipped, context, touch):
+        """The command by which right of way, avoidance or recovery replaces a clipped request.
+
+        The result is the object `clipped` if the request is not replaced.
+        """
+        recovery = self._recovery
+        self._may_recover = True
+        safe_for = partial(self._safe_for, context, touch)
+        passing_request, others = self._pass_others(clipped, context, safe_for)
+        if self._has_walls:  # recovery waits longer while near walls are about to have stood
+            patience = self._arbiter.wall_patience(context.now)
+            if patience > 0.0:
+                others = replace(others, patience=patience)
+        candidate = recovery.replacement(
+            passing_request, self._mode_command, context, self._points, others, safe_for
+        )
+        self._is_recovering = recovery.is_active
+        return candidate
 
     def _safe_for(self, context, touch, requested):
         """The command of the mode for any requested command in the present situation."""
@@ -407,33 +452,29 @@ class Protection:
             context: the time, and the ages of the inputs.
             is_fenced: the fence changed the command.
         """
-        monitor, safe = self._monitor, twist
-        # The objects `clipped_request` and `_zero` are within the limits. A Twist does not change.
-        if twist is not clipped_request and twist is not _zero:
-            safe = self._limits.clip(twist)
+        # 1. Clips the command of the mode. To save time, the request and zero are not clipped: they
+        # are within the limits.
+        is_within_limits: cython.bint = twist is clipped_request or twist is _zero
+        safe = twist if is_within_limits else self._limits.clip(twist)
         self._mode_command = safe
-        # 1. The share that the driver gets.
-        share: cython.double = 1.0
+        # 2. Reduces the command to the share that the driver gets. A share of a permitted command
+        # is permitted: the constraints of the mode are convex, and permit zero.
+        monitor = self._monitor
+        share: cython.double = 1.0 if monitor is None else monitor.speed_share
+        if share < 1.0:
+            safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
+        # 3. Tells the monitors, and stores the command.
         if monitor is not None:
-            share = monitor.speed_share
-            # A share of a permitted command is permitted: constraints are convex and permit zero.
-            if share < 1.0:
-                safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
             text = monitor.on_command(safe)
             if text:
                 self.events.append(text)
-        # 2. Stores and reports the command.
         self.following.on_command(safe)
         if safe is not _zero and (safe.linear != 0.0 or safe.angular != 0.0 or safe.lateral != 0.0):
             self.moved_at = context.now
-        # To repeat the last decision does not set `_safe`. So a decision may be repeated only while
-        # its command is `_safe`: here a hold ends the repetition, and `decide` sets `_last_context`
-        # again after a decision without a hold.
-        self._safe, self._last_context = safe, None
-        min_gap = self._min_gap
-        if self._ring_points is not None:
-            ring_gap = float(self._footprint.gaps(self._ring_points).min())
-            min_gap = ring_gap if min_gap is None else min(min_gap, ring_gap)
+        self._safe = safe
+        # No earlier decision may be repeated, since its command is not `_safe` any more. `decide`
+        # permits to repeat this decision, if it was made without a hold.
+        self._last_context = None
         return _decision(
             self._arbiter.mode,
             clipped_request,
@@ -441,7 +482,7 @@ class Protection:
             reason,
             is_active or share < 1.0,
             rows,
-            min_gap,
+            self._least_gap(),
             context.scan_age,
             self._scan_seq,
             self._is_recovering,
@@ -449,6 +490,14 @@ class Protection:
             self._avoided(context) if self._is_avoiding else None,
             is_fenced != 0,
         )
+
+    @cython.cfunc
+    def _least_gap(self):
+        """m from the outline to the nearest return of scan and ring; None without a return."""
+        if self._ring_points is None:
+            return self._min_gap
+        ring_gap = float(self._footprint.gaps(self._ring_points).min())
+        return ring_gap if self._min_gap is None else min(self._min_gap, ring_gap)
 
     def _avoided(self, context: DecisionContext) -> Avoided | None:
         """The track or the opening because of which the command was replaced; None without."""

@@ -7,14 +7,15 @@ Braking of the base:
   periods of odometry, from shortly before the stop. Delay and speed of the base are free, so
   neither late nor rare odometry makes brakes look weak. The residuals of the fits estimate the
   noise of odometry. A stop weighs by the likelihood of its readings.
-- The test is CUSUM (Page, Biometrika 1954): it sums from stop to stop the logarithm of the
-  likelihood ratio of two hypotheses, and never falls below zero. The hypotheses are brakes with the
-  share WEAK, and with the share SOUND, of the declared braking. Brakes of at least SOUND raise an
-  alarm after e^ALARM stops on average, or later (Lorden, Annals of Mathematical Statistics 1971).
-  An alarm needs at least three stops, since another robot may have pushed this robot in one.
-- A base that moves sideways has the same declared braking ahead and sideways. Its wheels may share
-  their braking between both axes in a diagonal stop. So a stop counts only if the speed on the
-  other of these axes changes little.
+- The test is CUSUM (Page, Biometrika 1954) of two hypotheses: the brakes have the share WEAK of the
+  declared braking, or the share SOUND. Each stop adds the logarithm of the likelihood ratio to a
+  sum, which never falls below zero. The test alarms if the sum reaches ALARM.
+- Brakes with the share SOUND or more cause an alarm in one of e^ALARM stops on average at most
+  (Lorden, Annals of Mathematical Statistics 1971). An alarm needs at least three stops, since
+  another robot may have pushed this robot during a stop.
+- A base that moves sideways has the same declared braking ahead and sideways. In a diagonal stop,
+  the wheels of the base share their braking between both axes. So a stop along an axis counts only
+  if the speed along the other axis changes little.
 
 Speed of others: the speed at which the gap to the nearest return falls is fitted by least squares
 over several scans. All motion of the robot itself and the standard deviations are subtracted. The
@@ -235,12 +236,14 @@ class _Brake:
 
     @cython.ccall
     def share_with(self, axis: _Brake, speed: cython.double, stamp: cython.double):
-        """Drop the stop under way if the speed on another `axis` changes, too.
+        """Drop the stop under way if the speed on the other axis changes, too.
 
-        `speed` is the last measured speed on the other axis, at `stamp`. The base may still follow
-        any command of the last _LONGEST_DELAY s. So the change of speed is taken as the greatest
-        difference between the present command of the other axis and its measured speed, or any of
-        its commands of that time.
+        The base may still follow any command of the last _LONGEST_DELAY s. So the present command
+        of the other axis is compared with the measured speed, and with each command of this time.
+        The greatest difference counts as the change of speed.
+
+        `axis`: the other axis. `speed`: m/s, the last measured speed along the other axis.
+        `stamp`: s, of this measurement.
         """
         stop: _Stop = self._stop
         if stop is None:
@@ -269,13 +272,15 @@ class _Brake:
     def on_command(
         self, command: cython.double, speed: cython.double, stamp: cython.double
     ) -> cython.bint:
-        """Take in a command of this axis; True if it ends a stop that shows weak brakes.
+        """Take in a command of this axis; True if the command ends a stop that shows weak brakes.
 
         A command that falls clearly begins a stop, if the base moved as commanded before. A command
-        that rises ends the stop under way, which is then judged.
+        that rises clearly ends the stop under way.
 
-        `command`: m/s or rad/s. `speed`: the last measured speed in the same unit. `stamp`: s, of
-        this measurement.
+        Args:
+            command: m/s or rad/s.
+            speed: m/s or rad/s, the last measured speed.
+            stamp: s, of this measurement.
         """
         previous: cython.double = self._command
         new_speed: cython.double
@@ -289,71 +294,87 @@ class _Brake:
         if stop is not None:
             new_speed = max(stop.sign * command, 0.0)
             stop.least_speed = min(new_speed, stop.least_speed)
-            return new_speed > stop.least_speed + _COMMAND_RISE * stop.begin_speed and self._end()
+            if new_speed <= stop.least_speed + _COMMAND_RISE * stop.begin_speed:
+                return False
+            return self._end()
 
-        # 2. Does the command fall clearly: by an absolute amount, and by a share of the speed? The
-        # first test ends most calls. A command that reverses counts as a fall to 0, so the absolute
-        # amount is tested again.
+        # 2. A small change begins no stop: the usual case.
         if (previous - command if previous > 0.0 else command - previous) < self._min_drop:
             return False
+
+        # 3. The command falls, at most to 0: a reversed command begins a stop, too.
         begin_speed: cython.double = fabs(previous)
         sign: cython.double = copysign(1.0, previous)
         new_speed = max(sign * command, 0.0)
-        if (
-            begin_speed - new_speed < self._min_drop
-            or begin_speed - new_speed < _MIN_DROP_SHARE * begin_speed
-        ):
+        drop: cython.double = begin_speed - new_speed
+        if drop < self._min_drop or drop < _MIN_DROP_SHARE * begin_speed:
             return False
 
-        # 3. A stop begins, if odometry shows that the base followed the command before.
+        # 4. A stop begins, if odometry shows that the base followed the command before.
         if fabs(speed - previous) <= _FOLLOWED * begin_speed and self._cruise_count >= _MIN_CRUISE:
-            # Where the three numbers of each of the last periods begin in the ring buffer.
-            starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
-            cruise = [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
-            self._stop = _Stop(sign, begin_speed, new_speed, stamp, cruise)
+            self._stop = _Stop(sign, begin_speed, new_speed, stamp, self._last_cruise())
         self._cruise_count = 0
         return False
+
+    def _last_cruise(self) -> list[tuple[float, float, float]]:
+        """The last periods in which the base followed a constant command: begin, end, m or rad."""
+        starts = [3 * (k % _CRUISE) for k in _last(self._cruise_count, _CRUISE)]
+        return [(self._cruise[k], self._cruise[k + 1], self._cruise[k + 2]) for k in starts]
 
     @cython.ccall
     def on_step(
         self, begin: cython.double, end: cython.double, moved: cython.double
     ) -> cython.bint:
-        """Take in a period of odometry; True if it ends a stop that shows weak brakes.
+        """Take in a period of odometry; True if the period ends a stop that shows weak brakes.
 
         Without a stop under way, the call collects the periods in which the base follows a constant
-        command. During a stop, the call collects its periods, and judges the stop once the base has
-        followed the fall of the command, or after _MAX_WAIT s.
+        command. During a stop, the call collects the periods of the stop. The stop ends once the
+        base has followed the fall of the command, or after _MAX_WAIT s.
 
-        `begin`, `end`: s, the stamps of the two readings. `moved`: m or rad that the base moved
-        between the two readings.
+        Args:
+            begin: s, the stamp of the first reading.
+            end: s, the stamp of the second reading.
+            moved: m or rad that the base moved between the two readings.
         """
         stop: _Stop = self._stop
-        period: cython.double = end - begin
         if stop is None:
-            commanded: cython.double = self._command * period
-            if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
-                self._cruise_count = 0
-            else:
-                # Where the three numbers of this period begin in the ring buffer.
-                start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
-                self._cruise[start], self._cruise[start + 1] = begin, end
-                self._cruise[start + 2] = moved
-                self._cruise_count += 1
+            self._cruise_on(begin, end, moved)
             return False
         stop.steps.append((begin, end, moved))
+        period: cython.double = end - begin
         speed: cython.double = stop.sign * moved / period
-        if speed > (1.0 + _NOISE_RISE) * stop.begin_speed or period > _MAX_PERIOD:
-            self._stop = None  # another robot pushed the robot, or odometry was lost
+        was_pushed: cython.bint = speed > (1.0 + _NOISE_RISE) * stop.begin_speed
+        if was_pushed or period > _MAX_PERIOD:  # or readings of odometry were lost
+            self._stop = None
             return False
-        # Done: the base has followed all of the fall but _END_SHARE.
-        is_done: cython.bint = speed - stop.least_speed <= _END_SHARE * (
-            stop.begin_speed - stop.least_speed
-        )
-        return (is_done or end - stop.fell_at > _MAX_WAIT) and self._end()
+        fall: cython.double = stop.begin_speed - stop.least_speed
+        has_followed: cython.bint = speed - stop.least_speed <= _END_SHARE * fall
+        if not has_followed and end - stop.fell_at <= _MAX_WAIT:
+            return False
+        return self._end()
+
+    @cython.cfunc
+    def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double):
+        """Store a period in which the base follows its command; drop all after another period.
+
+        The arguments are those of `on_step`. A base at rest is not stored.
+        """
+        commanded: cython.double = self._command * (end - begin)
+        if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
+            self._cruise_count = 0
+            return
+        # Where the three numbers of this period begin in the ring buffer.
+        start: cython.Py_ssize_t = 3 * (self._cruise_count % _CRUISE)
+        self._cruise[start], self._cruise[start + 1] = begin, end
+        self._cruise[start + 2] = moved
+        self._cruise_count += 1
 
     @cython.cfunc
     def _end(self) -> cython.bint:
-        """End the stop and judge it: update noise and test. True: the brakes are too weak."""
+        """End the stop and judge the stop; True: the brakes are too weak.
+
+        The stop updates the estimates of the delay and of the noise, and the CUSUM test.
+        """
         stop: _Stop = self._stop
         self._stop = None
         self._cruise_count = 0
@@ -364,24 +385,35 @@ class _Brake:
         places = [k % _MAX_COMMANDS for k in _last(self._commands, _MAX_COMMANDS)]
         commands = [(self._stamps[k], self._speeds[k]) for k in places]
         misfits, freedom, delay = _misfits(stop, commands, self.braking)
-        # Is the base late? A delay is known up to the mean time between two readings of the stop.
+
+        # 2. The delay of the response, known up to the mean time between two readings of the stop.
         mean_period = (stop.steps[len(stop.steps) - 1][1] - stop.fell_at) / len(stop.steps)
         self._respond(delay, mean_period)
 
-        # 2. Noise of odometry: pools the variance of the best fit with the estimate so far.
+        # 3. The noise of odometry, by the best fit.
         least_misfit = float(misfits.min())
         stop_variance = least_misfit / freedom
+        self._pool_variance(stop_variance, freedom)
+
+        # 4. The test. The greater variance counts, so that a noisy stop weighs less.
+        chi_squares = (misfits - least_misfit) / max(self._variance, stop_variance)
+        return self._sum_up(chi_squares)
+
+    def _pool_variance(self, stop_variance: float, freedom: float) -> None:
+        """Pool the variance of a stop with the estimate so far, by their degrees of freedom."""
         bounded_variance = min(stop_variance, _MAX_VARIANCE_RATIO * self._variance)
         pooled_sum = self._variance * self._freedom + bounded_variance * freedom
         self._freedom += freedom
         self._variance = pooled_sum / self._freedom
         self._freedom = min(self._freedom, _MAX_FREEDOM)
 
-        # 3. CUSUM. A misfit over the variance is a chi-square; the best fit gets 0. The variance is
-        # the greater of the pooled variance and that of this stop, so that a noisy stop counts
-        # less. Half of a difference of chi-squares is the logarithm of a likelihood ratio: here
-        # positive if WEAK fits better than SOUND.
-        chi_squares = (misfits - least_misfit) / max(self._variance, stop_variance)
+    def _sum_up(self, chi_squares) -> bool:
+        """Add a stop to the CUSUM test; True if the test alarms.
+
+        `chi_squares`: by share of _SHARES, the misfit of the stop over the variance; 0 for the best
+        fit. Half of a difference of two chi-squares is the logarithm of a likelihood ratio. This
+        logarithm is positive if the share WEAK fits better than the share SOUND.
+        """
         log_ratio = 0.5 * float(chi_squares[_SOUND] - chi_squares[_WEAK])
         self._log_likelihood_sum += min(log_ratio, _MOST_OF_A_STOP)
         if self._log_likelihood_sum <= 0.0:
@@ -389,7 +421,10 @@ class _Brake:
             return False
         self._stop_count += 1
         self._misfits += chi_squares
-        return self._log_likelihood_sum >= ALARM and self._conclude()
+        if self._log_likelihood_sum < ALARM:
+            return False
+        self._conclude()
+        return True
 
     def _respond(self, delay: float, period: float) -> None:
         """Note the `delay` in s of the response in a stop, and set `late`.
@@ -406,37 +441,40 @@ class _Brake:
                 f" ({self._unit}, {_RESPONSES} stops), assumed are {RESPONSE:.2f} s: {_LATE_WHY}"
             )
 
-    def _conclude(self) -> bool:
-        """Set `braking` and `evidence` by the stops of the test; always True.
+    def _conclude(self) -> None:
+        """Set `braking` and `evidence` by the stops of the test, and begin the test anew.
 
-        The measured braking is the minimum of a parabola through the misfits of three neighbouring
-        shares, as a function of the reciprocal of the share. `curvature` is the coefficient of the
-        square. A misfit is a chi-square, which rises by 1 at one standard deviation from its
-        minimum, so the deviation is 1 / sqrt(curvature). `braking` becomes the measured braking
-        less two standard deviations.
+        `braking` becomes the measured braking less two standard deviations.
         """
-        best = int(self._misfits.argmin())
-        slowness = 1.0 / _SHARES
-        i = min(max(best, 1), len(_SHARES) - 2)
-        neighbours = slice(i - 1, i + 2)
-        curvature, gradient, _ = np.polyfit(slowness[neighbours], self._misfits[neighbours], 2)
-        optimum = float(-0.5 * gradient / curvature) if curvature > 0.0 else float(slowness[best])
-        optimum = min(
-            max(optimum, float(slowness[neighbours].min())), float(slowness[neighbours].max())
-        )
-        slowness_deviation = 1.0 / math.sqrt(max(float(curvature), 1e-6))
-        # The shares are of the braking assumed so far. `_begin` forgets the stops of the test.
-        previous, stops = self.braking, self._stop_count
-        measured = previous / optimum
-        spread = measured * slowness_deviation / optimum
-        self._begin()
+        slowness, slowness_deviation = _best_slowness(self._misfits)
+        previous = self.braking  # the shares of the test are shares of this braking
+        measured = previous / slowness
+        spread = measured * slowness_deviation / slowness
         self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), previous)
-        unit = self._unit
+        unit, stops = self._unit, self._stop_count
         self.evidence = (
             f"{_BRAKED} {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
             f" {self.declared:.2f}"
         )
-        return True
+        self._begin()
+
+
+def _best_slowness(misfits) -> tuple[float, float]:
+    """The slowness of the brakes that fits best, and its standard deviation.
+
+    The slowness is 1 over the share of the braking: 2 means half of the braking. `misfits` (s,) are
+    chi-squares by share of _SHARES. A parabola is fitted to the least misfit and its neighbours, as
+    a function of the slowness. A chi-square rises by 1 at one standard deviation from its minimum,
+    so the standard deviation is 1 / sqrt(curvature).
+    """
+    best = int(misfits.argmin())
+    slowness = 1.0 / _SHARES
+    i = min(max(best, 1), len(_SHARES) - 2)
+    neighbours = slice(i - 1, i + 2)
+    curvature, gradient, _ = np.polyfit(slowness[neighbours], misfits[neighbours], 2)
+    optimum = float(-0.5 * gradient / curvature) if curvature > 0.0 else float(slowness[best])
+    lowest, highest = float(slowness[neighbours].min()), float(slowness[neighbours].max())
+    return min(max(optimum, lowest), highest), 1.0 / math.sqrt(max(float(curvature), 1e-6))
 
 
 def _misfits(stop: _Stop, commands: list, full_braking: float):
@@ -445,28 +483,21 @@ def _misfits(stop: _Stop, commands: list, full_braking: float):
     The model responds to its command after a delay, accelerates at once, and brakes evenly. The
     delay, and the scale of the speeds, are free.
 
-    `stop`: the stop, with its periods of odometry (begin, end, m or rad moved) before and after the
-    fall of the command. `commands`: (stamp, speed) pairs: the speed commanded from this stamp on.
-    `full_braking`: m/s2 or rad/s2, of which the fit tries the shares: as declared, or as measured
-    in an earlier violation.
+    Args:
+        stop: the stop, with the periods of odometry before and after the fall of the command.
+        commands: (stamp, speed) pairs: the speed commanded from this stamp on.
+        full_braking: m/s2 or rad/s2, the braking of share 1: as declared, or as measured in an
+            earlier violation.
 
     Returns:
-        (s,) sums of squared residuals, each relative to the squared distance of its period. The
-            degrees of freedom. The delay in s of the share that fits best.
+        (s,) sums of squared residuals, each relative to the squared distance of its period. Then
+            the degrees of freedom. Then the delay in s of the share that fits best.
     """
     readings = np.array((*stop.cruise, *stop.steps))
     periods, distances = readings[:, 1] - readings[:, 0], stop.sign * readings[:, 2]
 
-    # 1. The commands that can matter: those that held until after the earliest stamp, and not for
-    # 0 s (several commands may come between two readings), and the last command.
-    earliest_stamp = readings[0, 0] - _LONGEST_DELAY
-    last = len(commands) - 1
-    used_commands = [
-        command
-        for k, command in enumerate(commands[:last])
-        if earliest_stamp < commands[k + 1][0] != command[0]
-    ]
-    stamps, speeds = np.array((*used_commands, commands[last])).T
+    # 1. The commands that the base may have followed.
+    stamps, speeds = np.array(_since(commands, readings[0, 0] - _LONGEST_DELAY)).T
     speeds = np.maximum(stop.sign * speeds, 0.0)
 
     # 2. Weights: the noise of a distance grows with the distance. A reading near standstill has the
@@ -476,17 +507,33 @@ def _misfits(stop: _Stop, commands: list, full_braking: float):
     weights = 1.0 / (distances**2 + (_STILL_SHARE * cruise_speed * periods) ** 2)
 
     # 3. The least squared residuals for each braking. Before the first command the speed is 0.
+    # `full_braking` is of speeds by odometry, but the model has commanded speeds. Before the stop
+    # the commanded speed was `begin_speed`, and the speed by odometry `cruise_speed`. So the
+    # braking of the model is scaled by their ratio.
     table = _view(np.stack((readings[:, 0], periods, weights * distances, weights), axis=1))
     stamps = _view(np.concatenate(([-np.inf], stamps)))
     speeds = _view(np.concatenate(([0.0], speeds)))
-    # `full_braking` holds for speeds by odometry. The model has speeds by commands, which differ
-    # from those by a scale: before the stop, `begin_speed` against `cruise_speed`.
     brakings = _view(_SHARES * full_braking * stop.begin_speed / cruise_speed)
     misfits, delays = np.asarray(
         _weighted_residuals(table, stamps, speeds, brakings, float(weights @ distances**2))
     )
     # Degrees of freedom: less the delay, the scale and the braking, which are fitted.
     return misfits, max(len(distances) - 3.0, 1.0), float(delays[misfits.argmin()])
+
+
+def _since(commands: list, earliest_stamp: float) -> list:
+    """The (stamp, speed) pairs of commands that still held after `earliest_stamp` in s.
+
+    A command holds until the next command, the last command without end. Left out are commands
+    that held for 0 s: several commands may come between two readings of odometry.
+    """
+    last = len(commands) - 1
+    used = []
+    for k, command in enumerate(commands[:last]):
+        stamp, next_stamp = command[0], commands[k + 1][0]
+        if earliest_stamp < next_stamp and next_stamp != stamp:
+            used.append(command)
+    return [*used, commands[last]]
 
 
 def _view(values):
@@ -504,79 +551,111 @@ def _weighted_residuals(
     brakings: cython.double[::1],
     total: cython.double,
 ):
-    """The weighted sums of squared residuals of the model of the base, and the best delays.
+    """The least weighted sums of squared residuals of the model of the base, and their delays.
 
     (2, s): row 0 has the least sum for each braking of `brakings` (s,), row 1 the delay in s that
-    gives this sum. The delay is the best of a coarse grid, then of a fine grid around the best
-    coarse delay.
+    gives this sum.
 
     Args:
         periods: (n, 4), of each period: begin, duration, weight times distance, weight.
-        stamps: (m,) s, since when each command holds; the first is -inf.
-        speeds: (m,) the speed of each command; the first is 0.
+        stamps: (m,) s, since when each command holds. Command 0 is standstill, since -inf.
+        speeds: (m,) m/s or rad/s, the speed of each command.
         brakings: (s,) m/s2 or rad/s2, in the scale of the commanded speeds.
         total: the weighted sum of the squared distances.
     """
-    i: cython.Py_ssize_t
     j: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    command: cython.Py_ssize_t
-    part: cython.Py_ssize_t
-    count: cython.Py_ssize_t = len(stamps)
     coarse: cython.double[::1] = _view(_DELAYS)
     fine: cython.double[::1] = _view(_FINE_DELAYS)
-    parts: cython.double[::1] = _view(_PARTS)
-    # The speed of the model at the stamp of each command: the base brakes from the commands before.
-    model_speeds: cython.double[::1] = _view(np.zeros(count))
+    model_speeds: cython.double[::1] = _view(np.zeros(len(stamps)))
     result: cython.double[:, ::1] = _view(np.zeros((2, len(brakings))))
     for j in range(len(brakings)):
         braking: cython.double = brakings[j]
+        _model_speeds_at(stamps, speeds, braking, model_speeds)
 
-        # 1. The speed of the model at the stamp of each command. Entry 0 of `speeds` is standstill
-        # since ever, so the model stands at command 0 and, still, at the stamp of command 1.
-        for k in range(2, count):
-            braked_speed: cython.double = model_speeds[k - 1] - braking * (
-                stamps[k] - stamps[k - 1]
+        # 1. The best delay of the coarse grid.
+        best_coarse: cython.double = 0.0
+        least: cython.double = _inf
+        for k in range(len(coarse)):
+            residual: cython.double = _residual(
+                periods, stamps, speeds, model_speeds, braking, coarse[k], total
             )
-            model_speeds[k] = max(speeds[k - 1], braked_speed)
+            if residual < least:
+                least, best_coarse = residual, coarse[k]
 
-        # 2. The best delay: the coarse grid, then anew the fine grid around its best delay.
-        best_delay: cython.double = 0.0
-        result[0, j] = _inf
-        for k in range(len(coarse) + len(fine)):
-            if k == len(coarse):
-                best_coarse: cython.double = best_delay
-                result[0, j] = _inf
-            delay: cython.double = (
-                coarse[k] if k < len(coarse) else best_coarse + fine[k - len(coarse)]
-            )
-
-            # Compares the model with all periods. `command`: the index of the command that holds.
-            cross_sum: cython.double = 0.0
-            model_sum: cython.double = 0.0
-            command = 0
-            for i in range(len(periods)):
-                period_begin: cython.double = periods[i, 0]
-                duration: cython.double = periods[i, 1]
-                speed_sum: cython.double = 0.0  # of two speeds of the model
-                for part in range(2):  # the speeds at a quarter and three quarters of the period
-                    stamp: cython.double = period_begin + parts[part] * duration - delay
-                    while command + 1 < count and stamps[command + 1] <= stamp:
-                        command += 1
-                    while stamps[command] > stamp:
-                        command -= 1
-                    speed_sum += max(
-                        speeds[command], model_speeds[command] - braking * (stamp - stamps[command])
-                    )
-                modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
-                cross_sum += modelled * periods[i, 2]  # times the weighted distance
-                model_sum += modelled * modelled * periods[i, 3]  # times the weight
-            # The scale of the model is free, as odometry and base may be off by a few percent.
-            residual: cython.double = total - cross_sum * cross_sum / max(model_sum, 1e-12)
+        # 2. The best delay of the fine grid around this delay.
+        result[0, j], result[1, j] = _inf, best_coarse
+        for k in range(len(fine)):
+            delay: cython.double = best_coarse + fine[k]
+            residual = _residual(periods, stamps, speeds, model_speeds, braking, delay, total)
             if residual < result[0, j]:
-                result[0, j], best_delay = residual, delay
-        result[1, j] = best_delay
+                result[0, j], result[1, j] = residual, delay
     return result
+
+
+@cython.cfunc
+def _model_speeds_at(
+    stamps: cython.double[::1],
+    speeds: cython.double[::1],
+    braking: cython.double,
+    model_speeds: cython.double[::1],
+) -> cython.int:
+    """Set `model_speeds` (m,): the speed of the model at the stamp of each command.
+
+    The model brakes evenly while its speed is above the commanded speed. Command 0 is standstill
+    since ever, so the model stands at the stamp of command 1, too. The other arguments are those of
+    `_weighted_residuals`.
+    """
+    k: cython.Py_ssize_t
+    for k in range(2, len(stamps)):
+        braked_speed: cython.double = model_speeds[k - 1] - braking * (stamps[k] - stamps[k - 1])
+        model_speeds[k] = max(speeds[k - 1], braked_speed)
+    return 0
+
+
+@cython.cfunc
+def _residual(
+    periods: cython.double[:, ::1],
+    stamps: cython.double[::1],
+    speeds: cython.double[::1],
+    model_speeds: cython.double[::1],
+    braking: cython.double,
+    delay: cython.double,
+    total: cython.double,
+) -> cython.double:
+    """The weighted sum of squared residuals of the model with a braking and a delay in s.
+
+    The scale of the model's speeds is the scale that fits best, since odometry and base may be off
+    by a few percent. The other arguments are those of `_weighted_residuals` and
+    `_model_speeds_at`.
+    """
+    i: cython.Py_ssize_t
+    part: cython.Py_ssize_t
+    command: cython.Py_ssize_t = 0  # the index of the command that holds
+    count: cython.Py_ssize_t = len(stamps)
+    parts: cython.double[::1] = _view(_PARTS)
+    cross_sum: cython.double = 0.0
+    model_sum: cython.double = 0.0
+    for i in range(len(periods)):
+        period_begin: cython.double = periods[i, 0]
+        duration: cython.double = periods[i, 1]
+        weighted_distance: cython.double = periods[i, 2]
+        weight: cython.double = periods[i, 3]
+        speed_sum: cython.double = 0.0
+        for part in range(2):  # the speeds at a quarter and three quarters of the period
+            stamp: cython.double = period_begin + parts[part] * duration - delay
+            while command + 1 < count and stamps[command + 1] <= stamp:
+                command += 1
+            while stamps[command] > stamp:
+                command -= 1
+            braked_speed: cython.double = model_speeds[command] - braking * (
+                stamp - stamps[command]
+            )
+            speed_sum += max(speeds[command], braked_speed)
+        modelled: cython.double = 0.5 * speed_sum * duration  # m or rad
+        cross_sum += modelled * weighted_distance
+        model_sum += modelled * modelled * weight
+    return total - cross_sum * cross_sum / max(model_sum, 1e-12)
 
 
 @cython.final
@@ -759,38 +838,50 @@ class AssumptionMonitor:
         The event is an approach that is clearly faster than `others_speed`. A second fast approach,
         5 s to 600 s after the first, is a violation, which slows the robot.
 
-        `stamp`: s, of the scan. `gap`: m from the outline to the nearest return; None without a
-        return. `delay`: s, the greatest age of a ray of the scan. The ray of the nearest return is
-        not known, so all that the robot moved since the oldest ray counts as motion towards it.
+        Args:
+            stamp: s, of the scan.
+            gap: m from the outline to the nearest return; None without a return.
+            delay: s, the greatest age of a ray of the scan. The nearest return may be of any ray.
+                So all motion of the robot since the oldest ray counts as motion towards the return.
         """
-        gaps, approaches = self._gaps, self._approaches
-        has_pause = gaps and not 0.0 < stamp - gaps[len(gaps) - 1][0] < _MAX_GAP_TIME
+        gaps = self._gaps
 
         # 1. Collects scans of one approach: near returns without a pause.
-        if gap is None or gap > _NEAR_GAP or has_pause:
-            gaps.clear()
         if gap is None or gap > _NEAR_GAP:
+            gaps.clear()
             return ""
-        # `_approach` needs the travel when the oldest ray was measured, and on arrival.
+        if gaps and not 0.0 < stamp - gaps[len(gaps) - 1][0] < _MAX_GAP_TIME:
+            gaps.clear()
         gaps.append((stamp, gap, self._travelled_until(self._stamp - delay), self._travelled))
         while stamp - gaps[0][0] > _MAX_APPROACH_TIME:
             gaps.popleft()
 
-        # 2. Enough scans, and clearly faster than assumed by the first and the last gap?
-        is_new_approach = _is_apart(approaches, stamp)
-        if len(gaps) < _MIN_SCANS or stamp - gaps[0][0] < _MIN_APPROACH_TIME or not is_new_approach:
+        # 2. Are there enough scans? Several scans of one approach count once.
+        is_new_approach = _is_apart(self._approaches, stamp)
+        first_stamp, first_gap = gaps[0][0], gaps[0][1]
+        seconds = stamp - first_stamp
+        if len(gaps) < _MIN_SCANS or seconds < _MIN_APPROACH_TIME or not is_new_approach:
             return ""
-        assumed = self._settings.others_speed
-        if (gaps[0][1] - gap) < _CLEARLY_FASTER * assumed * (stamp - gaps[0][0]):
-            return ""  # the usual case: needs no fit
 
-        # 3. Clearly faster by the fit, too.
+        # 3. Is the approach clearly too fast, by the first and the last gap? Most are not, and need
+        # no fit.
+        too_fast = _CLEARLY_FASTER * self._settings.others_speed
+        if first_gap - gap < too_fast * seconds:
+            return ""
+
+        # 4. Is the approach clearly too fast by the fit, too?
         speed, spread = self._approach()
-        if speed - _STANDARD_DEVIATIONS * spread < _CLEARLY_FASTER * assumed:
+        if speed - _STANDARD_DEVIATIONS * spread < too_fast:
             return ""
+        return self._count_approach(stamp, speed, spread)
 
-        # 4. Counts the approach. The evidence is the second fastest approach: at least two
-        # approaches were that fast.
+    def _count_approach(self, stamp: float, speed: float, spread: float) -> str:
+        """Count an approach that was too fast; return the text of the event.
+
+        The evidence of a violation is the second fastest approach: at least two approaches were
+        that fast. `speed`, `spread`: m/s, of the approach, and its standard deviation.
+        """
+        assumed = self._settings.others_speed
         self._approaches.append((stamp, speed, spread))
         evidence = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:

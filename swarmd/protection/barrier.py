@@ -20,6 +20,7 @@ stricter: an unknown constraint forbids motion.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -40,9 +41,8 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.barrier_assumptions import Assumptions
-from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.buffers import view
-from swarmd.protection.closing_speed import CREEP_SPEED, DECISION_PERIOD
+from swarmd.protection.closing_speed import CREEP_SPEED
 from swarmd.protection.constraints import ConstraintRows, SpeedAxes, linear_limit
 from swarmd.protection.dead_reckoning import ScanMotion
 from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
@@ -105,7 +105,7 @@ class Barrier:
     _decision: object  # the ModeDecision of a limited request
 
     def __init__(self, platform: Platform) -> None:
-        """ConfigError if the platform has no settings of mode `barrier`."""
+        """Build the parts of the mode; ConfigError if the platform has no settings of the mode."""
         given = platform.protection["barrier"]
         if given is None:
             raise ConfigError(
@@ -116,12 +116,11 @@ class Barrier:
         self._limits, self._scan = platform.limits, platform.scan
         # Returns nearer than range_min are lost, as if nothing were there: a memory keeps them.
         if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
-            # m/s at which an obstacle and this robot approach each other at most. `own`: the
-            # highest speed of this base in any direction.
-            speed = settings.others_speed + BindingRange(platform, settings, DECISION_PERIOD).own
+            base_speed = math.hypot(platform.limits.linear, platform.limits.lateral)  # m/s at most
+            approach_speed = settings.others_speed + base_speed
             blind_zone = load_kernel("swarmd.protection.blind_zone")
             self._hidden = blind_zone.BlindZoneMemory(
-                platform.scan.range_min, speed, 1.0 / platform.scan.rate
+                platform.scan.range_min, approach_speed, 1.0 / platform.scan.rate
             )
         assumptions = Assumptions(platform, settings)
         outline = Outline(platform)
@@ -240,9 +239,9 @@ class Barrier:
     def _newest_age(self, scan):
         """The age in s of the newest ray of a scan when the scan arrived.
 
-        A conditioned scan states this age (`newest_age`). Of any other scan it is the platform's
-        latency (the mean age of all rays on arrival) less the mean time by which the rays are older
-        than the newest ray.
+        A conditioned scan states this age (`newest_age`). For other scans the platform states the
+        mean age of all rays on arrival (`latency`). Subtracted from this mean age is the mean time
+        by which the rays are older than the newest ray.
         """
         if scan.newest_age is not None:
             return scan.newest_age

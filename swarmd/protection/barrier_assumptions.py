@@ -90,9 +90,11 @@ class Assumptions:
     def binding_range(self, age: cython.double) -> cython.double:
         """The gap in m beyond which a return constrains no command of the robot.
 
-        `age`: s of the return when the command takes effect. See BindingRange.for_scan_age. A
-        return constrains the outline within one gap. If the platform keeps a circle around the
-        lidar free, a return constrains this circle within a second gap, and the greater gap counts.
+        A return within a first gap constrains the outline. If the platform keeps a circle around
+        the lidar free, a return within a second gap constrains the circle. The greater gap counts.
+        BindingRange.for_scan_age computes the same in Python.
+
+        `age`: s, the age of the return when the command takes effect.
         """
         outline_gap: cython.double = (
             self.fresh_binding_range + (self.others_speed + self.top_surface_speed) * age

@@ -14,7 +14,7 @@ REACTION_TIME = 0.05
 
 
 class BindingRange:
-    """Gaps in m beyond which no obstacle constrains the robot; farther returns are ignored.
+    """Gaps in m beyond which no obstacle constrains the robot, so that returns are left out.
 
     Attributes:
         own: m/s, the highest speed of the base in any direction.

@@ -223,6 +223,77 @@ def _crosses_rim(
     return edge_range - min(approach / face_rays, _MAX_SLOPE) <= radius + _RANGE_NOISE
 
 
+@cython.cfunc
+def _sort_rays(
+    bearings: cython.const[cython.double][::1],
+    angles: cython.double[::1],
+    rising: cython.double[::1],
+    order: cython.longlong[::1],
+) -> cython.bint:
+    """Order rays by rising angles; False if this takes more than 8 moves per ray.
+
+    `bearings` (n,) in rad are those of the scan, `angles` the same within a turn. Writes the rising
+    angles into `rising`, and the indices of their rays into `order`. Rays of the same angle stay in
+    their order.
+
+    An insertion sort is fast here: along the indices of the rays, the angles of most sensors rise
+    all the time or fall all the time, but for a few rays and the jump by a full turn.
+    """
+    ray_count: cython.Py_ssize_t = len(bearings)
+    lowest: cython.Py_ssize_t = 0
+    rising_count: cython.Py_ssize_t = 0
+    move_count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    ray: cython.Py_ssize_t
+    # 1. The ray with the lowest angle, and whether more angles rise than fall.
+    for i in range(1, ray_count):
+        rising_count += 1 if bearings[i] > bearings[i - 1] else -1
+        if angles[i] < angles[lowest]:
+            lowest = i
+    # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
+    for i in range(ray_count):
+        ray = lowest + i if rising_count >= 0 else lowest - i + ray_count
+        ray = _wrapped(ray, ray_count)
+        angle, k = angles[ray], i
+        while k > 0 and (rising[k - 1] > angle or (rising[k - 1] == angle and order[k - 1] > ray)):
+            rising[k], order[k] = rising[k - 1], order[k - 1]
+            k -= 1
+        rising[k], order[k] = angle, ray
+        move_count += i - k
+        if move_count > 8 * ray_count:
+            return False
+    return True
+
+
+@cython.cfunc
+def _turn_rays(
+    bearings: cython.double[::1],
+    count: cython.Py_ssize_t,
+    turned: cython.double,
+    rising: cython.double[::1],
+) -> cython.int:
+    """Write into `rising` the angles of the first `count` bearings, less `turned` rad, sorted.
+
+    The bearings rise but for one place, so the sort begins behind this place.
+    """
+    first: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    for i in range(1, count):
+        if _mod(bearings[i] - turned) < _mod(bearings[i - 1] - turned):
+            first = i
+    for i in range(count):
+        k = first + i
+        angle = _mod(bearings[k - count if k >= count else k] - turned)
+        k = i
+        while k > 0 and rising[k - 1] > angle:  # by rounding
+            rising[k] = rising[k - 1]
+            k -= 1
+        rising[k] = angle
+    return 0
+
+
 @cython.cclass
 class BlindZoneMemory:
     """The hidden obstacles of one sensor, in the base frame of the last scan.
@@ -241,7 +312,8 @@ class BlindZoneMemory:
     _ray_count: cython.Py_ssize_t
     _reserved: cython.Py_ssize_t  # rays for which the buffers have room
     # By ray, in the order of rising bearings. `_order`: the index of the ray in the scan.
-    # `_age_by_ray` in s is inf where no obstacle is hidden.
+    # `_age_by_ray` in s is inf where no obstacle is hidden, 0 for an obstacle that does not expire,
+    # and above 0 for an obstacle that may expire: a doubtful obstacle, or a narrow obstacle.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
@@ -332,8 +404,9 @@ class BlindZoneMemory:
         table = np.ascontiguousarray(scan.ranges, np.float64)  # interpreted, a list is read faster
         ranges: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
         # 1. m that an obstacle moves between two scans, and the range up to which a return is near.
-        # At most 5 periods count, else after a pause all returns would be near.
-        obstacle_step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
+        # After a pause at most 5 periods count, else all returns would be near.
+        counted_s: cython.double = min(seconds, 5.0 * self._period)
+        obstacle_step: cython.double = self._speed * counted_s + _RANGE_NOISE
         near_range: cython.double = self._radius + 2.0 * obstacle_step
         # 2. The near points become those of the scan before.
         self._x, self._old_x = self._old_x, self._x
@@ -359,10 +432,12 @@ class BlindZoneMemory:
                 self._x[self._point_count] = sensor_x + distance * cos(self._bearing[i])
                 self._y[self._point_count] = sensor_y + distance * sin(self._bearing[i])
                 self._point_count += 1
-        # 4. Finds what is hidden now. Only driven m count as leaving, but the frame turns anyway.
+        # 4. Updates the place that the robot leaves: by the driven part of the motion alone (rule
+        # 4), and by the whole turn, since the base frame turns with the robot.
         self._leave(driven.x, driven.y, moved.yaw)
-        self._find(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
-        # 5. Stores the empty rays for the next scan.
+        # 5. Updates the hidden obstacles.
+        self._update_hidden(moved.x, moved.y, moved.yaw, sensor_x, sensor_y, seconds, obstacle_step)
+        # 6. Stores the empty rays for the next scan.
         self._old_empty_count = 0
         for i in range(ray_count):
             if isinf(self._range[i]):
@@ -381,49 +456,12 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         for i in range(n):
             self._turned_angle[i] = _mod(values[i])
-        if not self._sort(values):
+        if not _sort_rays(values, self._turned_angle, self._rising, self._order):
             sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
             self._order[:n] = sorted_rays
         for i in range(n):
             self._bearing[i] = values[self._order[i]]
             self._rising[i] = self._turned_angle[self._order[i]]
-
-    @cython.cfunc
-    def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
-        """Order the rays by rising angles; False if this takes more than 8 moves per ray.
-
-        `values` (n,) in rad are the bearings of the scan; `_turned_angle` has them within a turn.
-        Sets `_order` and `_rising`. From the lowest angle on the angles of most sensors rise, with
-        few exceptions, along or against the index, so a stable insertion sort is fast.
-        """
-        ray_count: cython.Py_ssize_t = self._ray_count
-        lowest: cython.Py_ssize_t = 0
-        rising_count: cython.Py_ssize_t = 0
-        move_count: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
-        # 1. The ray with the lowest angle, and whether most angles rise.
-        for i in range(1, ray_count):
-            rising_count += 1 if values[i] > values[i - 1] else -1
-            if self._turned_angle[i] < self._turned_angle[lowest]:
-                lowest = i
-        # 2. Inserts the rays from the lowest angle on, in the direction in which most angles rise.
-        # Rays of the same angle stay in their order.
-        for i in range(ray_count):
-            ray = _wrapped(lowest + i if rising_count >= 0 else lowest - i + ray_count, ray_count)
-            angle, k = self._turned_angle[ray], i
-            while k > 0 and (
-                self._rising[k - 1] > angle
-                or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
-            ):
-                self._rising[k], self._order[k] = self._rising[k - 1], self._order[k - 1]
-                k -= 1
-            self._rising[k], self._order[k] = angle, ray
-            move_count += i - k
-            if move_count > 8 * ray_count:
-                return False
-        return True
 
     @cython.cfunc
     def _reserve(self, size: cython.Py_ssize_t):
@@ -461,7 +499,7 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
-    def _find(
+    def _update_hidden(
         self,
         moved_x: cython.double,
         moved_y: cython.double,
@@ -471,7 +509,7 @@ class BlindZoneMemory:
         seconds: cython.double,
         obstacle_step: cython.double,
     ):
-        """Find the obstacles that are hidden now.
+        """Update the hidden obstacles by this scan, and publish them.
 
         `moved_x`, `moved_y`, `turned`: m and rad, the motion of the base in the `seconds` since the
         scan before. `sensor_x`, `sensor_y`: m, the place of the sensor in the base frame.
@@ -497,25 +535,22 @@ class BlindZoneMemory:
                     self._sector_first[k], self._sector_first[k] + self._sector_width[k]
                 ):
                     self._is_in_entered_sector[_wrapped(i, ray_count)] = True
-        # 2. The hidden obstacles approach. An obstacle that may have reached the sensor is no face
-        # any more, since `_fill` moves a face back to the corner. Adds the vanished returns.
-        for i in range(self._hidden_count):
-            self._hidden_bearing[i] -= turned
-            self._nearest_range[i] = max(self._nearest_range[i] - self._speed * seconds, 0.0)
-            if self._nearest_range[i] == 0.0:
-                self._is_face[i] = 0.0
+        # 2. The hidden obstacles approach, and vanished returns become candidates.
+        self._approach(turned, seconds)
         self._candidate_count = self._hidden_count
-        self._vanish(
+        self._add_vanished(
             moved_x, moved_y, cos_turn, sin_turn, sensor_x, sensor_y, obstacle_step, is_entered
         )
         if not (self._candidate_count or is_entered):
             self._keep(0)
             return
-        if self._candidate_count > self._hidden_count or is_entered:  # rule 4 counts from here
+        # An obstacle became hidden: the robot leaves hidden obstacles from this place on (rule 4).
+        if self._candidate_count > self._hidden_count or is_entered:
             self._entered_x = self._entered_y = 0.0
-        # 3. Gives each candidate a ray, extends obstacles over their sectors, and stores the rays.
+        # 3. Gives each candidate a ray, and extends obstacles over their sectors.
         self._place(turned, obstacle_step)
         self._fill(seconds)
+        # 4. Each ray with an obstacle is a hidden obstacle of the next scan.
         k = 0
         for i in range(ray_count):
             if self._age_by_ray[i] < INFINITY:
@@ -524,6 +559,19 @@ class BlindZoneMemory:
                 self._is_face[k] = self._is_face_by_ray[i]
                 k += 1
         self._keep(k)
+
+    @cython.cfunc
+    def _approach(self, turned: cython.double, seconds: cython.double) -> cython.int:
+        """Turn the hidden obstacles by `-turned` rad, and let them approach for `seconds` s."""
+        i: cython.Py_ssize_t
+        for i in range(self._hidden_count):
+            self._hidden_bearing[i] -= turned
+            self._nearest_range[i] = max(self._nearest_range[i] - self._speed * seconds, 0.0)
+            # `_fill` moves a face away from the sensor, to the corner. An obstacle that may have
+            # reached the sensor must not move away, so the obstacle is no face any more.
+            if self._nearest_range[i] == 0.0:
+                self._is_face[i] = 0.0
+        return 0
 
     @cython.cfunc
     def _keep(self, count: cython.Py_ssize_t):
@@ -599,7 +647,7 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
-    def _vanish(
+    def _add_vanished(
         self,
         moved_x: cython.double,
         moved_y: cython.double,
@@ -610,19 +658,20 @@ class BlindZoneMemory:
         obstacle_step: cython.double,
         is_entered: cython.bint,
     ) -> cython.int:
-        """Add the near returns of the scan before that may have crossed the rim as candidates.
+        """Add as candidates the near returns of the scan before that may have crossed the rim.
 
-        An old return is a candidate if this scan has no return near that place, or if an obstacle
-        enters the empty sector there. Widths in m that went out of view are added to `_vanished_m`
-        and taken off `_emerged_m`, since noise at the rim shows the same width out and in.
+        A near return of the scan before (an old return) is a candidate if this scan has no return
+        near that place, or if an obstacle enters the empty sector there. Also updates `_vanished_m`
+        and `_emerged_m`.
 
-        `is_entered`: whether an obstacle enters any sector across the rim. `cos_turn`, `sin_turn`:
-        of the turn of the base. The other arguments are those of `_find`.
+        `cos_turn`, `sin_turn`: of the turn of the base since the scan before. `is_entered`: whether
+        an obstacle enters any empty sector across the rim. The other arguments are those of
+        `_update_hidden`.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE
         is_gone: cython.bint
-        last_match: cython.Py_ssize_t = 0  # begin to search here: neighbours lie side by side
+        last_match: cython.Py_ssize_t = 0  # the search begins here: neighbours lie side by side
         count: cython.Py_ssize_t = (self._point_count + stride - 1) // stride
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
@@ -649,19 +698,23 @@ class BlindZoneMemory:
                 ):
                     is_gone, last_match = False, k
                     break
-            # 3. An empty ray there: this width of the obstacle went out of view.
+            # 3. An empty ray there: this width of the obstacle went out of view. The width is
+            # subtracted from the width that came into view: noise at the rim shows the same width
+            # out of view and in view again.
             bearing = atan2(y - sensor_y, x - sensor_x)
             ray = _nearest(self._rising, self._ray_count, bearing)
             if isinf(self._range[ray]):
                 return_width = hypot(x - sensor_x, y - sensor_y) * _TURN / self._ray_count
                 self._emerged_m -= return_width
                 self._vanished_m += return_width
-            # 4. Adds the candidate, as far within the rim as it can have moved since. A return
-            # still in view only continues a face, and is doubtful.
+            # 4. Adds the candidate. The obstacle can be `obstacle_step` within the rim by now. If
+            # the return is still in view, the candidate only continues a face, and is doubtful.
             if is_gone or (is_entered and self._is_in_entered_sector[ray]):
                 k = self._candidate_count
-                self._hidden_bearing[k], self._age[k] = bearing, 0.0 if is_gone else _DOUBTFUL
-                self._nearest_range[k], self._is_face[k] = self._radius - obstacle_step, not is_gone
+                self._hidden_bearing[k] = bearing
+                self._nearest_range[k] = self._radius - obstacle_step
+                self._age[k] = 0.0 if is_gone else _DOUBTFUL
+                self._is_face[k] = not is_gone
                 self._candidate_count += 1
         return 0
 
@@ -669,8 +722,7 @@ class BlindZoneMemory:
     def _place(self, turned: cython.double, obstacle_step: cython.double) -> cython.int:
         """Give each candidate that is still hidden its ray, by rules 3 to 5 of the module.
 
-        Sets for each ray the age, the least range and `is_face` of its obstacle (whether it only
-        continues a face in view); an age of inf: no obstacle.
+        Sets for each ray the age, the least range and `is_face` of its obstacle (see the fields).
 
         `turned`: rad by which the base turned since the scan before. `obstacle_step`: m that an
         obstacle moves between two scans.
@@ -679,40 +731,21 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        # 1. rad by which an obstacle may have moved around the sensor between two scans. A return
-        # that reappears within `sideways_shift` is the obstacle; within `farthest_shift` it may be.
+        # rad by which an obstacle may have moved around the sensor between two scans
         farthest_shift: cython.double = obstacle_step / (_MIN_HIDDEN_RANGE * self._radius)
         sideways_shift: cython.double = min(farthest_shift, 0.25 * _PI)
+        # 1. Drops candidates that the robot has left behind, or that have expired (rule 4).
         is_robot_near: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._radius
         )
-        # 2. Which candidates are still hidden: those that the robot has not left behind (rule 4),
-        # that have not expired and have not reappeared (rule 5): _MIN_EMERGED, or half of the width
-        # that vanished, came into view. `_find_reappeared` sets `_angles` to those of reappeared
-        # returns. Candidates from `_hidden_count` on vanished just now: they have not reappeared.
-        self._find_reappeared(turned, obstacle_step)
-        self._emerged_m = max(self._emerged_m, 0.0)
-        has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
         for k in range(self._candidate_count):
             self._is_hidden[k] = is_robot_near and self._age[k] < _NARROW_MEMORY
-            if has_emerged and k < self._hidden_count and self._angle_total:
-                i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
-                angle_off = _apart(self._angles[i], self._hidden_bearing[k])
-                if angle_off <= sideways_shift:
-                    self._is_hidden[k] = False
-                elif angle_off <= farthest_shift:
-                    self._age[k] = max(self._age[k], _DOUBTFUL)
-        # 3. Clears the rays. From here on `_angles` are those of the empty rays.
-        self._angle_total = 0
-        for i in range(ray_count):
-            self._exact_bearing[i] = self._bearing[i]
-            self._age_by_ray[i] = self._nearest_by_ray[i] = INFINITY
-            self._is_face_by_ray[i] = True
-            if self._is_empty[i]:
-                self._angles[self._angle_total] = self._rising[i]
-                self._angle_rays[self._angle_total] = i
-                self._angle_total += 1
-        # 4. Rule 3: each hidden candidate moves to the nearest empty ray.
+        # 2. Drops candidates that have reappeared (rule 5).
+        self._find_reappeared(turned, obstacle_step)
+        self._drop_reappeared(sideways_shift, farthest_shift)
+        # 3. Clears the rays, and stores the angles of the empty rays.
+        self._clear_rays()
+        # 4. Moves each hidden candidate to the nearest empty ray (rule 3).
         for k in range(self._candidate_count):
             if not self._is_hidden[k]:
                 continue
@@ -724,8 +757,49 @@ class BlindZoneMemory:
             self._age_by_ray[ray] = min(self._age_by_ray[ray], self._age[k])
             self._nearest_by_ray[ray] = min(self._nearest_by_ray[ray], self._nearest_range[k])
             self._is_face_by_ray[ray] = self._is_face_by_ray[ray] and self._is_face[k] != 0.0
-            if angle_off <= _PI / ray_count:  # exact, since whole rays would lose a slow turn
+            # The bearing is not rounded to that of the ray, which would lose a slow turn.
+            if angle_off <= _PI / ray_count:
                 self._exact_bearing[ray] = self._hidden_bearing[k]
+        return 0
+
+    @cython.cfunc
+    def _drop_reappeared(
+        self, sideways_shift: cython.double, farthest_shift: cython.double
+    ) -> cython.int:
+        """Drop the candidates that have reappeared; those that may have become doubtful (rule 5).
+
+        `_angles` are those of the returns that reappeared. A candidate within `sideways_shift` rad
+        of such a return has reappeared; a candidate within `farthest_shift` rad may have.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        self._emerged_m = max(self._emerged_m, 0.0)
+        has_emerged: cython.bint = self._emerged_m >= min(_MIN_EMERGED, 0.5 * self._vanished_m)
+        if not (has_emerged and self._angle_total):
+            return 0
+        # The candidates behind these vanished in this scan, so they have not reappeared.
+        for k in range(self._hidden_count):
+            i = _nearest(self._angles, self._angle_total, self._hidden_bearing[k])
+            angle_off = _apart(self._angles[i], self._hidden_bearing[k])
+            if angle_off <= sideways_shift:
+                self._is_hidden[k] = False
+            elif angle_off <= farthest_shift:
+                self._age[k] = max(self._age[k], _DOUBTFUL)
+        return 0
+
+    @cython.cfunc
+    def _clear_rays(self) -> cython.int:
+        """Set each ray to no obstacle, and `_angles` to the angles of the empty rays."""
+        i: cython.Py_ssize_t
+        self._angle_total = 0
+        for i in range(self._ray_count):
+            self._exact_bearing[i] = self._bearing[i]
+            self._age_by_ray[i] = self._nearest_by_ray[i] = INFINITY
+            self._is_face_by_ray[i] = True
+            if self._is_empty[i]:
+                self._angles[self._angle_total] = self._rising[i]
+                self._angle_rays[self._angle_total] = i
+                self._angle_total += 1
         return 0
 
     @cython.cfunc
@@ -745,7 +819,7 @@ class BlindZoneMemory:
         for i in range(ray_count):
             if -INFINITY < self._range[i] <= self._radius + obstacle_step:
                 if not is_turned:
-                    self._turn_empty(turned)
+                    _turn_rays(self._old_empty, old_empty_count, turned, self._turned_angle)
                     is_turned = True
                 k = _nearest(self._turned_angle, old_empty_count, self._bearing[i])
                 if _apart(self._turned_angle[k], self._bearing[i]) <= _PI / ray_count:
@@ -755,72 +829,69 @@ class BlindZoneMemory:
         return 0
 
     @cython.cfunc
-    def _turn_empty(self, turned: cython.double) -> cython.int:
-        """Set `_turned_angle`: in the present frame, the rising angles of rays that were empty."""
-        count: cython.Py_ssize_t = self._old_empty_count
-        first: cython.Py_ssize_t = 0
-        i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        for i in range(1, count):  # they rise but for one place
-            if _mod(self._old_empty[i] - turned) < _mod(self._old_empty[i - 1] - turned):
-                first = i
-        for i in range(count):
-            k = first + i
-            angle = _mod(self._old_empty[k - count if k >= count else k] - turned)
-            k = i
-            while k > 0 and self._turned_angle[k - 1] > angle:  # by rounding
-                self._turned_angle[k] = self._turned_angle[k - 1]
-                k -= 1
-            self._turned_angle[k] = angle
-        return 0
-
-    @cython.cfunc
     def _fill(self, seconds: cython.double) -> cython.int:
         """Extend each hidden obstacle over its empty sector, and let doubtful obstacles grow older.
 
-        The age of a ray is inf without an obstacle, and above 0 for a doubtful obstacle. The first
-        case that fits a sector counts:
-
-        1. Obstacles cross the rim at both ends of a sector narrower than _MAX_FACE (rule 2 of the
-           file): ages become at most _DOUBTFUL, so each ray has an obstacle. A ray that had none,
-           or only the continuation of a face in view, gets the distance of the corner.
-        2. An obstacle is hidden in a sector of at most _MAX_SECTOR: the least distance fills it,
-           with one age: 0 in a sector as wide as a robot; else the least age, at most _DOUBTFUL if
-           an obstacle crosses the rim, else plus `seconds`: a narrow obstacle expires.
-        3. No obstacle crosses the rim: doubtful obstacles grow older by `seconds`.
+        `seconds`: s since the scan before.
         """
-        n: cython.Py_ssize_t = self._ray_count
+        ray_count: cython.Py_ssize_t = self._ray_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
         after_last: cython.Py_ssize_t
         for k in range(self._sector_count):
             first, after_last = self._sector_first[k], self._sector_first[k] + self._sector_width[k]
-            # The least age and the least distance in the sector; inf without a hidden obstacle.
-            youngest = nearest = INFINITY
+            least_age: cython.double = INFINITY  # inf without a hidden obstacle in the sector
             for i in range(first, after_last):
-                youngest = min(youngest, self._age_by_ray[_wrapped(i, n)])
-                nearest = min(nearest, self._nearest_by_ray[_wrapped(i, n)])
-            width_rad = self._sector_width[k] * 2.0 * _PI / n
+                least_age = min(least_age, self._age_by_ray[_wrapped(i, ray_count)])
+            is_obstacle_hidden: cython.bint = least_age < INFINITY
+            width_rad = self._sector_width[k] * 2.0 * _PI / ray_count
             if self._crossings[k] == 2 and width_rad < _MAX_FACE:
-                for i in range(first, after_last):
-                    self._age_by_ray[_wrapped(i, n)] = min(
-                        self._age_by_ray[_wrapped(i, n)], _DOUBTFUL
-                    )
-                    if self._is_face_by_ray[_wrapped(i, n)]:
-                        self._nearest_by_ray[_wrapped(i, n)] = self._corner[k]
-            elif youngest < INFINITY and width_rad <= _MAX_SECTOR:
+                self._fill_with_box(k)
+            elif is_obstacle_hidden and width_rad <= _MAX_SECTOR:
                 if width_rad >= self._narrowest_sector:
-                    youngest = 0.0
+                    least_age = 0.0  # a robot may be hidden: the obstacle does not expire
                 elif self._crossings[k] > 0:
-                    youngest = min(youngest, _DOUBTFUL)
+                    least_age = min(least_age, _DOUBTFUL)  # in view beside the sector
                 else:
-                    youngest += seconds
-                for i in range(first, after_last):
-                    self._age_by_ray[_wrapped(i, n)] = youngest
-                    self._nearest_by_ray[_wrapped(i, n)] = nearest
+                    least_age += seconds  # too narrow for a robot: the obstacle expires
+                self._fill_evenly(k, least_age)
             elif self._crossings[k] == 0:
+                # Open space, into which no obstacle reaches: doubtful obstacles will expire.
                 for i in range(first, after_last):
-                    if 0.0 < self._age_by_ray[_wrapped(i, n)] < INFINITY:
-                        self._age_by_ray[_wrapped(i, n)] += seconds
+                    is_doubtful: cython.bint = (
+                        0.0 < self._age_by_ray[_wrapped(i, ray_count)] < INFINITY
+                    )
+                    if is_doubtful:
+                        self._age_by_ray[_wrapped(i, ray_count)] += seconds
+        return 0
+
+    @cython.cfunc
+    def _fill_with_box(self, k: cython.Py_ssize_t) -> cython.int:
+        """Fill sector `k` with an obstacle that crosses the rim at both ends (rule 2).
+
+        Each ray gets an obstacle: a ray without an obstacle gets a doubtful obstacle at the
+        distance of the corner. An obstacle that only continues a face moves to the corner, too.
+        """
+        i: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        for i in range(self._sector_first[k], self._sector_first[k] + self._sector_width[k]):
+            ray = _wrapped(i, self._ray_count)
+            self._age_by_ray[ray] = min(self._age_by_ray[ray], _DOUBTFUL)  # inf without an obstacle
+            if self._is_face_by_ray[ray]:  # True without an obstacle, too
+                self._nearest_by_ray[ray] = self._corner[k]
+        return 0
+
+    @cython.cfunc
+    def _fill_evenly(self, k: cython.Py_ssize_t, age: cython.double) -> cython.int:
+        """Fill sector `k` with an obstacle of `age` s at the least distance in the sector."""
+        i: cython.Py_ssize_t
+        first: cython.Py_ssize_t = self._sector_first[k]
+        after_last: cython.Py_ssize_t = first + self._sector_width[k]
+        nearest: cython.double = INFINITY
+        for i in range(first, after_last):
+            nearest = min(nearest, self._nearest_by_ray[_wrapped(i, self._ray_count)])
+        for i in range(first, after_last):
+            self._age_by_ray[_wrapped(i, self._ray_count)] = age
+            self._nearest_by_ray[_wrapped(i, self._ray_count)] = nearest
         return 0

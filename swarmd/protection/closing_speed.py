@@ -45,14 +45,21 @@ def closing_cap(
     others: cython.double,
     is_passive: cython.bint,
 ) -> cython.double:
-    """The highest closing speed s in m/s from which the robot can stop in time.
+    """The highest closing speed in m/s from which the robot can stop in time.
 
-    Robot and obstacle together use at most `room` m: the gap less the distance that must stay free.
-    `braking` in m/s2 is the rate b at which the closing speed can fall. `unseen` in s is the time
-    since the obstacle was seen. `others` in m/s is the speed V at which the obstacle approaches.
-    Solves s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with
-    moving obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
-    If not `is_passive`, the result is that of `reciprocal_cap`.
+    The speed s solves s * tick + s^2 / (2 b) + V (unseen + tick + s / b) = room. The first two
+    terms are the way of the robot: a tick at this speed, then braking at the rate b. The third term
+    is the way of the obstacle at the speed V, from its measurement until the robot stands. After
+    the dynamic window with moving obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and
+    Platzer, IJRR 2017).
+
+    Args:
+        room: m that robot and obstacle together may use: the gap less the distance that must stay
+            free.
+        braking: m/s2, b, at which the closing speed can fall.
+        unseen: s since the obstacle was seen.
+        others: m/s, V, at which the obstacle approaches.
+        is_passive: False: the result is that of `reciprocal_cap`.
     """
     if not is_passive:
         return reciprocal_cap(room, braking, unseen)

@@ -1,10 +1,13 @@
 """The constraints of mode `barrier` in the plane of the two speeds, and the points behind them.
 
 Part of the library of barrier.py. A constraint is an inequality a x + b y <= cap. x and y are the
-linear and the angular speed of the command, each divided by its limit; the cap in m/s is the
-highest speed at which a place of the outline may close on a point. `ConstraintRows` stores one
-constraint in each row, so names in the code say row for constraint. Units: m, s, rad, in the
-predicted base frame: the base frame at the pose at which the next command takes effect.
+linear and the angular speed of the command, each divided by its limit. So a and b are the closing
+speeds in m/s at the limits. The cap in m/s is the highest speed at which a place of the outline may
+close on a point. `ConstraintRows` is a table with one constraint in each row, so names in the code
+say row for constraint.
+
+Units: m, s, rad, in the predicted base frame: the base frame at the pose at which the next command
+takes effect.
 """
 
 from __future__ import annotations
@@ -83,12 +86,11 @@ class ConstraintRows:
 
     count: cython.Py_ssize_t  # constraints without the envelope
     all: cython.Py_ssize_t  # constraints with the envelope
-    # a, b and cap of a x + b y <= cap; for reports the gap in m, and the index of the placed point.
-    x: cython.double[::1]
-    y: cython.double[::1]
+    x: cython.double[::1]  # a of a x + b y <= cap
+    y: cython.double[::1]  # b
     cap: cython.double[::1]
-    gap: cython.double[::1]
-    source: cython.longlong[::1]
+    gap: cython.double[::1]  # m to the obstacle, for reports
+    source: cython.longlong[::1]  # the index of the placed point
 
     def __init__(self) -> None:
         self._allocate(384)
@@ -135,7 +137,7 @@ class PlacedPoints:
     `ObstacleDiscs`).
     """
 
-    seen: cython.Py_ssize_t  # number of returns
+    seen: cython.Py_ssize_t  # number of returns; before `add_seen`, of returns to be placed
     contacts: cython.Py_ssize_t  # how many returns, the first ones, are in contact
     discs: cython.Py_ssize_t  # number of discs
     x: cython.double[::1]
@@ -184,11 +186,9 @@ class PlacedPoints:
     def place(self, chunk: Chunk, first: cython.Py_ssize_t, rows: ConstraintRows) -> cython.int:
         """Copy the points of a chunk to the arrays here, from index `first` on.
 
-        `contact` of a point is the gap within which the obstacle may touch the robot: the free
-        distance, and the part of the gap that the blind zone hides. The caller has filled one row
-        for each point, from row `rows.count` on, but has not counted these rows yet. This row
-        becomes the `first_row` of its point (a point may get further rows later), and the point
-        becomes the `source` of the row. Always returns 0, so that an error can be signalled by -1.
+        The caller has written one row for each point, from row `rows.count` on, and counts these
+        rows after this call. Point and row refer to each other: the row becomes the `first_row` of
+        the point, and the point the `source` of the row.
         """
         j: cython.Py_ssize_t
         count: cython.Py_ssize_t = chunk.count
@@ -218,20 +218,64 @@ class PlacedPoints:
             i = first + j
             placed_x[i], placed_y[i] = chunk_x[j], chunk_y[j]
             placed_free[i], placed_age[i] = free[j], age[j]
-            placed_contact[i] = free[j] + hidden[j]
+            placed_contact[i] = free[j] + hidden[j]  # the obstacle may touch within both parts
             placed_normal_x[i], placed_normal_y[i] = chunk_normal_x[j], chunk_normal_y[j]
             placed_gap[i], placed_radius[i] = gap[j], radius[j]
             placed_others[i] = others[j]
         first_row: cython.p_longlong = checked_indices(self.first_row, end)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
-            first_row[first + j], source[row + j] = row + j, first + j
+            first_row[first + j] = row + j
+            source[row + j] = first + j
         return 0
 
 
 @cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _is_near_corners(
+    gap: cython.double, free: cython.double, age: cython.double, others: cython.double
+) -> cython.bint:
+    """True if a point is so near that the corners of the outline need constraints of their own.
+
+    A point is near if, at the next decision, its gap may be at most twice the free distance. From
+    farther away, more than the free distance is left then for the robot to brake in.
+
+    `gap`, `free`: m, the present gap and the distance that must stay free. `age`: s from the
+    measurement of the point until the command takes effect. `others`: m/s, of the obstacle.
+    """
+    return gap <= 2.0 * free + others * (age + DECISION_PERIOD)
+
+
+@cython.cfunc
 @cython.exceptval(-1)
-def _set_special_caps(
+def _set_special_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
+    """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
+
+    A wall that stands is straight, so no part of it extends unseen into the blind zone.
+    """
+    j: cython.Py_ssize_t
+    for j in range(chunk.count):
+        is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
+        if is_wall or not assumptions.is_passive:
+            linear: cython.double = (
+                chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
+            )
+            braking: cython.double = closing_deceleration(
+                linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
+            )
+            room: cython.double = chunk.gap[j] - chunk.free[j]
+            if is_wall:
+                chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+                chunk.hidden[j] = 0.0
+            else:
+                chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
+    return 0
+
+
+@cython.cfunc
+@cython.exceptval(-1)
+def _set_special_corner_caps(
     chunk: Chunk,
     axes: SpeedAxes,
     assumptions: Assumptions,
@@ -327,19 +371,22 @@ class Constraints:
         age: cython.double,
         free: cython.double,
     ) -> cython.int:
-        """Place the first `placed.seen` returns (set by `begin`), and add their constraints.
+        """Place the first `placed.seen` returns of the scan, and add their constraints.
 
-        The returns are transformed into the predicted base frame in chunks of at most CHUNK points.
-        A return too far away to constrain any command within the limits is left out. `near`: near
-        returns of the scan, contacts first. `frame`: the pose of the scan in the predicted base
-        frame. `age`: s from the newest ray until the command takes effect. `free`: m that must stay
-        free around each return.
+        A return too far away to constrain any command within the limits is left out. So the call
+        lowers `placed.seen`, which `begin` has set, to the number of returns that were placed.
+
+        Args:
+            near: the near returns of the scan, contacts first.
+            frame: the pose of the scan in the predicted base frame.
+            age: s from the newest ray until the command takes effect.
+            free: m that must stay free around each return.
         """
         chunk: Chunk = self._chunk
         placed: PlacedPoints = self.placed
         assumptions: Assumptions = self._assumptions
         count: cython.Py_ssize_t = placed.seen
-        first_placed: cython.Py_ssize_t = 0
+        placed_count: cython.Py_ssize_t = 0
         seen: cython.Py_ssize_t = 0
         in_chunk: cython.Py_ssize_t
         cos_yaw: cython.double = cos(frame.yaw)
@@ -350,32 +397,33 @@ class Constraints:
         ys: cython.p_double = checked(near.points.y, count)
         others: cython.p_double = checked(near.points.others, count)
         while seen < count:
-            # 1. Transforms the next returns that may constrain the robot into the chunk.
+            # 1. Transforms the next returns that may constrain the robot into the chunk. A younger
+            # ray leaves an obstacle less time to come near. So the binding range by the age of each
+            # ray leaves out a tenth of the returns. A gap of NaN is not beyond any range.
             in_chunk = 0
             while seen < count and in_chunk < CHUNK:
-                # The binding range of each ray's own age leaves out a tenth of the returns: a
-                # younger ray leaves an obstacle less time to come near.
-                if not (gaps[seen] >= assumptions.binding_range(age + ages[seen])):
+                ray_age: cython.double = age + ages[seen]
+                is_beyond: cython.bint = gaps[seen] >= assumptions.binding_range(ray_age)
+                if not is_beyond:
                     x: cython.double = xs[seen]
                     y: cython.double = ys[seen]
                     chunk.x[in_chunk] = frame.x + cos_yaw * x - sin_yaw * y
                     chunk.y[in_chunk] = frame.y + sin_yaw * x + cos_yaw * y
-                    chunk.free[in_chunk], chunk.age[in_chunk] = free, age + ages[seen]
+                    chunk.free[in_chunk], chunk.age[in_chunk] = free, ray_age
                     chunk.radius[in_chunk], chunk.others[in_chunk] = 0.0, others[seen]
-                    placed.scan_gap[first_placed + in_chunk] = gaps[seen]
+                    placed.scan_gap[placed_count + in_chunk] = gaps[seen]
                     in_chunk += 1
                 seen += 1
-            # 2. Adds the constraints of the chunk, behind the `first_placed` earlier returns.
+            # 2. Adds the constraints of the chunk. The constraints of corners skip the contacts,
+            # which come first: `_add_contacts` forbids all motion towards contacts.
             chunk.count = in_chunk
-            self._add_chunk(first_placed, assumptions.blind_radius)
-            # The corners skip the contacts, which come first: contacts forbid all motion towards
-            # them anyway (`_add_contacts`).
+            self._add_chunk(placed_count, assumptions.blind_radius)
             if assumptions.unseen_extent > 0.0:
-                self._add_corners(first_placed, max(placed.contacts - first_placed, 0))
+                self._add_corners(placed_count, max(placed.contacts - placed_count, 0))
             if assumptions.has_keep_out():
-                self._add_keep_out(first_placed)
-            first_placed += chunk.count
-        placed.seen = first_placed
+                self._add_keep_out(placed_count)
+            placed_count += chunk.count
+        placed.seen = placed_count
         return self._add_contacts(near.rays, cos_yaw, sin_yaw)
 
     @cython.cfunc
@@ -409,21 +457,26 @@ class Constraints:
         age: cython.double,
         moved: cython.double,
     ) -> cython.int:
-        """Add the constraints of a disc in which an obstacle is; `point`: its index in `placed`.
+        """Add the constraints of a disc in which an obstacle is.
 
         The gap to a disc is the gap to its centre less its radius. So the radius is added to the
         distance that must stay free around the centre.
 
-        `x`, `y`: the centre in m in the predicted base frame. `radius`: m. `age`: s since the place
-        of the disc was measured. `moved`: m that the outline may have moved since the newest
-        odometry.
+        Args:
+            point: the index of the disc in `placed`.
+            x: m, the centre in the predicted base frame.
+            y: m, of the same centre.
+            radius: m.
+            age: s from the measurement of the disc until this decision.
+            moved: m that the outline may have moved since the newest odometry.
         """
         chunk: Chunk = self._chunk
         free: cython.double = self._assumptions.margin + radius
         chunk.count = 1
         chunk.x[0], chunk.y[0] = x, y
         chunk.free[0] = free + moved
-        chunk.age[0], chunk.radius[0] = age + REACTION, radius
+        chunk.age[0] = age + REACTION  # when the command takes effect
+        chunk.radius[0] = radius
         chunk.others[0] = self._assumptions.others_speed
         self._add_chunk(point, 0.0)
         return self._add_corners(point, 0)
@@ -431,12 +484,14 @@ class Constraints:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_chunk(self, first: cython.Py_ssize_t, blind: cython.double) -> cython.int:
-        """Copy the points of the chunk (up to 64) to `placed`, and add their constraints.
+        """Copy the points of the chunk to `placed`, and add their constraints.
 
-        `first` is the index in `placed` of the first point. `blind` in m is the radius of the
-        lidar's blind zone; 0 for discs. One constraint for each point comes first: it limits the
-        speed at which the nearest place of the robot's outline closes on the point. Then come the
-        constraints of `_add_approaching` and `_add_sides`, for obstacles beside the robot.
+        The first constraint of each point limits the speed at which the nearest place of the
+        outline closes on the point. `_add_approaching` and `_add_sides` then add constraints for
+        obstacles beside the robot.
+
+        `first`: the index in `placed` of the chunk's first point. `blind`: m, the radius of the
+        lidar's blind zone; 0 for discs, since the lidar does not measure discs.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -462,17 +517,16 @@ class Constraints:
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
         others: cython.p_double = chunk.others
-        # 1. Finds the nearest place of the outline for each point, and the cap.
+        # 1. Finds the nearest place of the outline for each point, and the constraint.
         self._outline.separate(chunk, blind)
         for j in range(count):
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
             cap[j] = passive_cap(gap[j] - free[j], braking, age[j], others[j])
-            # A constraint bounds the speeds over their limits, so its factors contain the limits.
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
         if assumptions.has_special_caps:
-            self._set_special_caps()
-        # 2. Copies the constraints into the table.
+            _set_special_caps(chunk, axes, assumptions)
+        # 2. Writes the constraints behind the rows so far.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
         row_cap: cython.p_double = checked(rows.cap, first_row + count)
@@ -480,39 +534,12 @@ class Constraints:
         for j in range(count):
             row_x[first_row + j], row_y[first_row + j] = chunk_row_x[j], chunk_row_y[j]
             row_cap[first_row + j], row_gap[first_row + j] = cap[j], gap[j] - radius[j]
-        # 3. Stores the points, then adds the constraints for obstacles beside the robot.
+        # 3. Stores the points, then counts the rows (`place` needs the count before).
         self.placed.place(chunk, first, rows)
         rows.count = first_row + count
+        # 4. Adds the constraints for obstacles beside the robot.
         self._add_approaching(first)
         return self._add_sides(first)
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def _set_special_caps(self) -> cython.int:
-        """Set the caps of the chunk that are not passive: of walls that stand, and reciprocal caps.
-
-        A wall that stands is straight, so no part of it extends unseen into the blind zone.
-        """
-        j: cython.Py_ssize_t
-        chunk: Chunk = self._chunk
-        axes: SpeedAxes = self.axes
-        assumptions: Assumptions = self._assumptions
-        for j in range(chunk.count):
-            is_wall: cython.bint = chunk.others[j] < assumptions.others_speed
-            if is_wall or not assumptions.is_passive:
-                linear: cython.double = (
-                    chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
-                )
-                braking: cython.double = closing_deceleration(
-                    linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
-                )
-                room: cython.double = chunk.gap[j] - chunk.free[j]
-                if is_wall:
-                    chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
-                    chunk.hidden[j] = 0.0
-                else:
-                    chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
-        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -542,15 +569,15 @@ class Constraints:
     def _add_sides(self, first: cython.Py_ssize_t) -> cython.int:
         """Add two side constraints for each point of the chunk whose cap is 0.
 
-        The cap of a point is 0 where the obstacle is so near that the robot must not close on the
-        obstacle. The robot may still pass the obstacle sideways. But a moving obstacle may have
-        left the place that the scan showed: two robots may slide past the last seen place of each
-        other until their corners meet. So the function limits two corners of the outline: the
-        foremost corners in the two directions 60 degrees to either side of the direction to the
-        point. Each of two such robots may use up half of their gap until its next scan, so they do
-        not touch before. `_add_side` adds the limits, with two exceptions: walls that stand, and
-        CREEP_SPEED, which is always allowed. The loops also run over points with other caps, up to
-        the last cap of 0 in the chunk: without branches they are vectorised.
+        A cap of 0 forbids the robot to close on the obstacle, but not to pass the obstacle
+        sideways. But an obstacle that moves may have left the place that the scan showed: two
+        robots may slide past the last seen place of each other until their corners meet. So this
+        function limits two corners of the outline: the foremost corner in the direction SIDE_ANGLE
+        to the left of the point, and the foremost corner in the direction SIDE_ANGLE to the right.
+
+        `first` is the index in `placed` of the chunk's first point. The loops run over all points
+        up to the last point with the cap 0: loops without branches are vectorised. `_add_side` then
+        leaves out the points with other caps.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -561,7 +588,7 @@ class Constraints:
         nx: cython.p_double = chunk.normal_x
         ny: cython.p_double = chunk.normal_y
         cap: cython.p_double = chunk.cap
-        # Arrays that `Outline.separate` has done with.
+        # `Outline.separate` needs these four arrays of the chunk no more.
         foremost: cython.p_double = chunk.nearest_square
         lever: cython.p_double = chunk.greatest_height
         side_x: cython.p_double = chunk.edge_x
@@ -574,7 +601,8 @@ class Constraints:
                 side_x[j] = _side_cos * nx[j] - sine * ny[j]
                 side_y[j] = sine * nx[j] + _side_cos * ny[j]
                 foremost[j], lever[j] = -INFINITY, 0.0
-            # For each point: the foremost corner in the side direction, and its lever.
+            # For each point: the foremost corner in the side direction, and the lever of this
+            # corner.
             for k in range(outline.edges):
                 corner_x: cython.double = outline.corner_x[k]
                 corner_y: cython.double = outline.corner_y[k]
@@ -593,13 +621,15 @@ class Constraints:
     def _add_side(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
         """Add the side constraints of one side of the robot, for the points whose cap is 0.
 
+        The speed of the foremost corner is limited: until the next decision, the corner moves at
+        most half of the gap that is left after the free distance and the hidden part of the
+        obstacle. A robot on the other side of the gap, with the same limit, moves at most the other
+        half. `side_reserve` is subtracted from the limit, for an obstacle that moves towards the
+        corner. The limit is at least CREEP_SPEED. Walls that stand get no side constraint.
+
         `_add_sides` has stored for each of the first `count` points of the chunk: the side
         direction (`edge_x`, `edge_y`), and the lever of the foremost corner in this direction
         (`greatest_height`). `first` is the index in `placed` of the chunk's first point.
-
-        The corner may use half of the gap that is left after the free distance and the hidden part
-        of the obstacle, until the next decision. `side_reserve` is subtracted from this speed for
-        an obstacle that moves towards the corner.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -619,14 +649,14 @@ class Constraints:
         row_gap: cython.p_double = checked(rows.gap, row + count)
         source: cython.p_longlong = checked_indices(rows.source, row + count)
         for j in range(count):
-            if cap[j] <= 0.0 and not chunk.others[j] < others_speed:  # no wall that stands
-                # m, then m/s: half of the gap, used up when the next command takes effect
-                allowed: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
-                allowed /= chunk.age[j] + DECISION_PERIOD
-                allowed -= reserve
+            is_wall: cython.bint = chunk.others[j] < others_speed
+            if cap[j] <= 0.0 and not is_wall:
+                half_gap: cython.double = 0.5 * (gap[j] - (chunk.free[j] + chunk.hidden[j]))
+                # The obstacle may have moved since the scan, so the time begins at the scan.
+                speed: cython.double = half_gap / (chunk.age[j] + DECISION_PERIOD) - reserve
                 linear: cython.double = side_x[j] * axes.along_x + side_y[j] * axes.along_y
                 row_x[row], row_y[row] = linear * axes.limit, lever[j] * axes.angular_limit
-                row_cap[row] = maximum(allowed, CREEP_SPEED)
+                row_cap[row] = maximum(speed, CREEP_SPEED)
                 row_gap[row], source[row] = gap[j] - chunk.radius[j], first + j
                 row += 1
         rows.count = row
@@ -646,9 +676,10 @@ class Constraints:
             + the speed that the brake can take off until then.
 
         The function adds at most two constraints: the strictest limit ahead and the strictest limit
-        back. The angular speed is not limited here: braking a turn does not reduce the speed ahead,
-        and the stop check (stopping.py) covers corners that swing outwards. `first` is the index in
-        `placed` of the chunk's first point.
+        back. `first` is the index in `placed` of the chunk's first point.
+
+        The angular speed is not limited here: braking a turn does not reduce the speed ahead, and
+        the stop check (stopping.py) covers corners that swing outwards.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -665,7 +696,8 @@ class Constraints:
         back_cap: cython.double = axes.limit
         ahead_point: cython.Py_ssize_t = -1
         back_point: cython.Py_ssize_t = -1
-        # 1. Finds the strictest limits. A point of -1 means: no limit below that of the platform.
+        # 1. Finds the strictest limits below the limit of the platform. A point stays -1 without
+        # such a limit.
         for j in range(chunk.count):
             if chunk.others[j] < others_speed:
                 continue  # a wall that stands does not approach
@@ -674,23 +706,28 @@ class Constraints:
             age: cython.double = chunk.age[j] + DECISION_PERIOD
             # m that the obstacle may still approach until its cap is 0
             approach_room: cython.double = chunk.gap[j] - chunk.free[j] - others_speed * age
-            if not 0.0 < approach_room < longest_approach:
-                continue  # the cap is 0 already, or there is time to brake later
+            if not approach_room > 0.0:
+                continue  # the cap is 0 already: `_add_side` limits the corners
+            if not approach_room < longest_approach:
+                continue  # there is time to brake later
             if touch.is_granted and touch.holds(nx, ny):
                 continue
-            # m/s that the side constraints will then allow in their directions: by `_add_side` at
-            # the gap free + others_speed * age, at which the cap is 0
+            # m/s that `_add_side` will allow in the side directions once the cap is 0: the gap
+            # beyond the free distance is then others_speed * age.
             side_speed: cython.double = 0.5 * (others_speed - chunk.hidden[j] / age)
             side_speed = maximum(side_speed - reserve, CREEP_SPEED)
             # m/s that the brake takes off until then
             braked_speed: cython.double = slowing * approach_room / others_speed
-            # Shares of the linear speed in the two side directions: aside + along, aside - along.
+            # The linear speed has a part in each of the two side directions. The greater part
+            # counts, as a share of the linear speed: for motion ahead, and for motion back.
             along: cython.double = _side_cos * (nx * axes.along_x + ny * axes.along_y)
             aside: cython.double = _side_sin * fabs(nx * axes.along_y - ny * axes.along_x)
-            if aside + along > 0.0 and side_speed / (aside + along) + braked_speed < ahead_cap:
-                ahead_cap, ahead_point = side_speed / (aside + along) + braked_speed, j
-            if aside - along > 0.0 and side_speed / (aside - along) + braked_speed < back_cap:
-                back_cap, back_point = side_speed / (aside - along) + braked_speed, j
+            ahead_share: cython.double = aside + along
+            back_share: cython.double = aside - along
+            if ahead_share > 0.0 and side_speed / ahead_share + braked_speed < ahead_cap:
+                ahead_cap, ahead_point = side_speed / ahead_share + braked_speed, j
+            if back_share > 0.0 and side_speed / back_share + braked_speed < back_cap:
+                back_cap, back_point = side_speed / back_share + braked_speed, j
         # 2. Adds the strictest limit ahead, and the strictest limit back.
         if ahead_point >= 0:
             gap: cython.double = chunk.gap[ahead_point] - chunk.radius[ahead_point]
@@ -705,12 +742,12 @@ class Constraints:
     def _add_corners(self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t) -> cython.int:
         """Add a constraint for each pair of a near point and a corner of the outline.
 
-        An obstacle may extend beyond the part that the scan shows (`unseen_extent`), so a corner
-        that swings past the point can touch it, too. The points are those of the chunk from `begin`
-        on; `first` is the index in `placed` of the chunk's first point. A point is near if its gap
-        is within twice the free distance plus the way of the obstacle until the next decision: from
-        farther away, more than the free distance is left then to brake in. The last points that are
-        not near are skipped.
+        An obstacle may extend beyond the part that the scan shows (`unseen_extent`). So a corner
+        that swings past the point may touch the obstacle. `_is_near_corners` tells which points
+        are near.
+
+        `first`: the index in `placed` of the chunk's first point. `begin`: the index in the chunk
+        of the first point to which constraints are added.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -735,9 +772,9 @@ class Constraints:
         slowing: cython.double = assumptions.braking_linear
         turning: cython.double = assumptions.braking_angular
         others: cython.p_double = chunk.others
-        # 1. Leaves out points at the end of the chunk that are not near.
-        while end > begin and not (
-            gap[end - 1] <= 2.0 * free[end - 1] + others[end - 1] * (age[end - 1] + DECISION_PERIOD)
+        # 1. Leaves out points at the end of the chunk that are not near: most gaps rise.
+        while end > begin and not _is_near_corners(
+            gap[end - 1], free[end - 1], age[end - 1], others[end - 1]
         ):
             end -= 1
         # 2. For each corner: the unit vector to each point, and the cap in this direction.
@@ -757,7 +794,7 @@ class Constraints:
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
             if assumptions.has_special_caps:
-                _set_special_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
+                _set_special_corner_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0
 
@@ -766,10 +803,10 @@ class Constraints:
     def _add_corner(
         self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
     ) -> cython.int:
-        """Add the constraints of one corner of the outline, computed by `_add_corners`.
+        """Add the constraints of one corner of the outline, which `_add_corners` has computed.
 
-        Left out are constraints that no twist within the limits violates, and points that are not
-        near (see `_add_corners`). The points of the chunk from `begin` to before `end` count.
+        The points are those of the chunk from `begin` to before `end`. `first` is the index in
+        `placed` of the chunk's first point. Points that are not near get no constraint.
         """
         j: cython.Py_ssize_t
         chunk: Chunk = self._chunk
@@ -791,9 +828,11 @@ class Constraints:
         row_gap: cython.p_double = checked(rows.gap, room)
         source: cython.p_longlong = checked_indices(rows.source, room)
         for j in range(begin, end):
-            if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
-                continue  # |x| and |y| are at most 1 within the limits
-            if gap[j] <= 2.0 * free[j] + others[j] * (age[j] + DECISION_PERIOD):
+            # x and y of a constraint are from -1 to 1 for a command within the limits.
+            fastest: cython.double = fabs(new_x[j]) + fabs(new_y[j])
+            if new_cap[j] > fastest + _SLACK:
+                continue  # no command within the limits violates the constraint
+            if _is_near_corners(gap[j], free[j], age[j], others[j]):
                 row_x[row], row_y[row] = new_x[j], new_y[j]
                 row_cap[row], row_gap[row] = new_cap[j], new_gap[j] - radius[j]
                 source[row] = first + j

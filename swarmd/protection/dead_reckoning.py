@@ -97,9 +97,8 @@ class DeadReckoning:
     def record(self, odometry):
         """Store a reading of odometry if it differs from the newest stored reading.
 
-        A new reading whose stamp does not rise, or whose pose jumps, is a reset: the function drops
-        the readings before, and `resets` rises. A jump is a step of more than MAX_STEP (m or rad)
-        plus MAX_SPEED times the seconds in between.
+        If the stamp does not rise, or the pose jumps, odometry had a reset: the function drops the
+        readings before, and `resets` rises.
         """
         self.odometry = odometry
         pose, twist = odometry.pose, odometry.twist
@@ -113,22 +112,18 @@ class DeadReckoning:
         r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         start: cython.Py_ssize_t = _FIELDS * self._newest  # of the newest reading in the buffer
         if self._count:
-            if (
+            is_same_pose: cython.bint = (
                 r[start] == stamp
                 and r[start + 1] == x
                 and r[start + 2] == y
                 and r[start + 3] == yaw
-                and r[start + 4] == linear
-                and r[start + 5] == angular
-                and r[start + 6] == lateral
-            ):
-                return
-            # m or rad, whichever is greater
-            jump: cython.double = maximum(
-                hypot(x - r[start + 1], y - r[start + 2]),
-                fabs(remainder(yaw - r[start + 3], _turn)),
             )
-            if stamp <= r[start] or jump > _max_step + _max_speed * (stamp - r[start]):
+            is_same_twist: cython.bint = (
+                r[start + 4] == linear and r[start + 5] == angular and r[start + 6] == lateral
+            )
+            if is_same_pose and is_same_twist:
+                return
+            if self._is_reset(stamp, x, y, yaw):
                 self._count = 0
                 self.resets += 1
         # Overwrites the oldest reading.
@@ -141,35 +136,52 @@ class DeadReckoning:
 
     @cython.cfunc
     @cython.exceptval(-1)
+    def _is_reset(
+        self, stamp: cython.double, x: cython.double, y: cython.double, yaw: cython.double
+    ) -> cython.int:
+        """1 if the stamp of a new reading does not rise, or if its pose jumps.
+
+        A jump is a step of more than MAX_STEP (m or rad) plus MAX_SPEED times the seconds since the
+        newest reading.
+        """
+        r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
+        start: cython.Py_ssize_t = _FIELDS * self._newest
+        distance: cython.double = hypot(x - r[start + 1], y - r[start + 2])
+        turned: cython.double = fabs(remainder(yaw - r[start + 3], _turn))
+        jump: cython.double = maximum(distance, turned)
+        longest_jump: cython.double = _max_step + _max_speed * (stamp - r[start])
+        is_reset: cython.bint = stamp <= r[start] or jump > longest_jump
+        return is_reset
+
+    @cython.cfunc
+    @cython.exceptval(-1)
     def find_pose(
         self, odometry_age: cython.double, seconds_before: cython.double, into: PlanarPose
     ) -> cython.int:
         """Set `into` to the pose `seconds_before` s before a decision.
 
-        The pose is interpolated between two readings. Before the oldest reading, the pose is
-        extrapolated at the twist of the oldest reading. After the newest reading, the pose is
-        extrapolated at the twist of the newest reading, for LONGEST_EXTRAPOLATION s at most.
-        Without a reading the pose is (0, 0, 0). `odometry_age` in s is the age of the newest
-        reading at the decision.
+        `odometry_age` in s is the age of the newest reading at the decision. Without a reading the
+        pose is (0, 0, 0).
         """
         r: cython.double[::1] = self._readings  # stamp, x, y, yaw, linear, angular, lateral
         if self._count == 0:
             return into.set(0.0, 0.0, 0.0)
-        k: cython.Py_ssize_t
-        earlier: cython.Py_ssize_t
         later: cython.Py_ssize_t = _FIELDS * self._newest
         stamp: cython.double = r[later] + odometry_age - seconds_before
-        # Goes back from the newest reading to the first reading that is not after `stamp`.
-        for k in range(self._count):
-            earlier = _FIELDS * ((self._newest - k + _history) % _history)
+
+        # 1. After the newest reading: extrapolates at its twist, for a limited time.
+        seconds: cython.double = stamp - r[later]
+        if r[later] <= stamp:
+            if seconds > LONGEST_EXTRAPOLATION:
+                seconds = LONGEST_EXTRAPOLATION
+            return self._extrapolate(later, r[later + 4], r[later + 5], r[later + 6], seconds, into)
+
+        # 2. Between two readings: goes back to the first reading that is not after `stamp`, and
+        # interpolates.
+        k: cython.Py_ssize_t
+        for k in range(1, self._count):
+            earlier: cython.Py_ssize_t = _FIELDS * ((self._newest - k + _history) % _history)
             if r[earlier] <= stamp:
-                if k == 0:
-                    seconds: cython.double = stamp - r[earlier]
-                    if seconds > LONGEST_EXTRAPOLATION:
-                        seconds = LONGEST_EXTRAPOLATION
-                    return self._extrapolate(
-                        earlier, r[earlier + 4], r[earlier + 5], r[earlier + 6], seconds, into
-                    )
                 fraction: cython.double = (stamp - r[earlier]) / (r[later] - r[earlier])
                 turn: cython.double = remainder(r[later + 3] - r[earlier + 3], _turn)
                 return into.set(
@@ -178,6 +190,8 @@ class DeadReckoning:
                     r[earlier + 3] + fraction * turn,
                 )
             later = earlier
+
+        # 3. Before the oldest reading: extrapolates back at its twist.
         return self._extrapolate(
             later, r[later + 4], r[later + 5], r[later + 6], stamp - r[later], into
         )
@@ -330,15 +344,15 @@ class ScanMotion:
 
         False, and nothing changes, if the newest ray of the scan is not newer than the newest ray
         of the scan before. A scan of age 0 always counts, since all its rays arrived just now.
-        Times in s:
 
         Args:
-            now: the time of the call.
-            age: since the arrival of the scan, or of the oldest rays that conditioning remembered.
-            newest_age: of the newest ray on arrival, by the platform's latency.
-            delay: by which the scan arrives later than the platform's latency says.
-            odometry_age: of the newest odometry.
-            ages: (n,) of the rays against the newest ray; empty: all are 0.
+            now: s, the time of the call.
+            age: s since the arrival of the scan. A scan with rays that conditioning remembered has
+                the age of the oldest of these rays.
+            newest_age: s, the age of the newest ray on arrival, by the platform's latency.
+            delay: s by which the scan arrives later than the platform's latency says.
+            odometry_age: s, the age of the newest odometry.
+            ages: (n,) s, the ages of the rays against the newest ray; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest_age: cython.double = 0.0
@@ -352,17 +366,19 @@ class ScanMotion:
         if age > 0.0 and measured_at < self.measured_at + _AGE_TOLERANCE:
             return False
 
-        # 2. Where the scan was measured by odometry, and the motion since the scan before. An `age`
-        # above 0 is that of remembered rays: the pose is that of the rays that just arrived.
         self.oldest, self.extra_age = oldest_age, delay + oldest_age
         # inf at the first scan; 0 if a scan of age 0 is not newer than the scan before.
         self.seconds = maximum(measured_at - self.measured_at, 0.0)
+
+        # 2. After a reset of odometry, the pose of the scan before is in another frame. Finds this
+        # pose in the new frame: the new readings are extrapolated back by their speed.
         reckoning: DeadReckoning = self._reckoning
-        # After a reset of odometry the pose of the scan before is in another frame. It is found
-        # again in the new frame: the new readings are extrapolated back by their speed.
         if self.resets != reckoning.resets:
             longest_age: cython.double = self._assumptions.longest_scan_age
             reckoning.find_pose(odometry_age, latency + min(self.seconds, longest_age), self.pose)
+
+        # 3. Where the scan was measured, and the motion since the scan before. `age` is left out:
+        # the pose is that of the rays that just arrived, not that of remembered rays.
         reckoning.find_pose(odometry_age, latency, self._now)
         self.moved.set_relative(self._now, self.pose)
         self.pose.set(self._now.x, self._now.y, self._now.yaw)

@@ -45,9 +45,9 @@ class Envelope:
     """The constraints within which no corner of the robot moves faster than `speed`.
 
     Every robot assumes that no surface around it moves faster than `others_speed`. The envelope
-    makes this assumption true of this robot, corners in a turn included. In the plane of the two
-    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set,
-    whose vertices lie on its border.
+    lets this robot keep what its peers assume, also for corners in a turn. In the plane of the two
+    speeds the permitted set is convex. The constraints are the sides of a polygon inside this set;
+    the vertices of the polygon lie on the border of the set.
     """
 
     speed: cython.double  # m/s
@@ -159,9 +159,9 @@ class Creeping:
     def allow(self, placed: PlacedPoints) -> cython.int:
         """Set `cap`: the speed in m/s at which a robot that creeps may close on any obstacle.
 
-        The cap is CREEP_SPEED, or less if a `placed` point is so near that its obstacle could touch
-        the robot before the next scan: the robot may use half of the gap beyond contact until then,
-        since the obstacle may use the other half.
+        The cap is CREEP_SPEED, or less near an obstacle: until the next decision, the robot may use
+        half of the gap beyond contact, since the obstacle may use the other half. `placed`: the
+        points of the decision.
         """
         i: cython.Py_ssize_t
         self.cap = CREEP_SPEED

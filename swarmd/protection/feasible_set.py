@@ -202,48 +202,49 @@ class FeasibleSet:
     ) -> cython.int:
         """Build all constraints of the situation: linear bounds on the speeds of the next command.
 
-        `linear`, `angular` and `lateral` are the command in force. The constraints come in this
-        order: near returns, the touch zone (directions in which the robot may touch), discs of
-        obstacles, the envelope (a bound on the speed of all corners near an obstacle).
+        `linear`, `angular` and `lateral` are the command in force, in m/s and rad/s.
         """
         near: NearObstacles = self.near
         assumptions: Assumptions = self.assumptions
         constraints: Constraints = self.constraints
         rows: ConstraintRows = constraints.rows
 
-        # 1. Predicts the pose at which the command takes effect, and the pose of the scan there.
+        # 1. Predicts the pose at which the command takes effect, and the pose of the scan in the
+        # predicted base frame. Without odometry (an age of NaN) both are 0.
         odometry_age: cython.double = self.situation.odometry_age
-        if odometry_age != odometry_age:
+        has_odometry: cython.bint = odometry_age == odometry_age
+        if not has_odometry:
             odometry_age = 0.0
         self.reckoning.predict_pose(odometry_age, linear, angular, lateral, self._predicted)
         self._frame.set_relative(self.motion.pose, self._predicted)
 
-        # 2. Distances that must stay free. The pose of the scan is off by the motion that odometry
-        # does not show: after the extrapolation ends, and while the scan waited for its first use.
-        age: cython.double = self.situation.now - self.motion.measured_at + REACTION
+        # 2. The distance that must stay free around each return. Odometry does not show the motion
+        # after the extrapolation ends, nor the motion while the scan waited for its first use.
         not_extrapolated: cython.double = maximum(odometry_age - LONGEST_EXTRAPOLATION, 0.0)
-        odometry_error: cython.double = (
-            not_extrapolated + self.motion.first_use_delay
-        ) * assumptions.surface_speed
+        unknown_s: cython.double = not_extrapolated + self.motion.first_use_delay
+        odometry_error: cython.double = unknown_s * assumptions.surface_speed
         free: cython.double = assumptions.margin + assumptions.unseen_extent + odometry_error
-        binding_range: cython.double = assumptions.binding_range(age + self.motion.oldest)
 
-        # 3. Adds the constraints of returns, touch zone and discs.
+        # 3. Adds the constraints of returns, then of the touch zone (directions in which the robot
+        # may touch), then of discs. `age`: of the newest ray when the command takes effect.
+        age: cython.double = self.situation.now - self.motion.measured_at + REACTION
+        binding_range: cython.double = assumptions.binding_range(age + self.motion.oldest)
         constraints.begin(near, self.discs.count, binding_range)
         constraints.add_seen(near, self._frame, age, free)
         if self.touch.is_granted:
             constraints.allow_touch()
         self._add_discs(odometry_age, not_extrapolated)
 
-        # 4. Adds the envelope: the slow envelope if an obstacle may touch the robot.
-        rows.all = rows.count  # `put` adds the envelope behind `count`, and raises `all` alone
+        # 4. Adds the envelope, a bound on the speed of all corners near an obstacle: the slow
+        # envelope if an obstacle may touch the robot. The envelope counts in `rows.all` alone.
+        rows.all = rows.count
         if near.is_near or self.discs.count:
             if self._is_touching():
                 self.creeping.slow.put(rows, constraints.axes)
             else:
                 self.creeping.usual.put(rows, constraints.axes)
 
-        # 5. Allows creeping, where the scan alone shows the obstacles.
+        # 5. The robot may creep only where the scan shows all obstacles.
         has_only_returns: cython.bint = not (self.touch.is_granted or self.discs.count)
         self.creeping.is_active = False
         self.creeping.is_possible = assumptions.may_creep and near.is_near and has_only_returns
@@ -305,10 +306,11 @@ class FeasibleSet:
         if near.has_contact:
             return 1
         # An obstacle is anywhere in its disc. Once the disc may have reached the outline, the
-        # direction to the centre does not show on which side of the robot the obstacle is. `free`
-        # of a disc (see `_add_discs`) has the margin, the radius, and m that odometry may miss.
+        # direction to the centre does not show on which side of the robot the obstacle is. So the
+        # robot counts as touched, as soon as the obstacle may have used up the gap to the disc. The
+        # margin, a reserve for noise of ranges, is not needed: it is taken off `free` again.
         for i in range(placed.seen, placed.seen + placed.discs):
-            room: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
-            if room <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):
+            gap_to_disc: cython.double = placed.gap[i] - (placed.free[i] - self.assumptions.margin)
+            if gap_to_disc <= self.assumptions.others_speed * (placed.age[i] + DECISION_PERIOD):
                 return 1
         return 0

@@ -3,9 +3,10 @@
 The pose of the robot in the shared frame comes as an `Anchor`: a measured pose, and the odometry at
 that time. The fence dead-reckons the pose at which the next command takes effect, and simulates
 stops from the command. A command is permitted if the outline keeps, at each step of each stop, the
-clearance that errors and margin need. A robot that is nearer to the fence than that, or outside,
-may only drive inwards: the clearance falls at no step, and exceeds the clearance at the begin by
-what an error of the direction can feign. Zero is always permitted.
+clearance that errors and margin need. A robot that is nearer to the fence than this clearance, or
+outside, may only drive inwards: the clearance falls at no step of a stop. An error of the direction
+can make a stop along the fence look like a stop inwards. So the clearance must also rise by more
+than this error. Zero is always permitted.
 
 A circle around the axle that holds the outline stands for the outline. So a robot can turn at the
 fence, and does not stay there.
@@ -131,34 +132,33 @@ class Fence:
         if requested.is_zero or context.anchor is None or context.odometry is None:
             return requested
 
-        # 1. The place at which the command takes effect; far from the fence nothing is limited.
+        # 1. The place at which the command takes effect. Far from the fence each command is
+        # permitted: the clearance is enough for the way of the longest stop, a tenth more for the
+        # half of a step that `is_inside` of the kernel adds, and an error of the direction.
         pose, speeds, error = self._predicted(context, context.anchor, command)
         need = error + self._margin
         turn_error = context.anchor.yaw_error + ODOMETRY_SHARE
-        # 1.1: `is_inside` of the kernel adds half a step, which is less than 0.1 of a stop.
-        most = need + self._longest_stop * (1.1 + turn_error)
-        if self._room(pose) > most:
+        if self._room(pose) > need + self._longest_stop * (1.1 + turn_error):
             return requested
 
-        # 2. The request, else the nearest permitted share. The distance of a share from the request
-        # counts in linear and angular speed, each over its limit.
+        # 2. The nearest permitted share. Its distance from the request is that of the linear and of
+        # the angular speed, each over its limit.
         limits, shares = self._limits, self._even if is_even else self._shares
+        linear_off = math.hypot(requested.linear, requested.lateral) / limits.linear
+        turn_off = abs(requested.angular) / limits.angular
         index = _kernel.nearest_permitted(
             self._edges,
             shares,
             (requested.linear, requested.lateral, requested.angular),
-            (
-                math.hypot(requested.linear, requested.lateral) / limits.linear,
-                abs(requested.angular) / limits.angular,
-            ),
+            (linear_off, turn_off),
             (pose.x, pose.y, pose.yaw),
             speeds,
             self._braking,
             (self.radius, self._clearance(pose), need, turn_error),
         )
-        if index < 0:
+        if index < 0:  # no share is permitted
             return Twist()
-        if index == len(shares):
+        if index == len(shares):  # the request is permitted
             return requested
         part, turn_part = shares[index].tolist()
         return Twist(
@@ -210,9 +210,10 @@ class Fence:
     def _predicted(
         self, context: DecisionContext, anchor: Anchor, command: Twist
     ) -> tuple[Pose, tuple[float, float, float], float]:
-        """Pose and speeds as the next command takes effect, and the bound of the place's error.
+        """Pose, speeds, and the error of the place in m, when the next command takes effect.
 
-        The speeds: ahead, left, turn. The error in m holds for each place of the outline.
+        The pose is in the frame of the fence. The speeds are in m/s ahead, m/s to the left, and
+        rad/s. The error is a bound for each place of the outline.
         """
         odometry, age = context.odometry, context.odometry_age or 0.0
         assert odometry is not None
@@ -233,13 +234,14 @@ class Fence:
         cos, sin = math.cos(yaw + 0.5 * turn), math.sin(yaw + 0.5 * turn)
         pose = Pose(x + cos * ahead - sin * left, y + sin * ahead + cos * left, yaw + turn)
 
-        # 3. The bound of the error. Odometry is off by a share of the way, and across the way by
-        # the error of its heading, a share of the rad turned. The base may have changed its speed
-        # at once or not at all: the place is off by the whole `change` for `seconds`.
+        # 3. The bound of the error: of the anchor; of odometry along the way, and across the way by
+        # the error of its heading (a share of the rad turned); of the prediction, since the base
+        # may have changed its speed at once or not at all; and of the time without a prediction.
+        of_anchor = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
+        of_odometry = ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way
         change = math.hypot(twist.linear - command.linear, twist.lateral - command.lateral)
-        error = anchor.error + anchor.yaw_error * math.hypot(dx, dy)
-        error += ODOMETRY_SHARE * (1.0 + anchor.turned) * anchor.way
-        error += change * seconds + self._top * max(age - MAX_EXTRAPOLATION, 0.0)
+        of_prediction = change * seconds + self._top * max(age - MAX_EXTRAPOLATION, 0.0)
+        error = of_anchor + of_odometry + of_prediction
         return pose, (ahead_speed, left_speed, turn_speed), error
 
 

@@ -163,9 +163,10 @@ class _Stops:
     ) -> cython.bint:
         """True if all stops from a command are inside.
 
-        The stops: from the command with both brakes as weak as assumed, and with either brake
-        ideal, since the path bends differently if one brake is stronger; and from the speeds of the
-        base, which need not have reached the command.
+        There are four stops. Three stops begin at the command: with both brakes as weak as assumed,
+        with an ideal linear brake, and with an ideal angular brake, since the path bends otherwise
+        if one brake is stronger. The fourth stop begins at the speeds of the base, which need not
+        have reached the command.
         """
         b: cython.double = self.braking
         t: cython.double = self.turning
@@ -194,15 +195,16 @@ class _Stops:
         """True if the circle stays clear, or comes inwards, in a stop.
 
         The base begins at the speeds `ahead`, `left` and `turn`. For TICK these speeds change
-        towards `to_ahead`, `to_left` and `to_turn` (not beyond), and then towards zero, at
-        `braking` in m/s2 and `turning` in rad/s2. At each step of the stop the circle must be clear
-        or come inwards:
+        towards `to_ahead`, `to_left` and `to_turn`, then towards zero, at `braking` in m/s2 and
+        `turning` in rad/s2. At each step of the stop the circle must be clear, or come inwards.
 
-        - Clear: the clearance is at least `need`, plus what an error of the direction can hide,
-          plus half of the step, since between two steps the axle is up to half of a step away from
-          the nearer step.
-        - Inwards: the clearance has not fallen since the step before, and exceeds the clearance at
-          the begin by what an error of the direction can feign.
+        An error of the direction moves the place by `turn_error` times the way. So the clearance of
+        a step may be wrong by this distance (`off`):
+
+        - Clear: the clearance is at least `need` and `off`, and half of the step. Between two steps
+          the axle is up to half of a step away from the nearer step.
+        - Inwards: the clearance has not fallen since the step before, and has risen since the begin
+          by `off` at least.
         """
         linear: cython.double = max(hypot(ahead, left), hypot(to_ahead, to_left))
         fastest: cython.double = max(fabs(turn), fabs(to_turn))
@@ -231,12 +233,11 @@ class _Stops:
             room: cython.double = _clearance(
                 self.edges, self.near, self.count, self.x + east, self.y + north, self.radius
             )
-            off: cython.double = self.turn_error * way  # m, by an error of the direction
+            off: cython.double = self.turn_error * way
             is_clear: cython.bint = room >= self.need + off + 0.5 * moved
-            comes_inwards: cython.bint = not (
-                room < self.present + off - _ROUNDING or room < last_room - _ROUNDING
-            )
-            if not (is_clear or comes_inwards):
+            has_fallen: cython.bint = room < last_room - _ROUNDING
+            has_risen: cython.bint = not room < self.present + off - _ROUNDING
+            if not is_clear and (has_fallen or not has_risen):
                 return False
             last_room = room
         return True
@@ -273,18 +274,20 @@ def nearest_permitted(
 ) -> int:
     """The index of the permitted share of the request that is nearest to the request.
 
-    len(shares): the request itself is permitted. -1: no share is permitted.
+    len(shares) if the request itself is permitted; -1 if no share is permitted. Of equally near
+    shares the first counts.
 
     Args:
         edges: (k, 5) of the fence.
-        shares: (n, 2) of the linear speeds and of the turn; of equally near ones the first counts.
-        request: speeds ahead, left, and turn.
-        offs: the distance of a share of 0 from the request, by linear speeds and by the turn.
-        pose: at which the command takes effect.
-        speeds: of the base then.
+        shares: (n, 2) shares of the linear speeds, and of the angular speed.
+        request: m/s ahead, m/s to the left, rad/s.
+        offs: the distance of zero from the request, in the linear and in the angular speed.
+        pose: x and y in m, yaw in rad, when the command takes effect.
+        speeds: of the base then, as in `request`.
         brakings: m/s2 and rad/s2.
-        room: the radius around the axle, the clearance at the pose, the clearance that errors and
-            margin need, and the rad by which the direction of the simulated motion may be wrong.
+        room: three lengths in m: the radius around the axle, the clearance at the pose, and the
+            clearance that errors and margin need. Then the rad by which the direction of the
+            simulated motion may be wrong.
     """
     table: cython.double[:, ::1] = _view(edges)
     given: cython.double[:, ::1] = _view(shares)
@@ -301,20 +304,21 @@ def nearest_permitted(
     stops.edges = table
     stops.x, stops.y, stops.yaw = pose
     stops.radius, stops.present, stops.need, stops.turn_error = room
+    # 1. The edges within the way of the longest stop.
     linear: cython.double = max(hypot(ahead, left), hypot(stops.speed_ahead, stops.speed_left))
     fastest: cython.double = max(fabs(turn), fabs(stops.speed_turn))
-    longest: cython.double = max(linear / stops.braking, fastest / stops.turning)
-    way: cython.double = linear * (_TICK + longest)  # m that a stop leads at most
-    stops.near, stops.count = _nearby(table, stops.x, stops.y, way)
+    longest_s: cython.double = max(linear / stops.braking, fastest / stops.turning)
+    stops.near, stops.count = _nearby(table, stops.x, stops.y, linear * (_TICK + longest_s))
+    if stops.permits(ahead, left, turn):
+        return len(given)
+    # 2. The nearest permitted share.
     best: cython.Py_ssize_t = -1
     least: cython.double = INFINITY
     i: cython.Py_ssize_t
-    if stops.permits(ahead, left, turn):
-        return len(given)
     for i in range(len(given)):
-        far: cython.double = hypot((1.0 - given[i, 0]) * linear_off, (1.0 - given[i, 1]) * turn_off)
-        if far < least and stops.permits(
-            ahead * given[i, 0], left * given[i, 0], turn * given[i, 1]
-        ):
-            best, least = i, far
+        share: cython.double = given[i, 0]
+        turn_share: cython.double = given[i, 1]
+        off: cython.double = hypot((1.0 - share) * linear_off, (1.0 - turn_share) * turn_off)
+        if off < least and stops.permits(ahead * share, left * share, turn * turn_share):
+            best, least = i, off
     return best

@@ -132,6 +132,32 @@ class _Axis:
         self._end += 1
 
     @cython.cfunc
+    def _move_slow_base(self, period: cython.double, stamp: cython.double):
+        """Move the slow base on for `period` s, and drop commands that count no more.
+
+        The slow base follows a command DELAY s late. Two periods are added to the delay: a command
+        has the stamp of the reading before it, and the motion that is compared began with the last
+        period.
+        """
+        # 1. The command that the slow base follows now. If the period has grown, `response` may be
+        # earlier than before, so the search goes back, too.
+        response: cython.double = stamp - DELAY - 2.0 * period
+        while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
+            self._held += 1
+        while self._held > self._first and self._stamps[self._held] > response:
+            self._held -= 1
+        # 2. Drops commands that ended before the window, up to the command of the slow base.
+        while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
+            self._first += 1
+        # 3. The speed changes towards this command, by at most `step`.
+        step: cython.double = self._acceleration * period
+        change: cython.double = self._speeds[self._held] - self._slow_speed
+        if change < -step:
+            self._slow_speed += -step
+        else:
+            self._slow_speed += step if change > step else change
+
+    @cython.cfunc
     def _follow(self):
         """Note that the speed is within the bounds: `text` becomes empty."""
         self._outside_since, self._outside_readings, self.text = _inf, 0, ""
@@ -144,38 +170,24 @@ class _Axis:
         by_twist: cython.double,
         by_pose: cython.double,
     ):
-        """Compare the speed of the last period with the bounds.
+        """Compare the speed of the last period with the bounds, and set `text`.
 
-        Sets `text` once the base has not followed for MIN_DURATION; empty while the base follows.
-        The bounds are the speeds of a slow base, which responds late and accelerates slowly, and of
-        a fast base, which responds at once to any command of the last WINDOW s. The speed is known
-        from the twist and from the pose. The base follows if either speed is within the bounds.
+        The text tells how the base differs, once the base has not followed for MIN_DURATION. The
+        text is empty while the base follows. The bounds are the speeds of a slow base, which
+        responds late and accelerates slowly, and of a fast base, which responds at once to any
+        command of the last WINDOW s. Twist and pose each give a measured speed. The base follows if
+        either speed is within the bounds.
 
-        `period`: s since the reading before. `stamp`: s, of this reading. `by_twist`: the measured
-        speed in m/s or rad/s. `by_pose`: the speed by the change of the pose.
+        Args:
+            period: s since the reading before.
+            stamp: s, of this reading.
+            by_twist: m/s or rad/s, the speed by the measured twist.
+            by_pose: m/s or rad/s, the speed by the change of the pose.
         """
         i: cython.Py_ssize_t
 
-        # 1. Moves the slow base on: `_held` becomes the index of the command that it follows now,
-        # DELAY s late. Two periods are added to the delay: a command has the stamp of the reading
-        # before it, and the motion that is compared began with the last period.
-        response: cython.double = stamp - DELAY - 2.0 * period
-        while self._held + 1 < self._end and self._stamps[self._held + 1] <= response:
-            self._held += 1
-        # Goes back if the period has grown, since `response` may then be earlier than before.
-        while self._held > self._first and self._stamps[self._held] > response:
-            self._held -= 1
-        # Drops commands that ended before the window, up to the command of the slow base.
-        while self._held > self._first and self._stamps[self._first + 1] <= stamp - WINDOW:
-            self._first += 1
-        step: cython.double = self._acceleration * period
-        change: cython.double = self._speeds[self._held] - self._slow_speed
-        if change < -step:
-            self._slow_speed += -step
-        else:
-            self._slow_speed += step if change > step else change
-
-        # 2. The usual case, decided fast: the speed is between the last command and the slow base.
+        # 1. The usual case, decided fast: the speed is between the last command and the slow base.
+        self._move_slow_base(period, stamp)
         low: cython.double = self._slow_speed
         high: cython.double = self._command
         least: cython.double = self._least
@@ -185,23 +197,22 @@ class _Axis:
             self._follow()
             return
 
-        # 3. The bounds: the slow base, and all commands of the last WINDOW (the fast base). Of the
+        # 2. The bounds: the slow base, and all commands of the last WINDOW (the fast base). Of the
         # two measured speeds, the speed nearer to the bounds counts.
         low = high = self._slow_speed
         for i in range(self._first, self._end):
             low, high = min(self._speeds[i], low), max(self._speeds[i], high)
         tolerance: cython.double = max(least, SLIP * max(fabs(low), fabs(high)))
-        is_nearer: cython.bint = max(low - by_pose, by_pose - high) < max(
-            low - by_twist, by_twist - high
-        )
-        measured: cython.double = by_pose if is_nearer else by_twist
+        pose_off: cython.double = max(low - by_pose, by_pose - high)
+        twist_off: cython.double = max(low - by_twist, by_twist - high)
+        measured: cython.double = by_pose if pose_off < twist_off else by_twist
         is_outside: cython.bint = not low - tolerance <= measured <= high + tolerance
         # In the first WINDOW s the base may follow commands from before the comparison.
         if not is_outside or stamp - self._begun_at < WINDOW:
             self._follow()
             return
 
-        # 4. The base does not follow once the speed stays outside the bounds.
+        # 3. The base does not follow once the speed stays outside the bounds.
         self._outside_since = min(self._outside_since, stamp - period)
         self._outside_readings += 1
         duration = stamp - self._outside_since

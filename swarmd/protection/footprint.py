@@ -90,8 +90,8 @@ class Footprint:
         """Gap in m and bearing in rad, from the axle, of the return nearest to the outline.
 
         None without a return. A return too close to measure has gap 0 and the bearing of its ray.
-        The outline lies between two circles around the lidar, so only rays whose range exceeds the
-        smallest by at most the difference of the radii are examined.
+        The outline lies between two circles around the lidar. So a return that is farther from the
+        lidar than the nearest return by more than the difference of both radii is not examined.
         """
         nearest = float(scan.ranges.min(initial=np.inf))
         if nearest == np.inf:

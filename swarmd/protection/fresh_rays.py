@@ -5,19 +5,23 @@ sector, which replace returns of the last whole scan by these rules:
 
 1. Each return of a segment is added, at its place in the frame of the last scan and with its age.
 2. A return of the last scan is dropped if the sweep has passed every place at which its obstacle
-   may be: the disc around the return whose radius is the way at `others_speed` since that ray, and
-   _DISC_SLACK. Each ray through the disc must have a return: the return is the obstacle, or the ray
-   shows that the obstacle is not before it.
-3. All else stays as the last scan shows it, with its age: contacts, hidden obstacles (nearer to the
-   lidar than it measures), returns of standing walls, and returns ahead of the sweep.
-4. Rays that hit a standing wall tell nothing: the wall is charged less than a fresh return. A few
-   lost rays between returns tell nothing about the return behind them alone.
-5. A missing segment ends the sweep, and the next segment begins another: then the disc must not
-   reach its first ray either.
+   may be. These places are a disc around the return. Its radius is the way at `others_speed` since
+   the return was measured, and _DISC_SLACK. Each ray through the disc must have a return: the ray
+   meets the obstacle, or shows that the obstacle is not before the return of the ray.
+3. These obstacles stay as the last scan shows them, with their ages: contacts, hidden obstacles
+   (nearer than the lidar can measure), returns of standing walls, and returns ahead of the sweep.
+4. Rays without information keep the returns whose discs the rays meet. These are lost rays, and
+   rays that hit a standing wall: the standing return constrains the robot less than a fresh return.
+   A few lost rays between two returns hide no obstacle beside, so these rays keep only returns
+   within _RAY_WIDTH.
+5. A missing segment ends the sweep, and the next segment begins a new sweep. The disc must then not
+   reach the first ray of the new sweep either.
 
-An obstacle is therefore within `others_speed` times its age of a return, or behind one: the return
-of the last scan if that stays, else the return of the ray that met the obstacle since. Part of the
-library of barrier.py. Units: m, s, rad, in the base frame of the last scan.
+So an obstacle is near a return, within `others_speed` times the age of the return, or behind a
+return. This is the return of the last scan if it stays, else the return of the ray that met the
+obstacle since.
+
+Part of the library of barrier.py. Units: m, s, rad, in the base frame of the last scan.
 """
 
 from __future__ import annotations
@@ -207,9 +211,9 @@ class FreshRays:
         age: cython.double,
         odometry_age: cython.double,
     ):
-        """Take in a segment.
+        """Take in a segment: its returns replace those that the sweep has passed (rules 1 and 2).
 
-        Ignored without a scan before, and after a reset of odometry since that scan.
+        A segment is ignored before the first scan, and after a reset of odometry since the scan.
 
         Args:
             ranges: (n,) m, of the driver. A ray whose range the lidar cannot measure is unknown.
@@ -238,24 +242,14 @@ class FreshRays:
         self._reckoning.find_pose(odometry_age, age + span, self._pose)
         self._begin.set_relative(self._pose, motion.pose)
 
-        # 2. The sweep: continued, or begun anew at the first ray.
+        # 2. Continues the sweep, or begins a sweep at the first ray.
         self._place(bearings[0], 0.0)
         is_continued: cython.bint = self._assumptions.others_speed * gap <= _SEAM_WAY
         if not (self._is_swept and is_continued):
             self._has_seam = not is_continued
-            self._is_swept, self._angle = True, 0.0
-            self._begun_at = newest_at - span
-            self._blind_count = self._run = 0
-            self._has_return = False
-            self._first.set(self._ray)
-            self._last.set(self._ray)
+            self._begin_sweep(newest_at - span)
         self._place(bearings[count - 1], 1.0)
-        turned: cython.double = _ahead(self._direction * (self._ray.angle - self._last.angle))
-        if turned < _MAX_ANGLE:  # else rounding before a turn of 0
-            self._angle += turned
-        self._last.set(self._ray)
-        self._swept = _quadrants(cos(self._angle), sin(self._angle))
-        self._newest_at = newest_at
+        self._extend_sweep(newest_at)
 
         # 3. The returns of the segment, and its rays without information.
         self._take_rays(ranges, bearings, ages, span)
@@ -275,6 +269,34 @@ class FreshRays:
                 motion.measured_at - newest_at + self._returns.age[i],
             )
         near.end_refresh()
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _begin_sweep(self, begun_at: cython.double) -> cython.int:
+        """Begin a sweep at `_ray`, its first ray, which was measured at `begun_at` s."""
+        self._is_swept, self._angle = True, 0.0
+        self._begun_at = begun_at
+        self._blind_count = self._run = 0
+        self._has_return = False
+        self._first.set(self._ray)
+        self._last.set(self._ray)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _extend_sweep(self, newest_at: cython.double) -> cython.int:
+        """Extend the sweep to `_ray`, its last ray, which was measured at `newest_at` s.
+
+        If the ray has the angle of the last ray, rounding may turn the angle between both into
+        almost a full turn. Such an angle counts as 0.
+        """
+        turned: cython.double = _ahead(self._direction * (self._ray.angle - self._last.angle))
+        if turned < _MAX_ANGLE:
+            self._angle += turned
+        self._last.set(self._ray)
+        self._swept = _quadrants(cos(self._angle), sin(self._angle))
+        self._newest_at = newest_at
+        return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -311,43 +333,61 @@ class FreshRays:
         A return has its gap at the pose of its ray, and its age against the newest ray.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
         outline: Outline = self._outline
         ray: RayLine = self._ray
         returns: Points = self._returns
         returns.reserve(count)
         returns.count = 0
-        if len(self._blind) < 5 * (self._blind_count + count):
-            blind = doubles(10 * (self._blind_count + count))
-            for i in range(5 * self._blind_count):
-                blind[i] = self._blind[i]
-            self._blind = blind
+        self._reserve_blind(self._blind_count + count)
         for i in range(count):
             self._place(bearings[i], 1.0 - ages[i] / span if span > 0.0 else 1.0)
             distance: cython.double = ranges[i]
             x: cython.double = ray.x + distance * ray.cos
             y: cython.double = ray.y + distance * ray.sin
-            if (
-                self._range_min <= distance <= self._range_max
-                and distance > 0.0
-                and not self._is_on_wall(x, y)
-            ):
-                # Few lost rays between two returns hide no obstacle beside.
-                if self._has_return and self._run <= _LOST_RAYS:
-                    for k in range(self._blind_count - self._run, self._blind_count):
-                        self._blind[5 * k + 4] = 0.0
-                self._run, self._has_return = 0, True
+            has_range: cython.bint = self._range_min <= distance <= self._range_max
+            if has_range and distance > 0.0 and not self._is_on_wall(x, y):
+                self._end_blind_run()
                 base_x: cython.double = outline.lidar_x + distance * cos(bearings[i])
                 base_y: cython.double = outline.lidar_y + distance * sin(bearings[i])
                 returns.add(x, y, outline.gap_of(base_x, base_y), ages[i], 0.0)
-                continue
-            self._run += 1
-            k = 5 * self._blind_count
-            self._blind[k], self._blind[k + 1] = ray.x, ray.y
-            self._blind[k + 2], self._blind[k + 3] = ray.cos, ray.sin
-            self._blind[k + 4] = 1.0
-            self._blind_count += 1
+            else:
+                self._add_blind(ray)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _reserve_blind(self, room: cython.Py_ssize_t) -> cython.int:
+        """Make room for `room` rays without information; those so far stay."""
+        i: cython.Py_ssize_t
+        if len(self._blind) < 5 * room:
+            blind = doubles(10 * room)
+            for i in range(5 * self._blind_count):
+                blind[i] = self._blind[i]
+            self._blind = blind
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_blind(self, ray: RayLine) -> cython.int:
+        """Add a ray without information, which may hide an obstacle beside."""
+        start: cython.Py_ssize_t = 5 * self._blind_count
+        self._blind[start], self._blind[start + 1] = ray.x, ray.y
+        self._blind[start + 2], self._blind[start + 3] = ray.cos, ray.sin
+        self._blind[start + 4] = 1.0
+        self._blind_count += 1
+        self._run += 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _end_blind_run(self) -> cython.int:
+        """Note a return. A few lost rays between two returns hide no obstacle beside (rule 4)."""
+        k: cython.Py_ssize_t
+        if self._has_return and self._run <= _LOST_RAYS:
+            for k in range(self._blind_count - self._run, self._blind_count):
+                self._blind[5 * k + 4] = 0.0
+        self._run, self._has_return = 0, True
         return 0
 
     @cython.cfunc
@@ -381,27 +421,35 @@ class FreshRays:
         measured_at: cython.double = self._motion.measured_at - points.age[point]
         others_speed: cython.double = self._assumptions.others_speed
 
-        # 1. Returns of this sweep, of standing walls, and hidden obstacles (rule 3).
-        if not measured_at < self._begun_at or points.others[point] < others_speed:
-            return 0
-        if not hypot(x - outline.lidar_x, y - outline.lidar_y) > self._range_min + _DISC_SLACK:
+        # 1. Returns of this sweep stay. By rule 3 the returns of standing walls stay, and hidden
+        # obstacles, which are nearer than the lidar can measure.
+        is_of_sweep: cython.bint = not measured_at < self._begun_at
+        is_wall: cython.bint = points.others[point] < others_speed
+        from_lidar: cython.double = hypot(x - outline.lidar_x, y - outline.lidar_y)
+        is_measurable: cython.bint = from_lidar > self._range_min + _DISC_SLACK
+        if is_of_sweep or is_wall or not is_measurable:
             return 0
 
-        # 2. The disc lies between the first and the last ray.
+        # 2. The return stays unless the sweep has passed its disc. The middle of the disc must lie
+        # between the first and the last ray, and the disc must not reach the last ray. With a seam,
+        # the disc must not reach the first ray either.
         reach: cython.double = others_speed * (self._newest_at - measured_at) + _DISC_SLACK
         first: RayLine = self._first
         last: RayLine = self._last
-        if not (
+        is_behind_first: cython.bint = (
             _ahead_of(first, x - first.x, y - first.y, self._direction) <= self._swept
-            and _ahead_of(last, x - last.x, y - last.y, -self._direction) <= self._swept
-        ):
+        )
+        is_before_last: cython.bint = (
+            _ahead_of(last, x - last.x, y - last.y, -self._direction) <= self._swept
+        )
+        if not (is_behind_first and is_before_last):
             return 0
         if _meets(x - last.x, y - last.y, last.cos, last.sin, reach):
             return 0
         if self._has_seam and _meets(x - first.x, y - first.y, first.cos, first.sin, reach):
             return 0
 
-        # 3. Each ray through the disc has a return.
+        # 3. The return stays unless each ray through the disc has a return.
         for k in range(0, 5 * self._blind_count, 5):
             if _meets(
                 x - self._blind[k],

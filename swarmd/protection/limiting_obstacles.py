@@ -59,11 +59,13 @@ class LimitingRows:
         """The obstacles whose constraints are tight at the speeds x, y; at most four.
 
         `x` and `y` are the linear and the angular speed over their limits. A constraint a x + b y
-        <= cap is tight if both sides are equal. Obstacles with the lowest caps come first. If no
+        <= cap is tight if both sides are equal. Obstacles with the lowest caps come first.
+        Constraints of the envelope and of a touch zone have no obstacle, and are left out. If no
         constraint is tight, the stop check alone limits the command: the result is then the nearest
-        obstacle. Constraints of the envelope and of a touch zone have no obstacle, and are left
-        out. The gap is measured from the outline, also for a constraint of a single corner. A place
-        at the axle has no direction, so its bearing is given as 0.
+        obstacle.
+
+        The gap is measured from the outline, also for a constraint of a single corner. A place at
+        the axle has no direction, so its bearing is given as 0.
         """
         i: cython.Py_ssize_t
         rows: ConstraintRows = self._constraints.rows
@@ -74,9 +76,9 @@ class LimitingRows:
         row_cap: cython.p_double = checked(rows.cap, rows.all)
         row_gap: cython.p_double = checked(rows.gap, rows.all)
 
-        # 1. Ranks the tight constraints that have an obstacle: the rows before `rows.count`, which
-        # those of the envelope follow up to `rows.all`. Skips a row that `_rank` would put behind
-        # a full ranking: a robot at rest in a crowd has a hundred tight rows of cap 0.
+        # 1. Ranks the tight constraints that have an obstacle. The rows from `rows.count` on are of
+        # the envelope, and have none. A robot at rest in a crowd has a hundred tight rows of cap 0.
+        # So a row that `_rank` would put behind a full ranking is skipped first.
         self.count = 0
         last_cap: cython.double = INFINITY  # cap and gap of the last row of a full ranking
         last_gap: cython.double = INFINITY
@@ -127,8 +129,7 @@ class LimitingRows:
     ) -> cython.double:
         """The m/s by which the cap of a constraint would be higher for an obstacle seen just now.
 
-        0 for constraints of another kind than a limit of the closing speed, such as those of
-        sides.
+        0 for constraints that do not limit the closing speed, such as side constraints.
         """
         point: cython.Py_ssize_t = rows.source[row]
         cap: cython.double = self._closing_cap(rows, placed, row, placed.age[point])

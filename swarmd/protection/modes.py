@@ -75,13 +75,14 @@ class Off:
 class PotentialField:
     """The hardware protection layer of the paper: evades near obstacles, without any guarantee.
 
-    Source: Kaiser et al., ICRA 2022, section III. More than `rays` returns within `threshold` m of
-    the lidar suppress the pattern's command, and a repulsive potential field drives instead, at
-    full speed. Our deviations: a return below range_min counts as a return at range_min (in the
-    original, as no return), and the arbiter clips the command to the limits. The returns of a ring
-    of range sensors have a field of their own, without forward bias, for which a single return is
-    enough, since returns of a ring are rare and near. The fields of ring and scan have equal
-    weight.
+    Source: Kaiser et al., ICRA 2022, section III. If there are more than `rays` returns within
+    `threshold` m of the lidar, a repulsive potential field drives the robot at full speed, in place
+    of the pattern's command.
+
+    This mode differs from the source in three ways. A return below range_min counts as a return at
+    range_min; in the source, as no return. The arbiter clips the command to the limits. The returns
+    of a ring of range sensors make a second field of the same weight, without forward bias. A
+    single return of a ring is enough, since such returns are rare and near.
     """
 
     mode = "potential_field"

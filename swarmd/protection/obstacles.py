@@ -319,13 +319,16 @@ class NearObstacles:
     ) -> cython.double:
         """Add the returns whose gap to the outline is at most `binding_range`, and set `min_gap`.
 
-        `min_gap` is the least gap of all returns, at any range. The result is the least gap in m
-        among the returns with a range up to `longest_range`; inf without such a return. Returns too
-        close to measure go to `rays`, and have no gap.
+        `min_gap` is the least gap of all returns, at any range. Returns too close to measure go to
+        `rays`, and have no gap. The result is the least gap in m among the returns with a range up
+        to `longest_range`, or inf without such a return.
 
-        `ranges`: (n,) m; -inf: too close to measure; inf: no return. `range_min`: m, the least
-        range that the lidar measures. `ages`: (n,) s against the newest ray; empty: 0.
-        `longest_range`: m from the lidar. `binding_range`: m from the outline.
+        Args:
+            ranges: (n,) m. -inf: too close to measure. inf: no return.
+            range_min: m, the least range that the lidar measures.
+            ages: (n,) s against the newest ray. Empty: all are 0.
+            longest_range: m from the lidar, beyond which no return is added.
+            binding_range: m from the outline.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)
@@ -344,24 +347,25 @@ class NearObstacles:
         others_speed: cython.double = self._assumptions.others_speed
         near_count: cython.Py_ssize_t = 0
         nearest: cython.double = _least_of(ranges)
-        # m, for `min_gap`, which counts returns beyond `longest_range`, too: the return nearest to
-        # the outline has at most this range (see `Outline.nearest_within`).
+        # m: the return nearest to the outline, which gives `min_gap`, has at most this range. The
+        # range may be above `longest_range`.
         range_of_nearest: cython.double = outline.nearest_within(nearest, range_min)
-        smallest_gap: cython.double = INFINITY  # of all returns
-        closest_gap: cython.double = INFINITY  # of the returns up to `longest_range`
+        least_gap: cython.double = INFINITY  # of all returns
+        least_near_gap: cython.double = INFINITY  # of the returns up to `longest_range`
         for i in range(count):
             measured_range: cython.double = ranges[i]
             if not (measured_range <= longest_range or measured_range <= range_of_nearest):
                 continue
-            # Finds the direction of the ray, if it is not known yet (NaN).
-            if directions[2 * i] != directions[2 * i]:
+            has_direction: cython.bint = directions[2 * i] == directions[2 * i]  # else NaN
+            if not has_direction:
                 self._find_direction(i)
             age: cython.double = ages[i] if has_ages else 0.0
             if measured_range == -INFINITY:
                 rays.add(directions[2 * i], directions[2 * i + 1], 0.0, age, others_speed)
                 continue
             measured_range = range_min if measured_range < range_min else measured_range
-            # Writes the return behind the near returns; `near_count` rises if it is near.
+            # Writes the return behind the near returns. If the return is not near, `near_count`
+            # stays, and the next return overwrites it.
             near_x[near_count] = outline.lidar_x + measured_range * directions[2 * i]
             near_y[near_count] = outline.lidar_y + measured_range * directions[2 * i + 1]
             gap: cython.double = outline.gap_of(near_x[near_count], near_y[near_count])
@@ -369,16 +373,16 @@ class NearObstacles:
             near_others[near_count] = others_speed
             if has_standing and walls.standing[i]:
                 near_others[near_count] = self._assumptions.standing_speed
-            if gap < smallest_gap:
-                smallest_gap = gap
+            if gap < least_gap:
+                least_gap = gap
             if ranges[i] <= longest_range:
-                if gap < closest_gap:
-                    closest_gap = gap
+                if gap < least_near_gap:
+                    least_near_gap = gap
                 if gap <= binding_range:
                     near_count += 1
         unsorted.count = near_count
-        self._set_min_gap(nearest, smallest_gap)
-        return closest_gap
+        self._set_min_gap(nearest, least_gap)
+        return least_near_gap
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

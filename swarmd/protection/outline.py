@@ -171,13 +171,13 @@ class Outline:
     @cython.cfunc
     @cython.exceptval(-1)
     def separate(self, chunk: Chunk, blind: cython.double) -> cython.int:
-        """Set gap, direction, lever and hidden gap of the points of a chunk (up to 64 points).
+        """Set gap, direction, lever and hidden gap of each point of a chunk.
 
-        The direction is the unit vector from the nearest place of the outline to the point. The
-        lever in m gives the speed of the nearest place in this direction for each rad/s of the
-        angular speed. The hidden gap in m is how far the blind zone, a circle of `blind` m around
-        the lidar, reaches beyond the outline on the shortest line from the outline to the point: an
-        obstacle with a return at the point may extend unseen into the blind zone up to this line.
+        - Gap: m from the nearest place of the outline to the point.
+        - Direction: the unit vector from this place to the point.
+        - Lever: m, the speed of this place in the direction for each rad/s of the angular speed.
+        - Hidden gap: the m of the gap that lie in the blind zone, a circle of `blind` m around the
+          lidar. An obstacle with a return at the point may extend unseen into this part.
         """
         self._find_nearest_edges(chunk)
         j: cython.Py_ssize_t
@@ -199,8 +199,10 @@ class Outline:
         lidar_x: cython.double = self.lidar_x
         lidar_y: cython.double = self.lidar_y
         for j in range(chunk.count):
-            # 1. The gap. A NaN of the point stays. (`&`: without branches the loop vectorises.)
-            is_inside: cython.bint = (height[j] <= 0.0) & (square[j] == square[j])
+            # 1. The gap: 0 inside, NaN for a point that is NaN. (`&` is no branch, so the compiler
+            # vectorises the loop.)
+            is_number: cython.bint = square[j] == square[j]
+            is_inside: cython.bint = (height[j] <= 0.0) & is_number
             gap: cython.double = sqrt(square[j])
             gap = 0.0 if is_inside else gap
 
@@ -214,15 +216,16 @@ class Outline:
             nx: cython.double = along_share * edge_x[j] + above_share * edge_y[j]
             ny: cython.double = along_share * edge_y[j] - above_share * edge_x[j]
 
-            # 3. The hidden gap, along the line from the nearest place to the point. Places in m on
-            # this line, from the foot of the perpendicular from the lidar: the circle ends at half
-            # a chord; the point is at the scalar product of ray and direction; the outline ends
-            # `gap` before the point. Without a chord (the line misses the circle, sqrt is NaN): 0.
+            # 3. The hidden gap, on the line from the nearest place of the outline to the point.
+            # Places on this line are in m from the place nearest to the lidar. The circle ends at
+            # half of its chord (NaN if the line misses the circle).
             ray_x: cython.double = x[j] - lidar_x
             ray_y: cython.double = y[j] - lidar_y
             lateral_m: cython.double = ray_x * ny - ray_y * nx
             half_square: cython.double = blind * blind - lateral_m * lateral_m
-            hidden: cython.double = sqrt(half_square) - (ray_x * nx + ray_y * ny - gap)
+            end_of_circle: cython.double = sqrt(half_square)
+            end_of_outline: cython.double = ray_x * nx + ray_y * ny - gap
+            hidden: cython.double = end_of_circle - end_of_outline
             hidden = hidden if (half_square > 0.0) & (hidden > 0.0) else 0.0
 
             # 4. Stores the results.
@@ -263,7 +266,8 @@ class Outline:
         for j in range(count):
             nearest[j], greatest_height[j], edge_number[j] = INFINITY, -INFINITY, -1.0
 
-        # 1. For each edge: takes the points that are nearer to this edge than to those before.
+        # 1. For each edge: finds the points that are nearer to this edge than to all edges before.
+        # A point that is NaN is nearer to each edge.
         for k in range(edges):
             direction_x: cython.double = axis_x[k]
             direction_y: cython.double = axis_y[k]
@@ -289,7 +293,7 @@ class Outline:
                 nearest[j] = edge_square if is_nearer else previous_square
                 greatest_height[j] = above if above > previous_height else previous_height
 
-        # 2. The place on the nearest edge; zeros for a point that is nearest to no edge (infinite).
+        # 2. The place on the nearest edge. A point at infinity is nearest to no edge, and gets 0.
         for j in range(count):
             if edge_number[j] < 0.0:
                 chunk.along_edge[j] = chunk.above_edge[j] = chunk.edge_x[j] = chunk.edge_y[j] = 0.0

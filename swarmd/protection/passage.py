@@ -114,27 +114,29 @@ class Room:
         free_distance = assumptions.margin + assumptions.unseen_extent
         post_gap = free_distance + others_speed * (age + DECISION_PERIOD) + _PASSAGE_SLACK
 
-        # 2. The gap to a wall, from the side constraints (`Constraints._add_side`): a corner may
-        # use half of the gap beyond contact until the next decision, less the reserve. A robot that
-        # drives along the wall moves in the side direction at sin(SIDE_ANGLE) of its speed. A scan
-        # is half a period old on average.
-        mean_age = age + 0.5 / self._scan.rate
+        # 2. The gap to a wall. Until the next decision, the side constraints let a corner use half
+        # of the gap beyond contact (`Constraints._add_side`). So the gap is twice the way of the
+        # corner. A robot that drives along the wall moves in the side direction at sin(SIDE_ANGLE)
+        # of its speed. The reserve of the side constraints is added. A scan is half a period old on
+        # average.
+        until_next_decision = age + 0.5 / self._scan.rate + DECISION_PERIOD
         contact_gap = self._contact_gap_beside()
-        passing_speed = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve
-        side_gap = contact_gap + 2.0 * (mean_age + DECISION_PERIOD) * passing_speed + _PASSAGE_SLACK
+        corner_speed = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + assumptions.side_reserve
+        side_gap = contact_gap + 2.0 * until_next_decision * corner_speed + _PASSAGE_SLACK
 
         # 3. The gap to a post past which the robot creeps.
         creeping_gap = post_gap
         if assumptions.may_creep:
             slack = _PASSAGE_SLACK if assumptions.unseen_extent > 0.0 else 0.0
-            creeping_gap = contact_gap + 2.0 * (mean_age + DECISION_PERIOD) * CREEP_SPEED + slack
+            creeping_gap = contact_gap + 2.0 * until_next_decision * CREEP_SPEED + slack
 
-        # 4. Gaps outside the circle around the lidar; then the widths. Two robots that meet have a
-        # corridor's gap to the walls, and the gap to a post between them.
+        # 4. Each gap also keeps obstacles out of the circle around the lidar.
         if assumptions.has_keep_out():
-            side_gap = post_gap = max(
-                side_gap, post_gap, assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width
-            )
+            circle_gap = assumptions.keep_out + _PASSAGE_SLACK - 0.5 * width
+            side_gap = post_gap = max(side_gap, post_gap, circle_gap)
+
+        # 5. The widths. Two robots that meet have a corridor's gap to the walls, and the gap to a
+        # post between them.
         door = width + 2.0 * min(creeping_gap, post_gap)
         corridor = max(door, width + 2.0 * side_gap)
         return NarrowestPassage(door, corridor, corridor + width + post_gap)

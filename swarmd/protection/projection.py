@@ -55,61 +55,67 @@ class Projection:
         """Set `x`, `y` to the feasible point nearest to the requested point x, y. Exact.
 
         A point is the linear and the angular speed over their limits. A constraint (row) is a
-        half-plane a x + b y <= cap. The method clips a polygon by cutting planes. The polygon
-        begins as the box of the limits. Each round clips the polygon by the constraint that the
-        nearest point violates most, and finds the nearest point of the rest. Once the nearest point
-        violates no constraint, it is the nearest within all constraints. The polygon always
-        contains the origin, since the zero command is feasible.
+        half-plane a x + b y <= cap. A polygon begins as the box of the limits. Each round clips the
+        polygon by the constraint that the nearest point violates most, and finds the nearest point
+        of the rest. The rounds end once the nearest point violates no constraint. The polygon
+        always contains the origin, since the zero command is feasible.
         """
-        i: cython.Py_ssize_t
-        row_count: cython.Py_ssize_t = rows.all
-        first: cython.Py_ssize_t
         worst_row: cython.Py_ssize_t
         self._begin_with_box()
+        self._find_nearest(x, y)
+        # A row by which the polygon was clipped is not violated again, so these rounds suffice.
+        for _ in range(rows.all):
+            worst_row = self._most_violated(rows)
+            if worst_row < 0:
+                break
+            self._clip(rows.x[worst_row], rows.y[worst_row], rows.cap[worst_row])
+            self._find_nearest(x, y)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-2)
+    def _most_violated(self, rows: ConstraintRows) -> cython.Py_ssize_t:
+        """The row that the nearest point violates most; -1 if no row is violated.
+
+        A row with an excess of NaN counts as the most violated: to clip by such a row leaves only
+        the origin.
+        """
+        i: cython.Py_ssize_t
+        first: cython.Py_ssize_t = 0
+        row_count: cython.Py_ssize_t = rows.all
         row_x: cython.p_double = checked(rows.x, row_count)
         row_y: cython.p_double = checked(rows.y, row_count)
         row_cap: cython.p_double = checked(rows.cap, row_count)
         excess: cython.p_double = self._excess
-        self._find_nearest(x, y)
-        # A row by which the polygon was clipped is not violated again, so these rounds suffice.
-        for _ in range(row_count):
-            # 1. Finds the most violated row, in chunks so that the compiler vectorises. A row with
-            # an excess of NaN counts as the most violated: the clip by it leaves only the origin.
-            worst_row = 0
-            worst_excess: cython.double = TOLERANCE
-            px: cython.double = self.x
-            py: cython.double = self.y
-            first = 0
-            while first < row_count:
-                count: cython.Py_ssize_t = min(CHUNK, row_count - first)
-                for i in range(count):
-                    excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
-                i = 0
-                while i < count:
-                    if (  # four rows at once: few rows are worse than all rows before them
-                        i + 4 <= count
-                        and excess[i] <= worst_excess
-                        and excess[i + 1] <= worst_excess
-                        and excess[i + 2] <= worst_excess
-                        and excess[i + 3] <= worst_excess
-                    ):
-                        i += 4
-                        continue
-                    if not (excess[i] <= worst_excess):
-                        worst_excess, worst_row = excess[i], first + i
-                        if worst_excess != worst_excess:
-                            break
-                    i += 1
-                if worst_excess != worst_excess:
-                    break
-                first += count
-
-            # 2. Clips by this row.
-            if worst_excess <= TOLERANCE:
-                break
-            self._clip(row_x[worst_row], row_y[worst_row], row_cap[worst_row])
-            self._find_nearest(x, y)
-        return 0
+        px: cython.double = self.x
+        py: cython.double = self.y
+        worst_row: cython.Py_ssize_t = -1
+        worst_excess: cython.double = TOLERANCE
+        while first < row_count:
+            # 1. The excess of each row of a chunk: the compiler vectorises this loop.
+            count: cython.Py_ssize_t = min(CHUNK, row_count - first)
+            for i in range(count):
+                excess[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
+            # 2. The greatest excess. Few rows are worse than all rows before them, so four rows are
+            # compared at once.
+            i = 0
+            while i < count:
+                if (
+                    i + 4 <= count
+                    and excess[i] <= worst_excess
+                    and excess[i + 1] <= worst_excess
+                    and excess[i + 2] <= worst_excess
+                    and excess[i + 3] <= worst_excess
+                ):
+                    i += 4
+                    continue
+                if not (excess[i] <= worst_excess):
+                    worst_excess, worst_row = excess[i], first + i
+                    if worst_excess != worst_excess:
+                        return worst_row
+                i += 1
+            first += count
+        return worst_row
 
     @cython.cfunc
     @cython.exceptval(-1)

@@ -89,7 +89,7 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
         Odometry is wrong by ODOMETRY_SHARE of the way of the outline, whose places move at
         `surface_speed` m/s at most. A wall that moves by less than STILL in `seconds` is not
-        noticed. At most `others_speed`, also without walls that stand.
+        noticed. The speed is `others_speed` at most. Without `walls_stand` it is `others_speed`.
         """
         if self.walls_stand is None:
             return self.others_speed

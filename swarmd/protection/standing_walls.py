@@ -6,10 +6,10 @@ returns are assumed to approach at `others_speed`, as without the declaration.
 
 1. straight_runs.py makes the straight runs of the returns near the lidar.
 2. A run of at least `length` m is compared with the walls of the scan before. A wall is a line in
-   the odometry frame with bins along it. The run continues a wall if the run is where the wall was
-   `seconds` ago: within STILL m and the error of odometry since then. Each bin that the run covers
-   keeps the time since which the bin has been covered in each scan; each other bin of the wall
-   loses this time.
+   the odometry frame with bins along it. The line is measured anew each `seconds`. The run
+   continues a wall if the run lies on this line, within STILL m and the error of odometry since the
+   line was measured. A bin that the run covers keeps the time since which the bin has been covered
+   in each scan. All other bins of the wall lose this time.
 3. A return of the run stands if its bin, or the next one, has been covered for `seconds`.
 4. A wall that no run continues in one scan is kept with its times, unless a run shows the wall
    elsewhere: while a robot turns fast, or sees a wall at a grazing angle, single scans split the
@@ -177,40 +177,28 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _compare(self, motion: ScanMotion) -> cython.int:
-        """Compare the long runs with the walls: what stands, what is new, what has moved."""
-        i: cython.Py_ssize_t
+        """Compare the runs with the walls: which walls stand, have moved, are gone, are new."""
         j: cython.Py_ssize_t
-        walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
-        part: cython.Py_ssize_t
-        known: cython.Py_ssize_t = self._wall_count
         self._place_walls(motion)
-        # 1. Runs that continue a wall. Part 0: the long runs. Part 1: the short runs that meet a
-        # long run at a corner, such as the posts of a door.
-        for part in range(2):
-            for j in range(self._runs.count):
-                run = RUN_FIELDS * j
-                if part == 0 and runs[run + RUN_IS_LONG] == 0.0:
-                    continue
-                corner: cython.Py_ssize_t = -1
-                if part == 1:
-                    if runs[run + RUN_IS_LONG] > 0.0:
-                        continue
-                    corner = self._runs.corner_of(j)
-                    if corner < 0:
-                        continue
-                is_on_wall: cython.bint = part == 0 or self.standing[self._runs.ray[corner]] == 1
-                for i in range(known):
-                    if walls[_W_FIELDS * i + _W_MOVES] == 0.0 and self._is_still(i, run):
-                        self._continue(i, run, is_on_wall, motion)
-                        runs[run + RUN_TAKEN] = 1.0
-                        break
-        # 2. Walls that are elsewhere now; walls that no run continues are dropped.
+        # 1. Walls that a run continues: first the long runs, whose returns may stand.
+        for j in range(self._runs.count):
+            if runs[RUN_FIELDS * j + RUN_IS_LONG] > 0.0:
+                self._match(RUN_FIELDS * j, True, motion)
+        # 2. Then the short runs that meet a long run at a corner, such as the posts of a door. The
+        # returns of such a run may stand if the return of the long run at the corner stands.
+        for j in range(self._runs.count):
+            if runs[RUN_FIELDS * j + RUN_IS_LONG] == 0.0:
+                corner: cython.Py_ssize_t = self._runs.corner_of(j)
+                if corner >= 0:
+                    is_on_wall: cython.bint = self.standing[self._runs.ray[corner]] == 1
+                    self._match(RUN_FIELDS * j, is_on_wall, motion)
+        # 3. Walls that are elsewhere now, and walls that no run has continued for too long.
         self._find_moved(motion)
         self._drop_walls()
-        # 3. New walls.
+        # 4. New walls, of the runs that continue no wall.
         for j in range(self._runs.count):
-            run = RUN_FIELDS * j
+            run: cython.Py_ssize_t = RUN_FIELDS * j
             if runs[run + RUN_TAKEN] > 0.0 or self._wall_count == _WALLS:
                 continue
             if runs[run + RUN_IS_LONG] > 0.0 or self._runs.corner_of(j) >= 0:
@@ -219,33 +207,34 @@ class StandingWalls:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _place_walls(self, motion: ScanMotion) -> cython.int:
-        """Place the walls in the base frame of the scan; none of their bins is covered yet.
+    def _match(
+        self, run: cython.Py_ssize_t, is_on_wall: cython.bint, motion: ScanMotion
+    ) -> cython.int:
+        """Continue the first wall on whose line a run lies.
 
-        If the covered bins of a wall are more than an eighth of all bins off the middle, the bins
-        are moved along the wall, so that the covered bins are in the middle.
+        A wall that the scan before showed elsewhere is left out. `run` and `is_on_wall` are those
+        of `_continue`.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
+        for i in range(self._wall_count):
+            was_elsewhere: cython.bint = self._walls[_W_FIELDS * i + _W_MOVES] != 0.0
+            if not was_elsewhere and self._is_still(i, run):
+                self._continue(i, run, is_on_wall, motion)
+                self._runs.fields[run + RUN_TAKEN] = 1.0
+                break
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place_walls(self, motion: ScanMotion) -> cython.int:
+        """Place the walls in the base frame of the scan; none of their bins is covered yet."""
+        i: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         c: cython.double = cos(motion.pose.yaw)
         s: cython.double = sin(motion.pose.yaw)
         for i in range(self._wall_count):
             wall: cython.Py_ssize_t = _W_FIELDS * i
-            middle: cython.double = 0.5 * (walls[wall + _W_LOW] + walls[wall + _W_HIGH] - _BINS)
-            shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(middle))
-            if shift > _BINS // 8 or shift < -(_BINS // 8):
-                for k in range(_BINS):
-                    self._next_since[k] = self._since[_BINS * i + k]
-                for k in range(_BINS):
-                    is_inside: cython.bint = 0 <= k + shift < _BINS
-                    self._since[_BINS * i + k] = (
-                        self._next_since[k + shift] if is_inside else INFINITY
-                    )
-                walls[wall + _W_LOW] -= shift
-                walls[wall + _W_HIGH] -= shift
-                walls[wall + _W_X] += _BIN * shift * walls[wall + _W_UX]
-                walls[wall + _W_Y] += _BIN * shift * walls[wall + _W_UY]
+            self._centre_bins(i)
             dx: cython.double = walls[wall + _W_X] - motion.pose.x
             dy: cython.double = walls[wall + _W_Y] - motion.pose.y
             walls[wall + _W_HERE_X], walls[wall + _W_HERE_Y] = c * dx + s * dy, c * dy - s * dx
@@ -254,6 +243,32 @@ class StandingWalls:
             walls[wall + _W_SEEN] = 0.0
         for i in range(_BINS * self._wall_count):
             self._next_since[i] = INFINITY
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _centre_bins(self, i: cython.Py_ssize_t) -> cython.int:
+        """Move the bins of wall `i` along its line if the covered bins are far off the middle.
+
+        Far off is more than an eighth of all bins. Otherwise the end of a wall beside which the
+        robot drives would soon lie beyond the last bin.
+        """
+        k: cython.Py_ssize_t
+        walls: cython.double[::1] = self._walls
+        wall: cython.Py_ssize_t = _W_FIELDS * i
+        off_middle: cython.double = 0.5 * (walls[wall + _W_LOW] + walls[wall + _W_HIGH] - _BINS)
+        shift: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(off_middle))
+        if -(_BINS // 8) <= shift <= _BINS // 8:
+            return 0
+        for k in range(_BINS):  # a copy; `_place_walls` clears `_next_since` afterwards
+            self._next_since[k] = self._since[_BINS * i + k]
+        for k in range(_BINS):
+            is_inside: cython.bint = 0 <= k + shift < _BINS
+            self._since[_BINS * i + k] = self._next_since[k + shift] if is_inside else INFINITY
+        walls[wall + _W_LOW] -= shift
+        walls[wall + _W_HIGH] -= shift
+        walls[wall + _W_X] += _BIN * shift * walls[wall + _W_UX]
+        walls[wall + _W_Y] += _BIN * shift * walls[wall + _W_UY]
         return 0
 
     @cython.cfunc
@@ -273,7 +288,7 @@ class StandingWalls:
         sine: cython.double = ux * runs[run + RUN_UY] - uy * runs[run + RUN_UX]
         if not fabs(sine) <= _PARALLEL:
             return 0
-        # 1. The ends of the covered bins along the run, from the middle of the run.
+        # 1. The ends of the covered bins in m along the run, cut off at the ends of the run.
         dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
         dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
         middle: cython.double = dx * runs[run + RUN_UX] + dy * runs[run + RUN_UY]
@@ -286,7 +301,8 @@ class StandingWalls:
         last = last if last < runs[run + RUN_TO] else runs[run + RUN_TO]
         if not last > first:
             return 0
-        # 2. How far the run is from the line: its middle, and the turn of its direction.
+        # 2. How far the line is from the run at the middle of the run. The angle between run and
+        # line then gives the distances at both ends of the part.
         off: cython.double = uy * dx - ux * dy
         self._ends[0], self._ends[1] = first, last
         self._ends[2], self._ends[3] = off + sine * first, off + sine * last
@@ -335,20 +351,23 @@ class StandingWalls:
         runs: cython.double[::1] = self._runs.fields
         at: cython.Py_ssize_t = _W_FIELDS * wall
         now: cython.double = motion.measured_at
-        # 1. Covers the bins between returns on the line that are at most SPACING apart.
+        # 1. Covers the bins between returns that are at most SPACING apart. The place along the run
+        # is NaN for a return that is off its line.
         first: cython.Py_ssize_t = _BINS * wall
         count: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1
         before: cython.double = -INFINITY
         for k in range(count):
             along: cython.double = self._runs.along(run, k)
-            if along == along:  # else off the line
+            is_on_line: cython.bint = along == along
+            if is_on_line:
                 near: cython.bint = fabs(along - before) <= SPACING
                 self._cover(first, at, run, before if near else along, along, now)
                 before = along
-        # 2. Marks the returns on the line, in a bin that has stood or beside such a bin.
+        # 2. Marks the returns in a bin that has stood, or beside such a bin.
         for k in range(count if is_on_wall else 0):
             along = self._runs.along(run, k)
-            if along != along:
+            is_on_line = along == along
+            if not is_on_line:
                 continue
             place: cython.Py_ssize_t = self._runs.return_of(run, k)
             bin_of_wall: cython.Py_ssize_t = self._bin_at(at, run, along)
@@ -357,21 +376,32 @@ class StandingWalls:
                 self.has_standing = True
             elif 0 <= bin_of_wall < _BINS:
                 self._ripen(place, self._next_since[first + bin_of_wall])
-        # 3. The wall is confirmed. Its line is measured anew each `_seconds`.
-        is_known: cython.bint = self._overlap(wall, run) != 0
-        walls[at + _W_OFF] = 0.5 * (self._ends[2] + self._ends[3]) if is_known else 0.0
+        # 3. Confirms the wall: the mean distance of the line from the run, and the time.
+        has_overlap: cython.bint = self._overlap(wall, run) != 0
+        walls[at + _W_OFF] = 0.5 * (self._ends[2] + self._ends[3]) if has_overlap else 0.0
         walls[at + _W_SEEN], walls[at + _W_CONFIRMED] = 1.0, now
+        # 4. Measures the line anew each `_seconds`.
         if now - walls[at + _W_AT] >= self._seconds:
-            dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
-            dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
-            along = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
-            cosine: cython.double = (
-                walls[at + _W_HERE_UX] * runs[run + RUN_UX]
-                + walls[at + _W_HERE_UY] * runs[run + RUN_UY]
-            )
-            self._set_line(at, run, along, 1.0 if cosine >= 0.0 else -1.0, motion)
+            self._move_line(at, run, motion)
             walls[at + _W_OFF] = 0.0
         return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _move_line(
+        self, at: cython.Py_ssize_t, run: cython.Py_ssize_t, motion: ScanMotion
+    ) -> cython.int:
+        """Move the line of the wall at index `at` to that of a run; the bins keep their places."""
+        walls: cython.double[::1] = self._walls
+        runs: cython.double[::1] = self._runs.fields
+        dx: cython.double = walls[at + _W_HERE_X] - runs[run + RUN_X]
+        dy: cython.double = walls[at + _W_HERE_Y] - runs[run + RUN_Y]
+        middle: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
+        cosine: cython.double = (
+            walls[at + _W_HERE_UX] * runs[run + RUN_UX]
+            + walls[at + _W_HERE_UY] * runs[run + RUN_UY]
+        )
+        return self._set_line(at, run, middle, 1.0 if cosine >= 0.0 else -1.0, motion)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -458,8 +488,8 @@ class StandingWalls:
     ) -> cython.int:
         """Set the line of the wall at index `at` to that of a run, in the odometry frame.
 
-        `along`: m along the run, the middle of the bins. `direction`: 1 or -1, of the wall against
-        the run.
+        `along`: m along the run, where the middle of the bins is. `direction`: 1 if the wall has
+        the direction of the run, -1 if the wall has the opposite direction.
         """
         walls: cython.double[::1] = self._walls
         runs: cython.double[::1] = self._runs.fields
@@ -480,46 +510,52 @@ class StandingWalls:
     @cython.cfunc
     @cython.exceptval(-1)
     def _drop_walls(self) -> cython.int:
-        """Keep the walls that this scan shows, at their place or elsewhere; drop other walls.
-
-        A wall at its place keeps the bins that this scan covers. A wall elsewhere keeps all its
-        bins, and is dropped in the next scan unless that scan shows the wall again. A wall that
-        this scan does not show keeps all its bins; the wall is dropped after more than _MISSED such
-        scans in a row.
-        """
+        """Drop the walls that more than _MISSED scans in a row have not shown."""
         i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
         kept: cython.Py_ssize_t = 0
         for i in range(self._wall_count):
             wall: cython.Py_ssize_t = _W_FIELDS * i
-            is_at_place: cython.bint = walls[wall + _W_SEEN] != 0.0
-            is_elsewhere: cython.bint = not is_at_place and walls[wall + _W_MOVES] != 0.0
-            if is_at_place:
+            if walls[wall + _W_SEEN] != 0.0:
                 walls[wall + _W_MISSED] = 0.0
-            elif is_elsewhere:  # a next scan that does not show the wall exceeds _MISSED
+            elif walls[wall + _W_MOVES] != 0.0:
+                # The wall is elsewhere. The next scan must show the wall, else the wall is dropped.
                 walls[wall + _W_MISSED] = _MISSED
             else:
                 walls[wall + _W_MISSED] += 1.0
-                if walls[wall + _W_MISSED] > _MISSED:
-                    continue
-            to: cython.Py_ssize_t = _W_FIELDS * kept
-            for j in range(_W_FIELDS):
-                walls[to + j] = walls[wall + j]
-            if is_at_place:  # the loop below finds the lowest and the highest bin anew
-                walls[to + _W_LOW], walls[to + _W_HIGH] = _BINS, -1.0
-            for k in range(_BINS):
-                since: cython.double = (
-                    self._next_since[_BINS * i + k] if is_at_place else self._since[_BINS * i + k]
-                )
-                self._since[_BINS * kept + k] = since
-                if since < INFINITY and is_at_place:
-                    walls[to + _W_HIGH] = k
-                    if walls[to + _W_LOW] == _BINS:
-                        walls[to + _W_LOW] = k
-            kept += 1
+            if walls[wall + _W_MISSED] <= _MISSED:
+                self._keep_wall(i, kept)
+                kept += 1
         self._wall_count = kept
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _keep_wall(self, i: cython.Py_ssize_t, kept: cython.Py_ssize_t) -> cython.int:
+        """Move wall `i` to the place of wall `kept`.
+
+        A wall that a run continues keeps the bins that this scan covers; other walls keep all bins.
+        """
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        walls: cython.double[::1] = self._walls
+        to: cython.Py_ssize_t = _W_FIELDS * kept
+        is_at_place: cython.bint = walls[_W_FIELDS * i + _W_SEEN] != 0.0
+        for j in range(_W_FIELDS):
+            walls[to + j] = walls[_W_FIELDS * i + j]
+        if not is_at_place:
+            for k in range(_BINS):
+                self._since[_BINS * kept + k] = self._since[_BINS * i + k]
+            return 0
+        # Finds the first and the last covered bin anew.
+        walls[to + _W_LOW], walls[to + _W_HIGH] = _BINS, -1.0
+        for k in range(_BINS):
+            since: cython.double = self._next_since[_BINS * i + k]
+            self._since[_BINS * kept + k] = since
+            if since < INFINITY:
+                walls[to + _W_HIGH] = k
+                if walls[to + _W_LOW] == _BINS:
+                    walls[to + _W_LOW] = k
         return 0
 
     @cython.cfunc
@@ -554,53 +590,75 @@ class StandingWalls:
     def _find_moved(self, motion: ScanMotion) -> cython.int:
         """Set `moved` if a wall that had stood is elsewhere, in this scan and in the scan before.
 
-        Wrong odometry shows all walls elsewhere. So a wall counts as moved only if another wall
-        stands in this scan, or if the robot has stood by odometry since the wall was measured.
+        A wall whose motion was reported is not examined again. `motion`: of the present scan.
         """
         i: cython.Py_ssize_t
-        j: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
-        runs: cython.double[::1] = self._runs.fields
-        now: cython.double = motion.measured_at
-        has_stood: cython.bint = self.has_standing  # another wall stands in this scan
         for i in range(self._wall_count):
             at: cython.Py_ssize_t = _W_FIELDS * i
-            # 1. In how many scans in a row the wall was seen elsewhere. Skips a wall that is at its
-            # place, or whose motion was reported.
+            # 1. In how many scans in a row the wall was elsewhere, before this scan.
             shown: cython.double = walls[at + _W_MOVES]
             walls[at + _W_MOVES] = 0.0
-            if walls[at + _W_SEEN] > 0.0 or shown >= _SHOWN_TWICE:
+            is_at_place: cython.bint = walls[at + _W_SEEN] > 0.0
+            was_reported: cython.bint = shown >= _SHOWN_TWICE
+            seconds: cython.double = motion.measured_at - walls[at + _W_CONFIRMED]
+            if is_at_place or was_reported or not seconds > 0.0 or not self._may_judge(at):
                 continue
-            # 2. Skips a wall that had not stood long enough; all walls if odometry may be wrong.
-            stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
-            way: cython.double = self._way - walls[at + _W_WAY]
-            turn: cython.double = self._turn - walls[at + _W_TURN]
-            is_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
-            if not (stood >= self._seconds and (has_stood or is_at_rest)):
+            # 2. The wall is elsewhere if a run shows it within the m that a wall can have moved.
+            farthest: cython.double = _still + _FASTEST_WALL * seconds
+            distance: cython.double = self._moved_by(i, shown > 0.0, farthest)
+            if not distance < farthest:
                 continue
-            # 3. The run that the wall may be now: the nearest run beside at least half of `length`.
-            # `least`: m by which the end of this run that has moved farther is off the wall.
-            seconds: cython.double = now - walls[at + _W_CONFIRMED]
-            if not seconds > 0.0:
-                continue
-            most: cython.double = _still + _FASTEST_WALL * seconds  # m that a wall can have moved
-            least: cython.double = most
-            for j in range(self._runs.count):
-                run: cython.Py_ssize_t = RUN_FIELDS * j
-                if shown == 0.0 and runs[run + RUN_TAKEN] > 0.0:
-                    continue
-                if not self._overlap(i, run) or self._is_still(i, run):
-                    continue
-                off: cython.double = fabs(self._ends[2] - walls[at + _W_OFF])
-                last_off: cython.double = fabs(self._ends[3] - walls[at + _W_OFF])
-                off = last_off if last_off > off else off
-                beside: cython.double = self._ends[1] - self._ends[0]
-                if beside >= 0.5 * self._length and off < least:
-                    least = off
-            if not least < most:
-                continue
-            # 4. The wall is elsewhere in this scan; it has moved if it was so in the scan before.
+            # 3. The wall has moved if it was elsewhere in the scan before, too.
             walls[at + _W_MOVES] = shown + 1.0
-            if shown + 1.0 >= _SHOWN_TWICE and least >= _MOVED:
-                self.moved = MovedWall(stood, least, least / seconds)
+            if shown + 1.0 >= _SHOWN_TWICE and distance >= _MOVED:
+                stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
+                self.moved = MovedWall(stood, distance, distance / seconds)
         return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(-1)
+    def _may_judge(self, at: cython.Py_ssize_t) -> cython.int:
+        """1 if the wall at index `at` has stood long enough, and odometry is right.
+
+        Wrong odometry shows all walls elsewhere. Odometry is right if a wall stands in this scan,
+        or if the robot has not moved by odometry since the line of the wall was measured.
+        """
+        walls: cython.double[::1] = self._walls
+        stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
+        way: cython.double = self._way - walls[at + _W_WAY]
+        turn: cython.double = self._turn - walls[at + _W_TURN]
+        is_robot_at_rest: cython.bint = way <= _AT_REST and turn <= _AT_REST
+        is_odometry_right: cython.bint = self.has_standing or is_robot_at_rest
+        may_judge: cython.bint = stood >= self._seconds and is_odometry_right
+        return may_judge
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _moved_by(
+        self, wall: cython.Py_ssize_t, was_elsewhere: cython.bint, farthest: cython.double
+    ) -> cython.double:
+        """The m by which a wall has moved to the nearest run; `farthest` without such a run.
+
+        The run must lie beside at least half of `length` of the wall. The end of the run that has
+        moved farther counts. A run that continues a wall is examined only if `was_elsewhere`: the
+        scan before showed the wall elsewhere, perhaps as a new wall.
+        """
+        j: cython.Py_ssize_t
+        runs: cython.double[::1] = self._runs.fields
+        off_before: cython.double = self._walls[_W_FIELDS * wall + _W_OFF]
+        least: cython.double = farthest
+        for j in range(self._runs.count):
+            run: cython.Py_ssize_t = RUN_FIELDS * j
+            if runs[run + RUN_TAKEN] > 0.0 and not was_elsewhere:
+                continue
+            if not self._overlap(wall, run) or self._is_still(wall, run):
+                continue
+            off: cython.double = fabs(self._ends[2] - off_before)
+            last_off: cython.double = fabs(self._ends[3] - off_before)
+            off = last_off if last_off > off else off
+            beside: cython.double = self._ends[1] - self._ends[0]
+            if beside >= 0.5 * self._length and off < least:
+                least = off
+        return least

@@ -116,11 +116,12 @@ class StopPoints:
     ) -> cython.int:
         """Replace the points by those that the outline may touch during a stop.
 
-        Contacts and points in a touch zone are left out.
+        Contacts are left out, since constraints with the cap 0 forbid all motion towards contacts.
+        Returns in a touch zone are left out, since the robot may touch the obstacle there.
 
         Args:
             constraints: the constraints of the decision, with the placed points.
-            is_passive: obstacles move; else no obstacle does.
+            is_passive: True: each obstacle moves during the stop. False: all obstacles stand.
             seconds: the duration of the stop.
             travel: m, how far a place of the outline moves at most during the stop.
         """
@@ -143,11 +144,13 @@ class StopPoints:
         to_y: cython.p_double = checked(self.y, points)
         count: cython.Py_ssize_t = 0
         for i in range(placed.contacts, points):
-            if is_granted and i < placed.seen and placed.in_touch_zone[i]:
+            is_return: cython.bint = i < placed.seen  # the other points are discs
+            if is_granted and is_return and placed.in_touch_zone[i]:
                 continue
             others_speed: cython.double = others[i] if is_passive else 0.0
             needed_gap: cython.double = free[i] + others_speed * age[i]
-            if gap[i] <= needed_gap + others_speed * seconds + travel:
+            needed_gap_at_end: cython.double = needed_gap + others_speed * seconds
+            if gap[i] <= needed_gap_at_end + travel:
                 to_x[count], to_y[count] = x[i], y[i]
                 to_gap[count], to_needed_gap[count] = gap[i], needed_gap
                 to_others[count] = others_speed
@@ -167,9 +170,9 @@ class StopCheck:
     _points: StopPoints
     _shares: cython.double[:, ::1]
     _forbidding: cython.Py_ssize_t  # the point that forbade the last speeds
-    # The simulated stop: pose, way so far in m (negative) and speeds at each step. Only at the
-    # first `_poses` steps is the outline fast enough to close on an obstacle.
-    _poses: cython.Py_ssize_t
+    # The simulated stop. At the end of each step: the pose, and the m that a place of the outline
+    # has moved at most. At the begin of each step: the speeds.
+    _poses: cython.Py_ssize_t  # in the steps after these the outline is too slow to matter
     _stop_x: cython.double[4]
     _stop_y: cython.double[4]
     _stop_cos: cython.double[4]
@@ -198,9 +201,9 @@ class StopCheck:
     def limit(self, speeds: Speeds) -> cython.int:
         """Reduce the speeds so that the outline stays clear while the robot brakes.
 
-        1 if the speeds changed, else 0. The reduced speeds are the first pair of _SPEED_SHARES that
-        satisfies all constraints and whose stop stays clear: the pair nearest to the requested
-        speeds.
+        The reduced speeds are shares of the requested speeds: the first pair of _SPEED_SHARES that
+        satisfies all constraints and whose stop stays clear. The pairs nearest to the requested
+        speeds come first. Returns 1 if a speed changed, else 0.
         """
         i: cython.Py_ssize_t
         assumptions: Assumptions = self._assumptions
@@ -218,12 +221,13 @@ class StopCheck:
             return 0
 
         # 2. Returns if the stop from the requested speeds stays clear.
-        self._forbidding = 0  # an index of the new points
+        self._forbidding = 0  # the points are new, so the last index may be beyond them
         if self._is_clear(linear, angular):
             return 0
 
-        # 3. Tries the shares of the speeds. A share of one speed alone may violate a constraint
-        # that both speeds together satisfy.
+        # 3. Tries the pairs of shares; without a clear pair the speeds are 0. Each pair is compared
+        # with the constraints, since a lower linear speed alone, or a lower angular speed alone,
+        # may violate a constraint that the requested speeds satisfy.
         speeds.linear = speeds.angular = 0.0
         for i in range(len(self._shares)):
             reduced_linear: cython.double = self._shares[i, 0] * linear
@@ -234,8 +238,8 @@ class StopCheck:
             if self._is_clear(reduced_linear, reduced_angular):
                 speeds.linear, speeds.angular = reduced_linear, reduced_angular
                 break
-        # The zero command is always clear. A share of 0 is 0, so the speeds may be as requested.
-        return not (speeds.linear == linear and speeds.angular == angular)
+        is_unchanged: cython.bint = speeds.linear == linear and speeds.angular == angular
+        return not is_unchanged
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -243,9 +247,7 @@ class StopCheck:
         """1 if the outline stays clear in each of the three simulated stops from these speeds.
 
         The stops: both brakes as weak as assumed, an ideal linear brake, an ideal angular brake.
-        The gap that a point must keep grows at its `others` m/s. A point farther away than the
-        outline moves needs no exact distance. The point that forbade the last speeds is examined
-        first.
+        `linear` in m/s and `angular` in rad/s are a command. 0 if a point forbids a stop.
         """
         i: cython.Py_ssize_t
         brake: cython.Py_ssize_t
@@ -274,14 +276,16 @@ class StopCheck:
             if self._poses == 0:  # the outline is too slow to close on an obstacle
                 continue
 
-            # 2. Examines the points that the outline can reach.
+            # 2. Examines the point that forbade the last speeds first: it often forbids these, too.
             if self._forbids(self._forbidding, travel, step_s):
                 return 0
+
+            # 3. Examines the points that the outline can reach. A gap of NaN is not safe.
             for i in range(count):
-                most: cython.double = (
-                    needed_gap[i] + others[i] * (step_s * _STEPS) + travel + _ROUNDING
+                is_safe: cython.bint = gap[i] >= _safe_gap(
+                    needed_gap[i], others[i], step_s * _STEPS, travel
                 )
-                if not (gap[i] >= most) and self._forbids(i, travel, step_s):
+                if not is_safe and self._forbids(i, travel, step_s):
                     self._forbidding = i
                     return 0
         return 1
@@ -295,15 +299,18 @@ class StopCheck:
         angular: cython.double,
         step_s: cython.double,
     ) -> cython.double:
-        """Simulate a stop in four steps; return the m that a place of the outline moves at most.
+        """Simulate a stop in _STEPS steps; return the m that a place of the outline moves at most.
 
         Sets pose, travel and speeds of each step (`_stop_...`), and the number of steps in which
         the outline is fast enough to matter (`_poses`). The pose begins at 0 in the predicted base
         frame.
 
-        `brake`: 0: both brakes as assumed; _IDEAL_LINEAR or _IDEAL_ANGULAR: this brake stops at
-        once. `linear`, `angular`: m/s and rad/s, the command whose stop is simulated. `step_s`: s,
-        the duration of a step.
+        Args:
+            brake: 0: both brakes as assumed. _IDEAL_LINEAR, _IDEAL_ANGULAR: this brake stops at
+                once.
+            linear: m/s, of the command whose stop is simulated.
+            angular: rad/s, of the same command.
+            step_s: s, the duration of a step.
         """
         j: cython.Py_ssize_t
         axes: SpeedAxes = self._constraints.axes
@@ -320,12 +327,12 @@ class StopCheck:
         yaw: cython.double = 0.0
         self._poses = 0
         for j in range(_STEPS):
-            # 1. Moves the pose at the speeds in the middle of the step. Braking begins after
-            # DECISION_PERIOD.
-            braked_s: cython.double = step_s * (j + 0.5) - DECISION_PERIOD
-            moved: cython.double = _braked(speed, linear_braking, braked_s) * step_s * sign(linear)
+            # 1. Moves the pose at the speeds in the middle of the step. Braking begins at the next
+            # decision, so after DECISION_PERIOD.
+            middle_s: cython.double = step_s * (j + 0.5) - DECISION_PERIOD
+            moved: cython.double = _braked(speed, linear_braking, middle_s) * step_s * sign(linear)
             turned: cython.double = (
-                _braked(turn_rate, turn_braking, braked_s) * step_s * sign(angular)
+                _braked(turn_rate, turn_braking, middle_s) * step_s * sign(angular)
             )
             yaw += turned
             cos_middle: cython.double = cos(yaw - 0.5 * turned)
@@ -334,23 +341,21 @@ class StopCheck:
             y += moved * (sin_middle * axes.along_x + cos_middle * axes.along_y)
             self._stop_x[j], self._stop_y[j] = x, y
 
-            # 2. Stores the pose at the end of the step, and the speeds at its begin.
-            braked_s = step_s * j - DECISION_PERIOD
-            self._stop_linear[j] = _braked(speed, linear_braking, braked_s) * sign(linear)
-            self._stop_angular[j] = _braked(turn_rate, turn_braking, braked_s) * sign(angular)
-            self._stop_turns[j] = not (
-                fabs(self._stop_angular[j]) * radius + _ROUNDING <= FAULT_SPEED
-            )
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
-
-            # 3. Bounds the motion of the outline.
-            fastest_corner: cython.double = (
-                fabs(self._stop_linear[j]) + fabs(self._stop_angular[j]) * radius
-            )
-            if not (fastest_corner + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
-                self._poses = j + 1  # the steps after this are too slow to matter
             travel += fabs(moved) + fabs(turned) * radius
-            self._stop_travel[j] = -travel  # `_forbids` subtracts it from a gap
+            self._stop_travel[j] = travel
+
+            # 2. Stores the speeds at the begin of the step, where they are highest.
+            begin_s: cython.double = step_s * j - DECISION_PERIOD
+            self._stop_linear[j] = _braked(speed, linear_braking, begin_s) * sign(linear)
+            self._stop_angular[j] = _braked(turn_rate, turn_braking, begin_s) * sign(angular)
+
+            # 3. Is the turn, and is the outline, fast enough to matter? A speed of NaN is.
+            corner_turn: cython.double = fabs(self._stop_angular[j]) * radius
+            fastest_corner: cython.double = fabs(self._stop_linear[j]) + corner_turn
+            self._stop_turns[j] = not (corner_turn + _ROUNDING <= FAULT_SPEED)
+            if not (fastest_corner + _SPEED_ROUNDING <= NEGLIGIBLE_SPEED):
+                self._poses = j + 1
         return travel
 
     @cython.cfunc
@@ -380,7 +385,7 @@ class StopCheck:
         point_x: cython.double = points.x[point]
         point_y: cython.double = points.y[point]
         margin: cython.double = self._assumptions.margin
-        safe_gap: cython.double = needed_gap + others * (step_s * _STEPS) + travel + _ROUNDING
+        safe_gap: cython.double = _safe_gap(needed_gap, others, step_s * _STEPS, travel)
         if gap >= safe_gap:
             return 0
         previous_gap: cython.double = gap
@@ -395,9 +400,10 @@ class StopCheck:
             present_gap: cython.double = outline.gap_of(x, y)
 
             # 2. The outline must not close on a point whose gap is too small. At the end of the
-            # step the obstacle has moved for j + 1 steps.
+            # step the obstacle has moved for j + 1 steps. A gap of NaN is too small, and closes.
             is_free: cython.bint = present_gap >= needed_gap + others * (step_s * (j + 1.0))
-            if not is_free and not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s):
+            is_closing: cython.bint = not (previous_gap - present_gap <= NEGLIGIBLE_SPEED * step_s)
+            if is_closing and not is_free:
                 return 1
 
             # 3. The turn must not move a place outwards within the reach of the obstacle. The turn
@@ -408,9 +414,9 @@ class StopCheck:
                 if present_gap < reach and self._turns_outwards(j, x, y, reach):
                     return 1
 
-            # 4. The rest of the stop, `travel` less the travel so far, cannot use up the gap.
-            # (`_stop_travel` is negative, so the subtraction adds the travel so far.)
-            if present_gap - self._stop_travel[j] >= safe_gap:
+            # 4. Ends early if the gap is large enough for the rest of the stop. The outline can
+            # only move the rest of `travel`, so the travel so far is added to the gap.
+            if present_gap + self._stop_travel[j] >= safe_gap:
                 return 0
             previous_gap = present_gap
         return 0
@@ -424,16 +430,18 @@ class StopCheck:
         y: cython.double,
         reach: cython.double,
     ) -> cython.int:
-        """1 if the turn of a simulated stop moves a place of the outline towards a near point.
+        """1 if the turn of a simulated stop moves a place of the outline outwards, near a point.
 
-        Examined are the places of the outline within `reach` m of the point. A place is moved
-        outwards if its speed along the outward normal of its edge is above FAULT_SPEED (up to which
-        a contact is no fault), both by the turn alone and with the linear speed. Along an edge the
-        outward speed is a linear function of the place. So only the ends of the part of an edge
-        within `reach` m are examined. A turn moves no place faster than the outermost corner.
+        Only places of the outline within `reach` m of the point are examined. The outward
+        speed of a place is its speed along the outward normal of its edge. The place counts as
+        moved outwards if this speed is above FAULT_SPEED by the turn alone, and also by the turn
+        and the linear speed together.
 
-        `pose`: the step of the stop. `x`, `y`: m, the point in the frame of the simulated pose.
-        `reach`: m, how far the obstacle can have moved along the outline.
+        Args:
+            pose: the step of the stop.
+            x: m, the point in the frame of the simulated pose.
+            y: m, of the same point.
+            reach: m, how far the obstacle can have moved along the outline.
         """
         k: cython.Py_ssize_t
         outline: Outline = self._outline
@@ -474,17 +482,33 @@ class StopCheck:
             if first > last:
                 continue
 
-            # 2. The outward speed at the end of this part that the turn moves outwards faster. The
-            # lever of a place about the axle, along the normal, falls by 1 m for each m of edge.
-            turn_speed: cython.double = angular * (
-                outline.corner_x[k] * ny
-                - outline.corner_y[k] * nx
-                - (first if angular > 0.0 else last)
-            )
+            # 2. The outward speed of the place of this part that the turn moves outwards fastest.
+            # The lever about the axle falls by 1 m for each m of edge, so this place is an end of
+            # the part.
+            fastest_place: cython.double = first if angular > 0.0 else last
+            corner_lever: cython.double = outline.corner_x[k] * ny - outline.corner_y[k] * nx
+            turn_speed: cython.double = angular * (corner_lever - fastest_place)
             linear_speed: cython.double = linear * (axes.along_x * nx + axes.along_y * ny)
             if turn_speed > FAULT_SPEED and turn_speed + linear_speed > FAULT_SPEED:
                 return 1
         return 0
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _safe_gap(
+    needed_gap: cython.double,
+    others: cython.double,
+    seconds: cython.double,
+    travel: cython.double,
+) -> cython.double:
+    """The gap in m from which on a point cannot matter in a stop of `seconds` s.
+
+    `needed_gap`: m that the point must keep at the begin of the stop. `others`: m/s, of the
+    obstacle. `travel`: m that a place of the outline moves at most during the stop.
+    """
+    return needed_gap + others * seconds + travel + _ROUNDING
 
 
 @cython.cfunc

@@ -5,8 +5,8 @@
 2. Chains are split where they are not straight (Douglas and Peucker, 1973), and each part gets a
    line by total least squares. Parts on one line are joined again over returns that are off the
    line, unless a ray passes through between the parts. The result is a run.
-3. A run is long if its ends are `length` m apart and its returns do not bend. The parts of a round
-   surface are runs, too: the parabola through their returns tells these from parts of a wall.
+3. A run is long if its ends are `length` m apart and its returns do not bend. Parts of a round
+   surface are runs, too, but bend: a parabola is fitted to the returns of each run.
 
 Part of the library of barrier.py. Units: m, s, in the base frame at the time of the newest ray.
 """
@@ -123,41 +123,46 @@ class StraightRuns:
     def _is_straight(self, run: cython.Py_ssize_t) -> cython.int:
         """1 unless the returns of a run bend with a radius below _LEAST_RADIUS m.
 
-        The radius is that of the parabola that fits the returns on the line best.
+        A parabola is fitted to the returns on the line: the distance before the line as a function
+        of the place along the line. The radius is that of the parabola.
         """
         k: cython.Py_ssize_t
         on_line: cython.Py_ssize_t = 0
         runs: cython.double[::1] = self.fields
         places: cython.double[::1] = self._places
-        # 1. The returns on the line, and the moments of their places along the line.
+        # 1. The returns on the line, and the sums of the powers of their places along the line.
         first: cython.double = 0.0
         second: cython.double = 0.0
         third: cython.double = 0.0
         for k in range(cython.cast(cython.Py_ssize_t, runs[run + RUN_LENGTH]) + 1):
-            t: cython.double = self.along(run, k)
-            if t != t:
-                continue
-            places[2 * on_line] = t
-            places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
-            first += t
-            second += t * t
-            third += t * t * t
-            on_line += 1
+            place: cython.double = self.along(run, k)
+            is_on_line: cython.bint = place == place  # else NaN
+            if is_on_line:
+                places[2 * on_line] = place
+                places[2 * on_line + 1] = self._before(run, self.return_of(run, k))
+                first += place
+                second += place * place
+                third += place * place * place
+                on_line += 1
         if on_line < _FEWEST:
             return 0
         mean: cython.double = first / on_line
         variance: cython.double = second / on_line - mean * mean
-        skew: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
+        third_moment: cython.double = third / on_line - mean * (3.0 * variance + mean * mean)
         if not variance > 0.0:
             return 0
-        # 2. Least squares of the part that neither a shift nor a turn of the line explains.
+        # 2. The coefficient of the square, by least squares. `bend` is the square of the place less
+        # what a shift and a turn of the line explain.
         fitted: cython.double = 0.0
         square: cython.double = 0.0
         for k in range(on_line):
-            t = places[2 * k] - mean
-            shape: cython.double = t * t - t * skew / variance - variance
-            fitted += shape * places[2 * k + 1]
-            square += shape * shape
+            off_mean: cython.double = places[2 * k] - mean
+            bend: cython.double = (
+                off_mean * off_mean - off_mean * third_moment / variance - variance
+            )
+            fitted += bend * places[2 * k + 1]
+            square += bend * bend
+        # The coefficient is fitted / square, and the radius is 1 / (2 * coefficient).
         return 2.0 * fabs(fitted) * _LEAST_RADIUS <= square
 
     @cython.cfunc
@@ -289,6 +294,7 @@ class StraightRuns:
         The line is fitted by total least squares, and leads from the first return to the last. A
         run is rough if its returns are too far off this line.
         """
+        # 1. The covariance of the returns.
         runs: cython.double[::1] = self.fields
         n: cython.double = runs[run + RUN_SUMS]
         x: cython.double = runs[run + RUN_SUMS + 1] / n
@@ -296,15 +302,20 @@ class StraightRuns:
         xx: cython.double = runs[run + RUN_SUMS + 3] / n - x * x
         xy: cython.double = runs[run + RUN_SUMS + 4] / n - x * y
         yy: cython.double = runs[run + RUN_SUMS + 5] / n - y * y
+        # 2. Its lesser eigenvalue is the mean square of the distances from the line.
         half: cython.double = 0.5 * (xx - yy)
         root: cython.double = sqrt(half * half + xy * xy)
-        if not 0.5 * (xx + yy) - root <= _ROUGH * _ROUGH:
+        lesser: cython.double = 0.5 * (xx + yy) - root
+        if not lesser <= _ROUGH * _ROUGH:
             return 0
+        # 3. The eigenvector of its greater eigenvalue is the direction of the line. Of the two
+        # formulas for this vector, the formula without a difference of near numbers is used.
         ux: cython.double = half + root if half >= 0.0 else xy
         uy: cython.double = xy if half >= 0.0 else root - half
         length: cython.double = hypot(ux, uy)
         if not length > 0.0:
             return 0
+        # 4. Turns the direction from the first return to the last.
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_FIRST])
         last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
         along: cython.double = ux * (self.x[last] - self.x[first])
@@ -353,15 +364,15 @@ class StraightRuns:
     def _join(self, run: cython.Py_ssize_t, after: cython.Py_ssize_t) -> cython.int:
         """Join the run at index `after` to the run at index `run`; 0 if they are not of one line.
 
-        They may be SPACING m apart at most, and no ray may pass through between them.
+        Both indices are of `fields`.
         """
         j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         runs: cython.double[::1] = self.fields
         last: cython.Py_ssize_t = self.return_of(run, runs[run + RUN_LENGTH])
         first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[after + RUN_FIRST])
-        # 1. They are SPACING m apart at most. If the robot turns with the lidar, the first run
-        # and the last one overlap.
+        # 1. The runs must be SPACING m apart at most. If the robot turns with the lidar, the last
+        # run of the scan overlaps the first run.
         dx: cython.double = self.x[first] - self.x[last]
         dy: cython.double = self.y[first] - self.y[last]
         along: cython.double = runs[run + RUN_UX] * dx + runs[run + RUN_UY] * dy
@@ -369,18 +380,17 @@ class StraightRuns:
         overlap: cython.double = runs[run + RUN_FROM] - runs[run + RUN_TO]
         if not (overlap <= along <= SPACING and fabs(across) <= 2.0 * _STRAIGHT):
             return 0
-        # 2. No ray between both passes through the line.
+        # 2. No ray between the two runs may pass through the line.
         between: cython.Py_ssize_t = first - last
         if between <= 0:
             between += self._returns
         for k in range(1, between + 1):
             place: cython.Py_ssize_t = last + k
             place = place - self._returns if place >= self._returns else place
-            if self._is_cut[place]:
+            if self._is_cut[place] or self._before(run, place) < -_THROUGH:
                 return 0
-            if self._before(run, place) < -_THROUGH:
-                return 0
-        # 3. Both have one line.
+        # 3. Fits a line to the returns of both runs. If the joined run is rough, or contains all
+        # returns of the scan, `run` becomes what it was.
         kept: cython.double = runs[run + RUN_LENGTH]
         for j in range(6):
             runs[run + RUN_SUMS + j] += runs[after + RUN_SUMS + j]

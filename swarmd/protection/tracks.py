@@ -230,33 +230,30 @@ class _Filter:
     def update(self, cluster: _Cluster) -> cython.int:
         """Take in the cluster that shows this object: the update of a Kalman filter.
 
-        The measured place is the middle of the object, a share of the radius behind the cluster's
-        mean return. `off_x`, `off_y` (the residual): this place less the predicted place. `pp`,
-        `pv` and `vv` are the covariance of place and velocity, the same for both axes. A cluster
-        that a nearer object hides in part has fewer than two visible ends, and more noise. The
-        speed is bounded by `fastest`.
+        The measured place is the middle of the object: _DEPTH_SHARE of the radius behind the mean
+        return of the cluster.
         """
+        noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * cluster.range
         if cluster.visible_ends == 2:
             growth: cython.double = cluster.half_width - self.radius
             self.radius += (_GROWTH if growth > 0.0 else _SHRINKAGE) * growth
             self.radius = min(max(self.radius, _MIN_RADIUS), _MAX_RADIUS)
-        depth: cython.double = _DEPTH_SHARE * self.radius
-        noise: cython.double = _POSITION_NOISE + _RANGE_NOISE * cluster.range
-        if cluster.visible_ends < 2:
+        else:  # a nearer object hides a part, so neither width nor middle are known well
             noise *= _HIDDEN_NOISE
-        # Each cluster of a scan has its own time, so its place is moved on to the time of the
-        # state.
+        # The residual: the measured place, moved on to the time of the state, less the predicted
+        # place.
+        depth: cython.double = _DEPTH_SHARE * self.radius
         delay: cython.double = self.state_at - cluster.measured_at
+        off_x: cython.double = cluster.x + depth * cluster.ray_x + self.vx * delay - self.x
+        off_y: cython.double = cluster.y + depth * cluster.ray_y + self.vy * delay - self.y
         inverse: cython.double = 1.0 / (self.pp + noise * noise)
         gain: cython.double = self.pp * inverse
         velocity_gain: cython.double = self.pv * inverse
-        off_x: cython.double = cluster.x + depth * cluster.ray_x + self.vx * delay - self.x
-        off_y: cython.double = cluster.y + depth * cluster.ray_y + self.vy * delay - self.y
         self.x += gain * off_x
         self.y += gain * off_y
         self.vx += velocity_gain * off_x
         self.vy += velocity_gain * off_y
-        # In this order: each line uses the covariance before the update.
+        # The covariance, in this order: each line uses `pv` and `pp` before their update.
         self.vv -= velocity_gain * self.pv
         self.pv *= 1.0 - gain
         self.pp *= 1.0 - gain
@@ -527,8 +524,9 @@ class Tracker:
         `pose` is the pose of the base when the scan was measured. Sets the arrays of returns, and
         makes the arrays of returns, runs and walls long enough.
 
-        Conditioned bearings rise, except where those of a turning robot jump from half a turn to
-        minus half a turn. So most scans need no sorting: the returns from the jump on come first.
+        The bearings of a conditioned scan rise from ray to ray. In the scan of a turning robot they
+        may fall once, from half a turn to minus half a turn. So most scans need no sorting: the
+        returns from this fall on come first, then the returns before the fall.
         """
         ranges: cython.const[cython.double][::1] = _numbers(scan.ranges)
         bearings: cython.const[cython.double][::1] = _numbers(scan.bearings)
@@ -537,8 +535,8 @@ class Tracker:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         count: cython.Py_ssize_t = 0
-        falls: cython.Py_ssize_t = 0  # number of returns whose bearing is below that before
-        begin: cython.Py_ssize_t = 0  # the last of these returns
+        falls: cython.Py_ssize_t = 0  # how often the bearing falls from a return to the next
+        lowest: cython.Py_ssize_t = 0  # the return behind the last fall; 0 without a fall
 
         # 1. Rays with a return, and where their bearings fall.
         if len(self._order) < len(ranges):
@@ -547,14 +545,16 @@ class Tracker:
         for i in range(len(ranges)):
             if ranges[i] > 0.0 and ranges[i] < INFINITY:
                 if count > 0 and not bearings[i] >= bearings[order[count - 1]]:
-                    falls, begin = falls + 1, count
+                    falls, lowest = falls + 1, count
                 order[count] = i
                 count += 1
-        if falls > 1 or (falls == 1 and not bearings[order[count - 1]] < bearings[order[0]]):
+        # After a single fall the bearings must stay below the first bearing.
+        is_rotated: cython.bint = falls == 1 and bearings[order[count - 1]] < bearings[order[0]]
+        if falls > 0 and not is_rotated:
             rays = np.array(order[:count])
             rays = rays[scan.bearings[rays].argsort(kind="stable")]
             order = rays if cython.compiled else rays.tolist()
-            begin = 0
+            lowest = 0
 
         # 2. The returns in the order of their bearings, and their places.
         yaw: cython.double = pose.yaw
@@ -569,7 +569,7 @@ class Tracker:
         to_bearings: cython.double[::1] = self._bearings
         to_ages: cython.double[::1] = self._ages
         for k in range(count):
-            i = order[k + begin if k + begin < count else k + begin - count]
+            i = order[k + lowest if k + lowest < count else k + lowest - count]
             angle: cython.double = bearings[i] + yaw
             to_x[k], to_y[k] = x + ranges[i] * cos(angle), y + ranges[i] * sin(angle)
             to_ranges[k], to_bearings[k] = ranges[i], bearings[i]
@@ -587,14 +587,17 @@ class Tracker:
 
     @cython.cfunc
     def _cut_into_runs(self) -> cython.Py_ssize_t:
-        """Cut the returns into runs, each of a single surface; the number of runs.
+        """Cut the returns into runs, each of a single surface; return the number of cuts.
 
-        Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`). A run
-        ends where rays are missing, or where the next return is farther away than on a surface that
-        faces the lidar at a grazing angle. 0: the returns all around are a single surface.
+        A cut is where rays are missing, or where the next return is farther away than on a surface
+        that faces the lidar at a grazing angle. Returns lie all around, so there are as many runs
+        as cuts. Without a cut (0), all returns are of a single surface.
+
+        Sets `_is_gap`, and the first and last return of each run (`_run_first`, `_run_last`).
         """
         count: cython.Py_ssize_t = self._return_count
-        runs: cython.Py_ssize_t = 0
+        cuts: cython.Py_ssize_t = 0
+        first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         j: cython.Py_ssize_t
         max_step: cython.double = _MAX_LOST_STEPS * self._spacing
@@ -609,12 +612,12 @@ class Tracker:
             dy: cython.double = self._y[j] - self._y[i]
             self._is_gap[i] = step > max_step
             if self._is_gap[i] or dx * dx + dy * dy > max_distance * max_distance:
-                self._run_last[runs] = i
-                self._run_first[runs] = self._run_last[runs - 1] + 1 if runs > 0 else 0
-                runs += 1
-        if runs > 0:  # the first run begins behind the last cut, before index 0
-            self._run_first[0] = self._run_last[runs - 1] + 1 - count
-        return runs
+                self._run_first[cuts], self._run_last[cuts] = first, i
+                first = i + 1
+                cuts += 1
+        if cuts > 0:  # the returns behind the last cut are the begin of the first run
+            self._run_first[0] = first - count
+        return cuts
 
     @cython.cfunc
     def _clusters(self, at: cython.double) -> list:
@@ -669,70 +672,98 @@ class Tracker:
     ) -> cython.int:
         """Add a surface as a cluster (a compact object that may move), or as a wall.
 
-        A surface beyond REACH is left out. A surface wider than a few robots is a wall. A thinner
-        surface than _MIN_WIDTH counts as standing, so as a wall.
+        A surface wider than a few robots is a wall. A surface narrower than _MIN_WIDTH counts as
+        standing, so as a wall. A surface beyond REACH is left out.
 
-        `clusters`: the list to which the cluster is added. `index`, `end`: the first and the last
-        run of the surface. The surface has every second run from `index` to `end`: the runs between
-        are single outliers, see `_end_of_surface`. `scan_time`: s, the time of the newest ray of
-        the scan.
+        Args:
+            clusters: the list to which the cluster is added.
+            index: the first run of the surface.
+            end: the last run of the surface. The surface has every second run from `index` to
+                `end`; the runs between these are outliers (see `_end_of_surface`).
+            scan_time: s, the time of the newest ray of the scan.
         """
-        xs: cython.double[::1] = self._x
-        ys: cython.double[::1] = self._y
-        ranges: cython.double[::1] = self._ranges
-        ages: cython.double[::1] = self._ages
-        count: cython.Py_ssize_t = self._return_count
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        first: cython.Py_ssize_t = (self._run_first[index] + count) % count
-        last: cython.Py_ssize_t = self._run_last[end]
+        ranges: cython.double[::1] = self._ranges
+        return_count: cython.Py_ssize_t = self._return_count
         nearest: cython.double = INFINITY
         farthest: cython.double = 0.0
 
-        # 1. The nearest and the farthest return. Indices of the first run may be negative.
+        # 1. The nearest and the farthest return.
         for k in range(index, end + 1, 2):
             for i in range(self._run_first[k], self._run_last[k] + 1):
-                nearest = min(nearest, ranges[i if i >= 0 else i + count])
-                farthest = max(farthest, ranges[i if i >= 0 else i + count])
+                ray = i if i >= 0 else i + return_count  # the first run may begin below 0
+                nearest = min(nearest, ranges[ray])
+                farthest = max(farthest, ranges[ray])
         if nearest > REACH:
             return 0
-        chord: cython.double = hypot(xs[first] - xs[last], ys[first] - ys[last])
+
+        # 2. A surface too wide for an object.
+        first: cython.Py_ssize_t = (self._run_first[index] + return_count) % return_count
+        last: cython.Py_ssize_t = self._run_last[end]
+        chord: cython.double = hypot(self._x[first] - self._x[last], self._y[first] - self._y[last])
         if chord > self._widest or farthest - nearest > self._widest:
             return self._add_wall_sectors(index, end)
 
-        # 2. The mean return.
+        # 3. A single return, or a surface too narrow for an object.
+        cluster: _Cluster = self._mean_return(index, end, scan_time)
+        if first == last or chord < _MIN_WIDTH:
+            return self._add_wall(cluster.x, cluster.y)
+
+        # 4. An object that may move.
+        cluster.half_width = 0.5 * (chord + cluster.range * self._spacing)
+        cluster.visible_ends = self._visible_ends(first, last)
+        dx: cython.double = cluster.x - self._lidar_x
+        dy: cython.double = cluster.y - self._lidar_y
+        to_lidar: cython.double = max(hypot(dx, dy), 1e-6)
+        cluster.ray_x, cluster.ray_y = dx / to_lidar, dy / to_lidar
+        clusters.append(cluster)
+        return 0
+
+    @cython.cfunc
+    def _mean_return(
+        self, index: cython.Py_ssize_t, end: cython.Py_ssize_t, scan_time: cython.double
+    ) -> _Cluster:
+        """A cluster at the mean place, range and time of the returns of a surface.
+
+        The arguments are those of `_add_surface`.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
         x: cython.double = 0.0
         y: cython.double = 0.0
         distance: cython.double = 0.0
         age: cython.double = 0.0
-        return_count: cython.Py_ssize_t = 0
+        count: cython.Py_ssize_t = 0
         for k in range(index, end + 1, 2):
             for i in range(self._run_first[k], self._run_last[k] + 1):
-                ray = i if i >= 0 else i + count
-                x, y = x + xs[ray], y + ys[ray]
-                distance, age = distance + ranges[ray], age + ages[ray]
-                return_count += 1
-        x, y, distance = x / return_count, y / return_count, distance / return_count
-        if return_count == 1 or chord < _MIN_WIDTH:
-            return self._add_wall(x, y)
-
-        # 3. The cluster. An end is visible unless the neighbouring return beyond it is nearer.
+                ray = i if i >= 0 else i + self._return_count
+                x, y = x + self._x[ray], y + self._y[ray]
+                distance, age = distance + self._ranges[ray], age + self._ages[ray]
+                count += 1
         cluster: _Cluster = _Cluster()
-        ray_before: cython.Py_ssize_t = first - 1 if first > 0 else count - 1
-        ray_after: cython.Py_ssize_t = last + 1 if last + 1 < count else 0
-        if self._is_gap[ray_before] or ranges[ray_before] > ranges[first]:
-            cluster.visible_ends += 1
-        if self._is_gap[last] or ranges[ray_after] > ranges[last]:
-            cluster.visible_ends += 1
-        dx: cython.double = x - self._lidar_x
-        dy: cython.double = y - self._lidar_y
-        to_lidar: cython.double = max(hypot(dx, dy), 1e-6)
-        cluster.x, cluster.y, cluster.ray_x, cluster.ray_y = x, y, dx / to_lidar, dy / to_lidar
-        cluster.half_width, cluster.range = 0.5 * (chord + distance * self._spacing), distance
-        cluster.measured_at = scan_time - age / return_count
-        clusters.append(cluster)
-        return 0
+        cluster.x, cluster.y, cluster.range = x / count, y / count, distance / count
+        cluster.measured_at = scan_time - age / count
+        return cluster
+
+    @cython.cfunc
+    def _visible_ends(self, first: cython.Py_ssize_t, last: cython.Py_ssize_t) -> cython.int:
+        """The number of ends (0 to 2) of a surface that no nearer object hides.
+
+        `first`, `last`: the returns at the ends. An end is hidden if the next return beyond the end
+        is nearer than the end.
+        """
+        count: cython.Py_ssize_t = self._return_count
+        before: cython.Py_ssize_t = first - 1 if first > 0 else count - 1
+        after: cython.Py_ssize_t = last + 1 if last + 1 < count else 0
+        visible_ends: cython.int = 0
+        if self._is_gap[before] or self._ranges[before] > self._ranges[first]:
+            visible_ends += 1
+        if self._is_gap[last] or self._ranges[after] > self._ranges[last]:
+            visible_ends += 1
+        return visible_ends
 
     @cython.cfunc
     def _add_wall_sectors(self, index: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:

@@ -76,30 +76,34 @@ def line_of(
         horizon: s.
     """
     square: cython.double = max(px * px + py * py, _EPSILON)
-    # A robot nearer than `radius` may pass aside, and need not move away: the circle of `radius`
+    # A robot nearer than `radius` need not move away, and may pass aside: the circle of `radius`
     # around the place then ends 1 mm before the robot.
     radius = min(radius, max(sqrt(square) - 1e-3, 1e-3))
+    # The velocity from the centre of the cap, and its scalar product with the place.
     from_cap_x: cython.double = vx - px / horizon
     from_cap_y: cython.double = vy - py / horizon
     length: cython.double = hypot(from_cap_x, from_cap_y)
     along: cython.double = from_cap_x * px + from_cap_y * py
+    # Set below: the direction of the line, and the change of velocity in m/s up to the line.
     dx: cython.double
     dy: cython.double
     change_x: cython.double
     change_y: cython.double
-    # Projects the velocity on the cap, else on the nearer leg of the cone. The cap is nearest if
-    # `from_cap`, from the centre of the cap to the velocity, leads back beyond both legs. `change`
-    # in m/s leads from the relative velocity to the border, left of which (dx, dy) is permitted.
-    if along < 0.0 and along * along > radius * radius * length * length:
+    is_cap_nearest: cython.bint = along < 0.0 and along * along > radius * radius * length * length
+    if is_cap_nearest:
+        # 1. Projects the velocity on the cap: along the ray from the centre of the cap.
         nx: cython.double = from_cap_x / max(length, _EPSILON)
         ny: cython.double = from_cap_y / max(length, _EPSILON)
         off: cython.double = radius / horizon - length
-        dx, dy, change_x, change_y = ny, -nx, off * nx, off * ny
+        dx, dy = ny, -nx
+        change_x, change_y = off * nx, off * ny
     else:
-        # A leg is a tangent from the robot to the circle of `radius` around the place, `leg` m
-        # long. The left leg leads away from the robot, the right leg towards it.
+        # 2. Projects the velocity on the nearer leg of the cone. A leg is a tangent from the robot
+        # to the circle of `radius` around the place, `leg` m long. Left of the line lies what is
+        # permitted, so the left leg leads away from the robot, and the right leg leads back.
         leg: cython.double = sqrt(max(square - radius * radius, 0.0))
-        if px * from_cap_y - py * from_cap_x > 0.0:
+        is_left: cython.bint = px * from_cap_y - py * from_cap_x > 0.0
+        if is_left:
             dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
         else:
             dx, dy = -(px * leg + py * radius) / square, -(py * leg - px * radius) / square
@@ -340,9 +344,11 @@ class _Programme:
         """Set the velocity that minimises the greatest violation of the lines from `wall_count` on.
 
         The velocity satisfies the first `wall_count` lines. `begin` is the index of the first line
-        that `solve` could not satisfy. The third linear programme of ORCA: for each line that is
-        violated most so far, the other lines are replaced by the lines on which both violations are
-        equal. Within these, the velocity goes as far as possible to the line's permitted side.
+        that `solve` could not satisfy. This is the third linear programme of ORCA.
+
+        Each line that is violated more than all lines before is treated so: the velocity moves to
+        the permitted side of this line until a line before would be violated as much. The border
+        of the velocities that violate two lines equally is a line, too.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -354,7 +360,7 @@ class _Programme:
             if excess(line, self.x, self.y) <= worst_excess:
                 continue
 
-            # 1. The lines of equal violation.
+            # 1. For each line before: the border of equal violation.
             projected: list = lines[:wall_count]
             for k in range(wall_count, i):
                 other = lines[k]
@@ -375,9 +381,8 @@ class _Programme:
                 length: cython.double = max(hypot(dx, dy), _EPSILON)
                 projected.append(Line(x, y, dx / length, dy / length))
 
-            # 2. The velocity farthest in the direction of the line's left normal, its permitted
-            # side. `solve` satisfies fewer lines than given only by rounding: the previous velocity
-            # stays.
+            # 2. The velocity farthest to the permitted side, in the direction of the left normal of
+            # the line. By rounding, `solve` may fail: the previous velocity then stays.
             previous_x: cython.double = self.x
             previous_y: cython.double = self.y
             if self.solve(projected, -line.dy, line.dx, True) < len(projected):
