@@ -203,38 +203,41 @@ def load_trace(path: Path) -> Trace:
     its size plus MAX_SPARE.
     """
     try:
-        # 1. All arrays, once their unpacked size is known to be limited.
-        if (size := _unpacked_size(path)) > (most := _most_unpacked(path)):
-            raise ConfigError(
-                f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
-                " size plus 64 MiB"
-            )
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-
-        # 2. The head: names, platforms and meta, as JSON.
-        head = json.loads(str(arrays.pop("head")))
-        if head.pop("version") != VERSION:
-            raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
-        for key in ("ids", "platforms", "movable_boxes"):
-            head[key] = tuple(head[key])
-
-        # 3. Shapes; arrays named KIND/NAME, such as `report/opinion`, go into a dict of their kind.
-        _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
-        for kind in NAMED:
-            keys = [name for name in arrays if name.startswith(f"{kind}/")]
-            head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in keys}
-        shapes = [head["footprints"][name] for name in head["platforms"]]
-        if len(shapes) != len(head["ids"]):
-            raise ValueError(f"{len(shapes)} platforms of {len(head['ids'])} robots")
-        head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
-        return Trace(**head, **arrays)
+        return _unpacked(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
     except ConfigError:
         raise
     except Exception as error:  # numpy lets through whatever zlib, zipfile and tokenize raise
         raise ConfigError(f"{path}: not a trace, or damaged; expected a run's .npz file") from error
+
+
+def _unpacked(path: Path) -> Trace:
+    """The trace of a file; ConfigError for its size or version, any exception for other faults."""
+    if (size := _unpacked_size(path)) > (most := _most_unpacked(path)):
+        raise ConfigError(
+            f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
+            " size plus 64 MiB"
+        )
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    # The head, as JSON, has the fields of a trace that are no arrays.
+    head = json.loads(str(arrays.pop("head")))
+    if head.pop("version") != VERSION:
+        raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
+    for key in ("ids", "platforms", "movable_boxes"):
+        head[key] = tuple(head[key])
+    if len(head["platforms"]) != len(head["ids"]):
+        raise ValueError(f"{len(head['platforms'])} platforms of {len(head['ids'])} robots")
+    if missing := set(head["platforms"]) - head["footprints"].keys():
+        raise ValueError(f"no footprint of {missing}")
+    head["footprints"] = {name: np.array(shape) for name, shape in head["footprints"].items()}
+    _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
+    # Arrays named KIND/NAME, such as `report/opinion`, are a dict of their kind.
+    for kind in NAMED:
+        keys = [name for name in arrays if name.startswith(f"{kind}/")]
+        head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in keys}
+    return Trace(**head, **arrays)
 
 
 def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -> None:

@@ -1,9 +1,9 @@
 """The public suite of benchmark tasks: task files, patterns that fit a task, and the result table.
 
-A task file in `config/benchmark` has a head and a scenario. The head says what the robots shall do,
-the metric in words with its better direction, the seeds, and the patterns to try. The scenario has
-groups without a pattern: the judged pattern, which is tried in the task, runs there. A task file
-needs no other file. The runs of a pattern in a task are an experiment in a folder of its own.
+A task file in `config/benchmark` says what the robots shall do, the metric in words with its better
+direction, the seeds, and the patterns to try. Its scenario has groups without a pattern. These
+groups run the pattern that is tried in the task. A task file needs no other file. The runs of a
+pattern in a task are an experiment in a folder of its own.
 """
 
 from __future__ import annotations
@@ -157,7 +157,6 @@ def load_task(name: str) -> Task:
 
     ConfigError names the file, the key and the expected value.
     """
-    # 1. The file and its version.
     is_path = name.endswith(".yaml")
     path = user_path(name) if is_path else _folder() / f"{name}.yaml"
     if not is_path and name not in task_names():
@@ -165,12 +164,22 @@ def load_task(name: str) -> Task:
         raise ConfigError(f"{fault} (or give a path ending in .yaml)")
     layers = Layered((shown(path), read(path)))
     task = Task(path.stem, shown(path), layers.build(TaskFile))
-    file = task.file
-    if file.suite != SUITE:
-        text = f"suite is {file.suite}; this swarmd has version {SUITE} of the suite"
+    if task.file.suite != SUITE:
+        text = f"suite is {task.file.suite}; this swarmd has version {SUITE} of the suite"
         raise layers.error(("suite",), text)
+    _check_scenario(task.file, layers)
+    _check_metric(task.file, layers)
+    # ConfigError for faults that only a whole scenario shows: _STAND_IN is a pattern that runs on
+    # each robot, in place of the judged pattern.
+    task.scenario(_STAND_IN)
+    return task
 
-    # 2. The scenario: complete, and the groups that run the judged pattern have no pattern.
+
+def _check_scenario(file: TaskFile, layers: Layered) -> None:
+    """ConfigError unless the scenario is complete, and the judged groups have no pattern.
+
+    `layers`: the file, for messages.
+    """
     try:
         msgspec.convert(file.scenario, CompleteScenario)
     except msgspec.ValidationError as error:
@@ -191,8 +200,13 @@ def load_task(name: str) -> Task:
             )
             raise layers.error(("scenario", "platforms", platform, "extends"), text)
 
-    # 3. The metric: of the catalog or a package, since a Python file would run code of the task's
-    # author.
+
+def _check_metric(file: TaskFile, layers: Layered) -> None:
+    """ConfigError unless the metric is of the catalog or a package, with its unit and direction.
+
+    A metric of a Python file is refused: it would run code of the task's author. `layers`: the file
+    of the task, for messages.
+    """
     try:
         if names_file(file.metric.name):
             raise ConfigError(f"{file.metric.name}: a task names no file; see `exp metrics`")
@@ -202,11 +216,6 @@ def load_task(name: str) -> Task:
     if metric.better != file.metric.better or metric.unit != file.metric.unit:
         text = f"metric: {metric.name} is in {metric.unit}, and {metric.better} is better"
         raise layers.error(("metric",), f"{text}; expected the same unit and direction")
-
-    # 4. ConfigError for faults that only a whole scenario shows: _STAND_IN is a pattern that runs
-    # on each robot, in place of the judged pattern.
-    task.scenario(_STAND_IN)
-    return task
 
 
 def schema_text() -> str:
@@ -324,27 +333,33 @@ def table_of(
     """The table of a benchmark, with median, interval, place and rank of each cell.
 
     `values`: the metric by (name of the table row, task) and by seed. `better`: the direction of
-    the metric of each task. The place follows from the median alone. The rank is the place if the
-    interval of the median overlaps the interval of no other row, else None. Rows are sorted by
-    their best place, then by the number of tasks, then by name.
+    the metric of each task. Rows are sorted by their best place, then by the number of tasks, then
+    by name.
     """
-    cells = {key: Cell(by_seed, _summary(by_seed)) for key, by_seed in values.items()}
-    ranked: Table = {}
-    for (row, task), cell in cells.items():
-        sign = 1.0 if better[task] == "less" else -1.0
+    summaries = {key: _summary(by_seed) for key, by_seed in values.items()}
+    table: Table = {}
+    for (row, task), summary in summaries.items():
         rivals = [
-            rival.summary
-            for (name, rival_task), rival in cells.items()
-            if rival_task == task and name != row
+            rival
+            for (rival_row, rival_task), rival in summaries.items()
+            if rival_task == task and rival_row != row
         ]
-        own = cell.summary.median
-        if own is not None:
-            medians = [rival.median for rival in rivals if rival.median is not None]
-            place = 1 + sum(sign * median < sign * own for median in medians)
-            rank = place if all(_is_apart(cell.summary, rival) for rival in rivals) else None
-            cell = Cell(cell.values, cell.summary, rank, place)
-        ranked.setdefault(row, {})[task] = cell
-    return dict(sorted(ranked.items(), key=_order))
+        place = _place(summary, rivals, better[task])
+        has_rank = math.isfinite(place) and all(_is_apart(summary, rival) for rival in rivals)
+        rank = int(place) if has_rank else None
+        table.setdefault(row, {})[task] = Cell(values[row, task], summary, rank, place)
+    return dict(sorted(table.items(), key=_order))
+
+
+def _place(
+    summary: statistics.Summary, rivals: Iterable[statistics.Summary], better: Better
+) -> float:
+    """The place by median among the rivals of a task, from 1 on; inf without a median."""
+    if summary.median is None:
+        return math.inf
+    sign = 1.0 if better == "less" else -1.0
+    medians = [rival.median for rival in rivals if rival.median is not None]
+    return 1 + sum(sign * median < sign * summary.median for median in medians)
 
 
 def _is_apart(a: statistics.Summary, b: statistics.Summary) -> bool:

@@ -132,7 +132,8 @@ class Cluster:
         self._worker_by_query: dict[str, str] = {}  # of open queries for software, by their key
         self._answers: queue.Queue[tuple[str, Any]] = queue.Queue()  # key and result of a call
         self._shares: dict[str, float] = {}  # simulated share 0..1 of a run, by run
-        self._next_update = 0.0  # s, monotonic: when the scheduler is asked for its workers again
+        # s, monotonic: when the scheduler was last asked for its workers.
+        self._last_update = -math.inf
         self._refusal = ""  # why the last refused worker is not used
         self._is_open = False  # whether `await_workers` has ended
         self._software: list[Manifest] = []  # of the workers that are fit
@@ -174,14 +175,12 @@ class Cluster:
         attempts: dict[str, _Attempt] = {}  # in progress, by key of the call
         last_usable = time.monotonic()  # when a worker last had a run, or was free for one
         while waiting or attempts:
-            # 1. Runs of lost workers wait again; `_repeat` yields a failure after too many losses.
-            # Without any worker for `timeout` s, give up.
             self._update_workers()
-            now = time.monotonic()
             for key, attempt in [*attempts.items()]:  # a copy, since the loop removes attempts
                 if not self._is_alive(attempt.worker):
                     yield from self._repeat(attempts.pop(key), waiting, attempt_counts)
             free_workers = self._free(attempts)
+            now = time.monotonic()
             if attempts or free_workers:
                 last_usable = now
             if now > last_usable + self._timeout:
@@ -189,29 +188,34 @@ class Cluster:
                     f"the cluster at {self._address} has no worker left; finished runs are"
                     " kept: start workers and give the same command again"
                 )
-
-            # 2. Free workers get jobs.
             for worker in free_workers:
                 if waiting:
                     job = waiting.popleft()
                     call = partial(_perform, job, self._timeout, self._topic)
                     key, future = self._submit(call, worker)
                     attempts[key] = _Attempt(job, worker, future)
-
-            # 3. Progress, and the next answer of a worker: a result, or an error of the worker.
             running = {attempt.job.run for attempt in attempts.values()}
             # A copy of the items, since a thread of the client adds shares meanwhile.
             yield {run: share for run, share in [*self._shares.items()] if run in running}
             key, answer = self._receive()
-            if key in attempts:
-                attempt = attempts.pop(key)
-                if isinstance(answer, BaseException):
-                    self._check_scheduler()
-                    self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
-                    yield from self._repeat(attempt, waiting, attempt_counts)
-                else:
-                    result, trace_bytes = answer  # of `_perform`
-                    yield _write_trace(attempt.job, result, trace_bytes)
+            if key in attempts:  # else no run ended, or the attempt was given up before
+                yield from self._ended(attempts.pop(key), answer, waiting, attempt_counts)
+
+    def _ended(
+        self, attempt: _Attempt, answer: Any, waiting: deque[Job], attempt_counts: Counter[str]
+    ) -> Iterator[JobResult]:
+        """Yield the result of a run; if its call failed on the worker, repeat the run.
+
+        `answer`: the result of `_perform`, or an exception. `waiting`, `attempt_counts`: as of
+        `_repeat`.
+        """
+        if isinstance(answer, BaseException):
+            self._check_scheduler()
+            self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
+            yield from self._repeat(attempt, waiting, attempt_counts)
+        else:
+            result, trace_bytes = answer
+            yield _write_trace(attempt.job, result, trace_bytes)
 
     def _repeat(
         self, attempt: _Attempt, waiting: deque[Job], attempt_counts: Counter[str]
@@ -237,13 +241,12 @@ class Cluster:
         SwarmError if the scheduler is lost.
         """
         now = time.monotonic()
-        if now < self._next_update:
+        since_update = now - self._last_update
+        if since_update < _UPDATE_PERIOD:
             return
-        # The time since the last update, limited: while this process or the scheduler was
-        # suspended, workers were not silent.
-        last_update = self._next_update - _UPDATE_PERIOD
-        elapsed = min(now - last_update, 2.0 * _UPDATE_PERIOD)
-        self._next_update = now + _UPDATE_PERIOD
+        self._last_update = now
+        # Limited: while this process or the scheduler was suspended, workers were not silent.
+        elapsed = min(since_update, 2.0 * _UPDATE_PERIOD)
         self._check_scheduler()
         descriptions = self._worker_descriptions()
         for name in [name for name in self._workers if name not in descriptions]:
@@ -331,11 +334,11 @@ class Cluster:
         return key, future
 
     def _receive(self) -> tuple[str, Any]:
-        """The key and the answer of the next finished run; ("", None) without one.
+        """The key and the answer of the next finished run; ("", None) if none ends in time.
 
-        Waits for _POLL_PERIOD at most. If the next answer is that of a query for a worker's
-        software, the answer decides whether the worker gets runs (`is_fit`), and the result is
-        ("", None).
+        Waits for _POLL_PERIOD at most. The next answer may be that of a query for a worker's
+        software. Then the answer decides whether the worker gets runs (`is_fit`), and ("", None) is
+        returned.
         """
         try:
             key, answer = self._answers.get(timeout=_POLL_PERIOD)
@@ -395,18 +398,23 @@ def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | N
         with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as results:
             for report in results:  # shares of the run, then its result
                 if isinstance(report, JobResult):
-                    # `write_error` would end the experiment, but only this worker's disk is full:
-                    # the run counts as failed.
-                    if report.write_error:
-                        return replace(report, reason=report.write_error, write_error=""), None
-                    if report.metrics is None or trace is None:
-                        return report, None
-                    return report, trace.read_bytes()
+                    return _for_client(report, trace)
                 task = worker.state.tasks.get(key)
                 if task is None or task.state != "executing":
                     break  # the client has cancelled the job, or is gone
                 worker.log_event(topic, dict(report))
     raise RuntimeError("cancelled")
+
+
+def _for_client(result: JobResult, trace: Path | None) -> tuple[JobResult, bytes | None]:
+    """The result of a run on this worker, and the bytes of its `trace`, or None without a trace."""
+    if result.write_error:
+        # A write error ends the experiment. But only this worker's disk is full, so the run counts
+        # as failed.
+        return replace(result, reason=result.write_error, write_error=""), None
+    if trace is None or result.metrics is None:
+        return result, None
+    return result, trace.read_bytes()
 
 
 def _write_trace(job: Job, result: JobResult, trace: bytes | None) -> JobResult:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.sim.experiments.results import Results, load_results
@@ -25,6 +26,8 @@ from swarmd.sim.experiments.statistics import (
 )
 from swarmd.sim.metrics.metric import Metric
 
+Indices = NDArray[np.intp]
+
 
 @dataclass(frozen=True, slots=True)
 class Side:
@@ -39,10 +42,11 @@ class Side:
 class Difference:
     """The comparison of one metric between side a and side b.
 
-    Only runs that have a value are compared. If `is_paired`, the run of the same seed on the
-    opposite side must have a value, too. If the metric is a time to an event that never happened in
-    some runs, the means are restricted to `horizon` s, and the log-rank test, which takes no pairs,
-    gives `p` from all finished runs.
+    A run is compared if it has a value. If `is_paired`, its pair, the run of the same seed on the
+    opposite side, must have a value, too.
+
+    For a time to an event that never happened in some runs, the means are restricted to `horizon`
+    s. Then `p` is that of the log-rank test, which takes no pairs, and uses all finished runs.
     """
 
     metric: str
@@ -102,9 +106,10 @@ class Difference:
 def sides(a: str, b: str, *, is_trusted: bool = False) -> list[tuple[Side, Side]]:
     """The pairs of variants to compare. `a` and `b`: FOLDER, or FOLDER:VARIANT of a sweep.
 
-    Two folders with the same variants give a pair for each variant. ConfigError if `a` and `b` name
-    different variants, or if one names a single variant and the other names several.
-    `is_trusted`: metrics in Python files run even if the files are new or have changed.
+    Two single variants give one pair, also if their names differ. Two folders with the same
+    variants give a pair for each variant. ConfigError if the folders have different variants, or if
+    a single variant is compared with several. `is_trusted`: metrics in Python files run even if the
+    files are new or have changed.
     """
     left, right = (sides_of(text, is_trusted=is_trusted) for text in (a, b))
     if len(left) == 1 or len(right) == 1:
@@ -196,39 +201,28 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     """Compare one metric of two sides: means, 95 % interval and p, without Holm's correction."""
-    values_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
-    values_b = b.results.metric(metric, b.variant)
-
-    # A time to an event that never happened in some runs: log-rank test and restricted means.
-    is_never_a, is_never_b = np.isnan(values_a), np.isnan(values_b)
-    horizon, p = None, None
-    if metric.is_time_to_event and (is_never_a.any() or is_never_b.any()):
-        duration_a, duration_b = _duration(a), _duration(b)
-        horizon = min(duration_a, duration_b)
-        p = logrank_p(values_a, values_b, duration_a, duration_b)
-        values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
-
-    # With equal planned seeds, runs of the same seed are pairs; a pair needs both values.
+    measured_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
+    measured_b = b.results.metric(metric, b.variant)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
+    has_never = bool(np.isnan(measured_a).any() or np.isnan(measured_b).any())
+    # None: no time to an event, or the event happened in each run.
+    horizon = min(_duration(a), _duration(b)) if metric.is_time_to_event and has_never else None
+    values_a, values_b = measured_a, measured_b
+    if horizon is not None:
+        values_a, values_b = restricted(values_a, horizon), restricted(values_b, horizon)
+    # The runs that are compared: runs with a value, or pairs of runs with two values.
+    runs_a, runs_b = np.flatnonzero(~np.isnan(values_a)), np.flatnonzero(~np.isnan(values_b))
     if is_paired:
-        seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
-        _, indices_a, indices_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
-        values_a, values_b = values_a[indices_a], values_b[indices_b]
-        is_never_a, is_never_b = is_never_a[indices_a], is_never_b[indices_b]
-        have_values = ~(np.isnan(values_a) | np.isnan(values_b))
-        values_a, values_b = values_a[have_values], values_b[have_values]
-        bounds = mean_interval(values_b - values_a)
-    else:
-        values_a, values_b = values_a[~np.isnan(values_a)], values_b[~np.isnan(values_b)]
-        bounds = difference_interval(values_a, values_b)
-
-    # A side is better if the interval excludes 0: `in` looks from the lower to the upper bound.
-    better: Literal["a", "b"] | None = None
-    if bounds is not None and metric.better is not None and 0.0 not in bounds:
-        is_b_greater = bounds.low > 0.0
-        better = "b" if is_b_greater == (metric.better == "more") else "a"
+        runs_a, runs_b = _pairs(a, b, runs_a, runs_b)
+    values_a, values_b = values_a[runs_a], values_b[runs_b]
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
+    else:
+        p = logrank_p(measured_a, measured_b, _duration(a), _duration(b))
+    if is_paired:
+        bounds = mean_interval(values_b - values_a)
+    else:
+        bounds = difference_interval(values_a, values_b)
     mean_a = float(values_a.mean()) if values_a.size else None
     mean_b = float(values_b.mean()) if values_b.size else None
     return Difference(
@@ -241,12 +235,31 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
         difference=None if mean_a is None or mean_b is None else mean_b - mean_a,
         interval=bounds,
         is_paired=is_paired,
-        better=better,
-        never_a=int(is_never_a.sum()) if horizon is not None else 0,
-        never_b=int(is_never_b.sum()) if horizon is not None else 0,
+        better=_better(bounds, metric),
+        never_a=0 if horizon is None else int(np.isnan(measured_a[runs_a]).sum()),
+        never_b=0 if horizon is None else int(np.isnan(measured_b[runs_b]).sum()),
         horizon=horizon,
         p=p,
     )
+
+
+def _pairs(a: Side, b: Side, runs_a: Indices, runs_b: Indices) -> tuple[Indices, Indices]:
+    """Those of the runs `runs_a` and `runs_b` that have the same seed; equal places are pairs."""
+    seeds_a = np.array(a.results.seeds(a.variant), dtype=np.int64)[runs_a]
+    seeds_b = np.array(b.results.seeds(b.variant), dtype=np.int64)[runs_b]
+    _, places_a, places_b = np.intersect1d(
+        seeds_a, seeds_b, assume_unique=True, return_indices=True
+    )
+    return runs_a[places_a], runs_b[places_b]
+
+
+def _better(bounds: Interval | None, metric: Metric) -> Literal["a", "b"] | None:
+    """The better side, from the interval of b - a; None if no side is better."""
+    if bounds is None or metric.better is None or 0.0 in bounds:
+        return None
+    is_b_greater = bounds.low > 0.0
+    is_more_better = metric.better == "more"
+    return "b" if is_b_greater == is_more_better else "a"
 
 
 def _duration(side: Side) -> float:

@@ -75,7 +75,8 @@ def write_mcap(trace: Trace, path: Path) -> None:
 
     Topics of each robot:
 
-    - `ground_truth`: Odometry with the true pose and speed in the arena's frame, named odom here;
+    - `ground_truth`: Odometry with the true pose and speed in the arena's frame, whose name in the
+      messages is odom;
     - `command/safe` and `command/requested`;
     - `report` and `readings`: numbers by name;
     - `status`: JSON of state, reason and reported texts, when one of them changes.
@@ -112,13 +113,8 @@ def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
                 continue
             odometry = Odometry(stamp, _pose(trace.pose[k, i]), _twist(speeds[k, i]))
             yield time_ns, f"/{robot}/ground_truth", messages.odometry_message(odometry)
-            # Safe commands have the same message type. A trace has no numbers of scans: the number
-            # of the instant stands in place of them.
-            safe = messages.requested_message(_twist(trace.safe[k, i]), k, stamp)
-            yield time_ns, f"/{robot}/command/safe", safe
-            if trace.requested is not None:
-                requested = messages.requested_message(_twist(trace.requested[k, i]), k, stamp)
-                yield time_ns, f"/{robot}/command/requested", requested
+            for topic, message in _command_messages(trace, k, i, stamp):
+                yield time_ns, f"/{robot}/{topic}", message
             for topic, arrays in (("report", trace.report), ("readings", trace.readings)):
                 values = {name: float(array[k, i]) for name, array in arrays.items()}
                 known = {name: value for name, value in values.items() if not np.isnan(value)}
@@ -128,6 +124,22 @@ def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
             if status != last_status.get(i):
                 last_status[i] = status
                 yield time_ns, f"/{robot}/status", messages.text_message(status, stamp)
+
+
+def _command_messages(
+    trace: Trace, k: int, i: int, stamp: float
+) -> Iterator[tuple[str, tuple[str, bytes]]]:
+    """The commands of robot `i` at instant `k`: topic, (type, payload).
+
+    The messages of a recording hold the number of a scan. A trace does not know this number, so the
+    messages hold the number of the instant.
+    """
+    from swarmd.recording.messages import requested_message
+
+    yield "command/safe", requested_message(_twist(trace.safe[k, i]), k, stamp)
+    if trace.requested is not None:
+        requested = _twist(trace.requested[k, i])
+        yield "command/requested", requested_message(requested, k, stamp)
 
 
 def _status(trace: Trace, k: int, i: int) -> dict[str, str]:

@@ -104,24 +104,30 @@ def mark_pattern(
     and the reason is `why` of the result.
     """
     run_by_id = {run.id: run for run in plan.runs}
-    jobs = []
-    for run in plan.runs:
-        effective = _with_pattern(run.variant.effective, lesson.pattern, folder)
-        # `guest`: the process of the run is confined to this folder.
-        jobs.append(Job(run.id, effective, run.seed, trace=None, guest=folder))
-    rows: list[Row] = []
+    # `guest` confines the process of the run to the pupil's folder.
+    jobs = [
+        Job(
+            run.id,
+            _with_pattern(run.variant.effective, lesson.pattern, folder),
+            run.seed,
+            trace=None,
+            guest=folder,
+        )
+        for run in plan.runs
+    ]
+    row_by_id: dict[str, Row] = {}
     for result in _bounded(jobs, processes, timeout):
+        run = run_by_id[result.run]
         if result.metrics is None:
             reason = result.reason.rstrip(": ")  # an error without a text ends in a colon
-            return LessonMark(why=f"{run_by_id[result.run].title}: {reason}")
+            return LessonMark(why=f"{run.title}: {reason}")
         if result.metrics["failed_patterns"]:
-            title = run_by_id[result.run].title
-            return LessonMark(why=f"{title}: the pattern raised an error in a step")
-        rows.append(Row(run_by_id[result.run], result.metrics, result.wall))
-    if len(rows) < len(jobs):
-        done = f"{len(rows)} of {len(jobs)} runs"
+            return LessonMark(why=f"{run.title}: the pattern raised an error in a step")
+        row_by_id[run.id] = Row(run, result.metrics, result.wall)
+    if len(row_by_id) < len(jobs):
+        done = f"{len(row_by_id)} of {len(jobs)} runs"
         return LessonMark(why=f"the pattern is too slow: {done} are done after {timeout:g} s")
-    rows.sort(key=lambda row: list(run_by_id).index(row.run.id))  # in the order of the plan
+    rows = [row_by_id[run.id] for run in plan.runs]
     results = Results(folder, plan, rows, {}, tuple(METRICS))
     findings: list[RequirementFinding] = []
     for place, texts in lesson.targets.items():  # FOLDER:VARIANT, or FOLDER for the only variant

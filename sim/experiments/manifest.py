@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -94,19 +94,12 @@ def manifest_of(
     not UTF-8.
     """
     units = _report_units(plan)
-    custom: list[Metric] = []
-    entries: list[OwnMetric] = []
-    for metric in metrics:
-        # A metric of a report or reading gets the unit that the plan's patterns declare.
-        is_reported = metric.name.startswith(PREFIXES)
-        known = metric_of(metric.name, report_units=units) if is_reported else metric
-        custom.append(known)
-        entry = msgspec.convert(known, OwnMetric, from_attributes=True)
-        # A metric without a file has no origin: `metric_of` finds such a metric by its name.
-        entries.append(msgspec.structs.replace(entry, origin=entry.origin or entry.name))
-    names = [metric.name for metric in entries]
-    if (repeated := next((name for name in names if names.count(name) > 1), None)) is not None:
-        raise ConfigError(f"two metrics are named {repeated}; rename a file or a function")
+    # A metric of a report or reading gets the unit that the plan's patterns declare.
+    custom = [
+        metric_of(metric.name, report_units=units) if metric.name.startswith(PREFIXES) else metric
+        for metric in metrics
+    ]
+    _check_names(custom)
     scenario_file = Path(plan.scenario)
     is_file = scenario_file.is_file()  # else the name of a scenario that comes with swarmd
     manifest = Manifest(
@@ -126,7 +119,7 @@ def manifest_of(
         plugins={**digests_of_folders(plugin_folders(plan)), **digests_of_metrics(custom)},
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
-        metrics=entries,
+        metrics=[_entry(metric) for metric in custom],
         shown=[*shown],
         report_units=units,
     )
@@ -135,6 +128,22 @@ def manifest_of(
     except UnicodeEncodeError as error:
         as_text(error.object)  # raises ConfigError that names the text
     return manifest
+
+
+def _check_names(metrics: Sequence[Metric]) -> None:
+    """ConfigError if two metrics have the same name."""
+    names = [metric.name for metric in metrics]
+    if (repeated := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise ConfigError(f"two metrics are named {repeated}; rename a file or a function")
+
+
+def _entry(metric: Metric) -> OwnMetric:
+    """The entry of a custom metric, with the origin by which `metric_of` finds the metric again.
+
+    The origin of a metric that is not in a file is its name.
+    """
+    entry = msgspec.convert(metric, OwnMetric, from_attributes=True)
+    return msgspec.structs.replace(entry, origin=entry.origin or entry.name)
 
 
 def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +13,7 @@ from msgspec import structs
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
-from swarmd.sim.experiments.plan import Run, parts_of
+from swarmd.sim.experiments.plan import Plan, Run, parts_of
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.store import (
     Row,
@@ -33,37 +33,29 @@ def merge(
     """Join the parts of an experiment, in `folders`, into the folder `out`.
 
     Returns the results, and a line for each part that lacks runs. Except for the durations of runs,
-    `out` equals the folder of an experiment on one machine. Parts may have common runs, and `out`
-    may hold parts from an earlier call. Parts from different processors are joined, and the
-    manifest names all processors. ConfigError, before any change of `out`, if the parts are of
-    different experiments or software, have different results of one run, or lack a trace.
-    `is_trusted`: metrics in Python files run even if the files are new or have changed.
+    `out` equals the folder of an experiment on one machine.
+
+    - Parts may have common runs, and `out` may hold parts from an earlier call.
+    - Parts from different processors are joined; the manifest names all processors.
+    - `is_trusted`: metrics in Python files run even if the files are new or have changed.
+
+    ConfigError, before any change of `out`, if the parts are of different experiments or software,
+    have different results of one run, or lack a trace.
     """
-    # 1. Manifests and tables of the parts, which must agree.
     if out.resolve() in [folder.resolve() for folder in folders]:
         raise ConfigError(f"--out {out} is one of the parts; name another folder")
     parts = {folder: read_manifest(folder) for folder in folders}
     whole = _whole(parts, out)  # the manifest of the experiment that was divided
-    tables = {folder: read_table(folder, part.plan) for folder, part in parts.items()}
+    plans = {folder: part.plan for folder, part in parts.items()}
     if (out / "manifest.json").exists():
-        tables[out] = read_table(out, read_manifest(out).plan)
-    row_of_run: dict[str, tuple[Row, Path]] = {}  # with the folder of the first part that has it
-    for folder, (_, rows) in tables.items():
-        for name, row in rows.items():
-            first_row, first_folder = row_of_run.setdefault(name, (row, folder))
-            _check_same(first_row, first_folder, row, folder, has_traces=whole.traces)
-    for (folder, (metrics, _)), (next_folder, (next_metrics, _)) in pairwise(tables.items()):
-        if metrics != next_metrics:
-            text = f"{folder} and {next_folder}: their metrics differ"
-            raise ConfigError(f"{text}; merge parts of one version")
-
-    # 2. Rows, traces and failures go to `out`, except for runs that `out` already has.
+        plans[out] = read_manifest(out).plan
+    metrics, finished_runs = _joined_tables(plans, has_traces=whole.traces)
     errors = {run: error for folder in parts for run, error in read_errors(folder).items()}
     failures = {run: fault for folder in parts for run, fault in read_failures(folder).items()}
-    with open_store(out, whole, metrics=next(iter(tables.values()))[0]) as store:
-        for run in store.missing:
-            if run.id in row_of_run:
-                row, folder = row_of_run[run.id]
+    with open_store(out, whole, metrics) as store:
+        for run in store.missing:  # the runs that `out` does not have already
+            if run.id in finished_runs:
+                row, folder = finished_runs[run.id]
                 if (trace := store.trace_of(run)) is not None:  # the experiment keeps traces
                     _copy(trace_path(folder, run), trace)
                 store.add(run, row.metrics, row.wall, errors.get(run.id))
@@ -72,6 +64,27 @@ def merge(
         results = load_results(out, is_trusted=is_trusted)
         store.close(results.document())
         return results, _missing_runs(parts, store.missing)
+
+
+def _joined_tables(
+    plans: Mapping[Path, Plan], *, has_traces: bool
+) -> tuple[tuple[str, ...], dict[str, tuple[Row, Path]]]:
+    """The names of the metrics, and by run the row and the first folder that has the run.
+
+    `plans`: by folder. ConfigError if two folders differ in their metrics, or in a common run.
+    """
+    tables = {folder: read_table(folder, plan) for folder, plan in plans.items()}
+    finished_runs: dict[str, tuple[Row, Path]] = {}
+    for folder, (_, rows) in tables.items():
+        for run, row in rows.items():
+            first_row, first_folder = finished_runs.setdefault(run, (row, folder))
+            _check_same(first_row, first_folder, row, folder, has_traces=has_traces)
+    metrics_of = {folder: metrics for folder, (metrics, _) in tables.items()}
+    for folder, next_folder in pairwise(metrics_of):
+        if metrics_of[folder] != metrics_of[next_folder]:
+            text = f"{folder} and {next_folder}: their metrics differ"
+            raise ConfigError(f"{text}; merge parts of one version")
+    return next(iter(metrics_of.values())), finished_runs
 
 
 def _whole(parts: dict[Path, Manifest], out: Path) -> Manifest:
@@ -151,18 +164,23 @@ def _missing_runs(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[s
             lines.append(f"{name}: {count}: {_listed(missing_of_part)}")
     unplanned = [run.id for run in missing if run.id not in planned]
     if unplanned:
-        # An absent part can be named, such as 3/40, only if the number behind the slash is the same
-        # for all given parts.
-        counts = {part.shard.of if part.shard else 1 for part in parts.values()}
-        absent_parts = ""
-        if len(counts) == 1:
-            (part_count,) = counts
-            all_runs = replace(next(iter(parts.values())).plan, shard=None).runs
-            part_by_run = parts_of(all_runs, part_count)
-            numbers = sorted({part_by_run[run] for run in unplanned})
-            absent_parts = f"part {_listed([f'{number}/{part_count}' for number in numbers])}, "
-        lines.append(f"{absent_parts}in no folder: {_listed(unplanned)}")
+        lines.append(f"{_absent_parts(parts, unplanned)}in no folder: {_listed(unplanned)}")
     return lines
+
+
+def _absent_parts(parts: dict[Path, Manifest], unplanned: Sequence[str]) -> str:
+    """The parts to which runs belong that no given part plans, such as "part 3/40, ".
+
+    Empty if the given parts are of different numbers of parts: then the division is not known.
+    """
+    counts = {part.shard.of if part.shard else 1 for part in parts.values()}
+    if len(counts) > 1:
+        return ""
+    (count,) = counts
+    all_runs = replace(next(iter(parts.values())).plan, shard=None).runs
+    part_by_run = parts_of(all_runs, count)
+    numbers = sorted({part_by_run[run] for run in unplanned})
+    return f"part {_listed([f'{number}/{count}' for number in numbers])}, "
 
 
 def _listed(names: Sequence[str]) -> str:

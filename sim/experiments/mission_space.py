@@ -261,57 +261,62 @@ def mission_file_space(
 ) -> MissionFileSpace:
     """The search space of numbers in the mission's file at `path`, for a tuning of `scenario`.
 
-    `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; if empty, all
-    probabilities of the file are searched. `folder`: where the missions of candidates are written.
-    ConfigError if the file or a word is wrong, or if the scenario cannot run the candidates: no
-    robot runs a pattern from the start, a replaced pattern has parameters, or another pattern of
-    the scenario is a file of its plugin_dir.
+    - `words`: dotted keys with ranges, such as `sequence.0.until.probability=0.01..1`; if empty,
+      all probabilities of the file are searched.
+    - `folder`: where the missions of candidates are written.
+
+    ConfigError if the file or a word is wrong. ConfigError also if the scenario cannot run the
+    candidates: no robot runs a pattern from the start, a replaced pattern has parameters, or
+    another pattern of the scenario is a file of its plugin_dir.
     """
-    # 1. The file must be a valid mission. Patterns of the scenario's plugin_dir cannot be found
-    # beside it, since `folder` replaces plugin_dir.
     data = read(path)
     installed = pattern_names(None)
+    # Patterns of the scenario's plugin_dir are not found, since the candidates' folder replaces it.
     find = PatternLoader(
         {name: (origin.value, origin.is_file) for name, origin in installed.items()}
     )
     mission_class(path, find)  # raises ConfigError for a fault of the file
-    name = path.stem
     for pattern in patterns_of(scenario):
-        if scenario.plugin_dir is not None and pattern not in (name, *installed):
+        if scenario.plugin_dir is not None and pattern not in (path.stem, *installed):
             raise ConfigError(
                 f"--mission and pattern {pattern} of {scenario.plugin_dir}: candidates lie in a"
                 " folder of their own; install this pattern as a package"
             )
-
-    # 2. The groups that run the candidates: those that run this file from the start, else all that
-    # run any pattern from the start. `is_present`: the scenario itself runs this file.
-    origin = pattern_names(scenario.plugin_dir).get(name)
-    is_this_file = origin is not None and is_same_file(origin.value, str(path))
-    groups = _groups(scenario, name if is_this_file else "")
-    is_present = is_this_file and bool(groups)
-    groups = groups or _groups(scenario)
-    _check_groups(scenario, groups, name)
-
-    # 3. The numbers to search.
-    parameters = []
-    for word in words or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]:
-        parameter = file_parameter(word, data, shown(path))
-        if parameter.present is None or isinstance(parameter.present, dict | list):
-            is_missing = parameter.present is None
-            fault = "has no such value" if is_missing else f"has {brief(parameter.present)}"
-            raise ConfigError(
-                f"{SOURCE} {parameter.key}: {shown(path)} {fault}; expected one value there"
-            )
-        parameters.append(parameter)
+    # The candidates replace the file; if no group runs the file, they replace all patterns.
+    groups_of_file = _groups_of_file(scenario, path)
+    groups = groups_of_file or _groups(scenario)
+    _check_groups(scenario, groups, path.stem)
+    words = list(words) or [f"{key}={_SPAN}" for key in _probabilities(data, shown(path))]
+    parameters = [_number_of_file(word, data, path) for word in words]
     if not parameters:
         raise ConfigError(
             f"--mission {shown(path)}: has no probability; name what is searched with"
             f" {SOURCE} KEY=LO..HI, such as sequence.0.until.timeout=5..60"
         )
     check_keys(parameters)
+    is_present = bool(groups_of_file)
     space = MissionFileSpace(groups, path, data, parameters, folder, is_present=is_present)
     _check_values(space, path, find)
     return space
+
+
+def _groups_of_file(scenario: Scenario, path: Path) -> tuple[str, ...]:
+    """The groups that run the mission's file at `path` from the start."""
+    origin = pattern_names(scenario.plugin_dir).get(path.stem)
+    is_this_file = origin is not None and is_same_file(origin.value, str(path))
+    return _groups(scenario, path.stem) if is_this_file else ()
+
+
+def _number_of_file(word: str, data: Mapping[str, Any], path: Path) -> Parameter:
+    """The parameter that `word` names in `data`; ConfigError unless the file has a value there."""
+    parameter = file_parameter(word, data, shown(path))
+    if parameter.present is None or isinstance(parameter.present, dict | list):
+        is_missing = parameter.present is None
+        fault = "has no such value" if is_missing else f"has {brief(parameter.present)}"
+        raise ConfigError(
+            f"{SOURCE} {parameter.key}: {shown(path)} {fault}; expected one value there"
+        )
+    return parameter
 
 
 def _check_values(space: MissionFileSpace, path: Path, find: Find) -> None:
@@ -345,7 +350,6 @@ def mission_space(
     pattern or a condition is unknown, if no group runs a pattern from the start, if a replaced
     pattern has parameters, or if the scenario has a plugin_dir.
     """
-    # 1. Patterns and groups.
     modules = tuple(dict.fromkeys(name.strip() for name in modules if name.strip()))
     known = pattern_names(None)
     if not modules:
@@ -361,28 +365,33 @@ def mission_space(
     groups = _groups(scenario)
     _check_groups(scenario, groups)
 
-    # 2. Bounds of conditions.
     ranges = dict(RANGES)
-    robots_of_groups = [robot for name in groups for robot in scenario.groups[name]]
+    robots = [robot for name in groups for robot in scenario.groups[name]]
     for word in words:
-        key = word.partition("=")[0]
-        is_reading = key.startswith(READING) and key != READING  # with a name behind the prefix
-        if key not in (*RANGES, NEIGHBORS) and not is_reading:
-            wanted = ", ".join((*RANGES, NEIGHBORS, f"{READING}NAME"))
-            raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
-        low, high = parse_range(word)
-        if key in RANGES and low <= 0.0:
-            raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1")
-        if key == PROBABILITY and high > 1.0:
-            raise ConfigError(f"{SOURCE} {word}: expected bounds up to 1, such as {key}=0.01..1")
-        are_whole = low.is_integer() and high.is_integer()
-        if key == NEIGHBORS and (low < 0.0 or not are_whole):
-            raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..6")
-        for robot in robots_of_groups:
-            if is_reading and key not in scenario.robots[robot].provides:
+        key, bounds = _condition_bounds(word)
+        for robot in robots:
+            if key.startswith(READING) and key not in scenario.robots[robot].provides:
                 raise ConfigError(f"{SOURCE} {key}: {robot} has no such reading; leave it out")
-        ranges[key] = (low, high)
+        ranges[key] = bounds
     return MissionSpace(groups, modules, ranges, folder)
+
+
+def _condition_bounds(word: str) -> tuple[str, tuple[float, float]]:
+    """The condition of KEY=LO..HI and its bounds; ConfigError for an unknown key, or bad bounds."""
+    key = word.partition("=")[0]
+    is_reading = key.startswith(READING) and key != READING  # with a name behind the prefix
+    if key not in (*RANGES, NEIGHBORS) and not is_reading:
+        wanted = ", ".join((*RANGES, NEIGHBORS, f"{READING}NAME"))
+        raise ConfigError(f"{SOURCE} {key}: with --mission it is one of {wanted}")
+    low, high = parse_range(word)
+    if key in RANGES and low <= 0.0:
+        raise ConfigError(f"{SOURCE} {word}: expected bounds above 0, such as {key}=0.5..1")
+    if key == PROBABILITY and high > 1.0:
+        raise ConfigError(f"{SOURCE} {word}: expected bounds up to 1, such as {key}=0.01..1")
+    are_whole = low.is_integer() and high.is_integer()
+    if key == NEIGHBORS and (low < 0.0 or not are_whole):
+        raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..6")
+    return key, (low, high)
 
 
 def _groups(scenario: Scenario, pattern: str = "") -> tuple[str, ...]:

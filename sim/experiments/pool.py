@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import msgspec
 
@@ -31,6 +31,7 @@ from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
 
 STEP_TIMEOUT = 60.0
 """Limit in s of wall time for one step of a simulation, for the set-up of a simulation, and for the
@@ -106,19 +107,15 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
     """
     start_time = time.perf_counter()
     try:
-        # Less than the pool's time-out, so that this error comes first: it names the process of
-        # the run that hangs.
+        # Less than the pool's time-out, so that the error of `simulate_run` comes before that of
+        # the pool: it names the process of the run that hangs.
         timeout = _SHARE_OF_TIMEOUT * job.timeout
         scenario = scenario_of(job.effective)
         trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=timeout)
-        metrics, errors = measure(trace), dict[str, str]()
+        metrics = measure(trace)
         if job.metrics and on_progress is not None:
-            on_progress(OWN_METRICS)  # the share 0.999: custom metrics are measured
-        for metric in (metric_of(origin, digest) for origin, digest in job.metrics.items()):
-            try:
-                metrics |= measure(trace, [metric])
-            except MetricError as error:
-                metrics[metric.name], errors[metric.name] = None, one_line(str(error))
+            on_progress(OWN_METRICS)  # from here on the time-out also limits custom metrics
+        custom_metrics, errors = _custom_metrics(trace, job.metrics)
     except SwarmError as error:
         return JobResult(job.run, reason=one_line(str(error)))
     except Exception as error:
@@ -130,7 +127,24 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         except OSError as error:
             remove_partial(job.trace)
             return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
-    return JobResult(job.run, metrics, time.perf_counter() - start_time, errors=errors)
+    wall = time.perf_counter() - start_time
+    return JobResult(job.run, {**metrics, **custom_metrics}, wall, errors=errors)
+
+
+def _custom_metrics(
+    trace: Trace, digests: Mapping[str, str]
+) -> tuple[dict[str, float | None], dict[str, str]]:
+    """Custom metrics of a trace by name, None after an error; and the errors by name.
+
+    `digests`: of the code by origin.
+    """
+    metrics, errors = dict[str, float | None](), dict[str, str]()
+    for metric in (metric_of(origin, digest) for origin, digest in digests.items()):
+        try:
+            metrics |= measure(trace, [metric])
+        except MetricError as error:
+            metrics[metric.name], errors[metric.name] = None, one_line(str(error))
+    return metrics, errors
 
 
 def remove_partial(trace: Path | None) -> None:
@@ -171,13 +185,14 @@ def run_jobs(
         while workers:
             readable_pipes = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
-            # Limited: time in which this process and its workers were suspended is no silence.
-            elapsed, last_poll = min(now - last_poll, 2.0 * _POLL_PERIOD), now
+            # Limited: while this process and its workers were suspended, no worker was silent.
+            silence = min(now - last_poll, 2.0 * _POLL_PERIOD)
+            last_poll = now
             for pipe, worker in list(workers.items()):
                 if pipe in readable_pipes:
                     result = worker.receive()  # None for a report of progress
                 else:
-                    result = worker.add_silence(elapsed, timeout)  # a failure after `timeout` s
+                    result = worker.add_silence(silence, timeout)  # None before the time-out
                 if result is None:
                     continue
                 if worker.is_alive and waiting:
@@ -346,17 +361,26 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         os._exit(0)  # without waiting for threads of a pattern
     os.close(write_end)
     _, status = os.waitpid(child_pid, 0)
-    # A byte, or b"" if the pipe is empty and no process can write into it. If a process that the
-    # pattern has forked still holds write_end, a read without a byte would block: BlockingIOError.
+    if not _has_byte(read_end):
+        _end_like(os.waitstatus_to_exitcode(status))
+    os.close(read_end)
+
+
+def _has_byte(read_end: int) -> bool:
+    """True if a pipe, whose writer has ended, holds a byte.
+
+    A process that the pattern has forked may still hold the writing end. Then a read of an empty
+    pipe would block, so the read end is set to raise BlockingIOError.
+    """
     os.set_blocking(read_end, False)
-    has_result = False
     with suppress(BlockingIOError):
-        has_result = os.read(read_end, 1) == b"1"
-    if has_result:
-        os.close(read_end)
-        return
-    exit_code = os.waitstatus_to_exitcode(status)
-    if exit_code < 0:  # a signal
+        return os.read(read_end, 1) == b"1"
+    return False
+
+
+def _end_like(exit_code: int) -> NoReturn:
+    """End this process with an exit code, or by the signal that a negative exit code means."""
+    if exit_code < 0:
         with suppress(OSError, ValueError):  # SIGKILL has no handler
             signal.signal(-exit_code, signal.SIG_DFL)
         os.kill(os.getpid(), -exit_code)

@@ -5,8 +5,8 @@ configuring metaheuristics", GECCO 2002. Each seed is a block in which the candi
 Three or more candidates: the Friedman test in its F form (Iman-Davenport), then, if that test
 rejects, Conover's comparison of each candidate with the leader (W. J. Conover, Practical
 Nonparametric Statistics, 3rd edition 1999, chapter 5.8). Two candidates: Wilcoxon's signed-rank
-test. Ranks need no normal scatter, which metrics of swarms do not have. A failed run has a rank,
-too.
+test. Rank tests are used, since metrics of swarms do not scatter normally, and since a failed run
+has a rank, too.
 
 A look is an interim analysis of a race, after a number of seeds. Unlike F-race, the level is
 divided by the number of looks, and at each look by the number of comparisons with the leader
@@ -48,40 +48,57 @@ def losers(losses: Array, level: float) -> list[int]:
     candidates: Wilcoxon's signed-rank test. More: the Friedman test in the Iman-Davenport form,
     then Conover's comparison with the leader. Empty with fewer than two seeds or candidates.
     """
-    from scipy.stats import f, rankdata, t, wilcoxon
+    from scipy.stats import rankdata, t
 
-    n, k = losses.shape  # seeds, candidates
-    if n < 2 or k < 2:
+    seeds, candidates = losses.shape
+    if seeds < 2 or candidates < 2:
         return []
+    if candidates == 2:
+        return _loser_of_two(losses, level)
     ranks = rankdata(losses, axis=1)
+    if not _friedman_rejects(ranks, level):
+        return []
+    # Conover's least significant difference of rank sums, one-sided. The level is divided by the
+    # number of comparisons with the leader (Bonferroni).
     sums = ranks.sum(axis=0)
-    leader = int(sums.argmin())
+    freedom = (seeds - 1) * (candidates - 1)
+    scatter = max(seeds * float((ranks**2).sum()) - float((sums**2).sum()), 0.0)
+    error = 2.0 * scatter / freedom
+    quantile = float(t.isf(level / (candidates - 1), freedom))
+    bound = max(quantile * math.sqrt(error), _ROUNDING)
+    return [column for column in range(candidates) if sums[column] - sums.min() > bound]
 
-    if k == 2:
-        follower = 1 - leader
-        excess = _differences(losses[:, leader], losses[:, follower])
-        if not excess.any():
-            return []
-        return [follower] if float(wilcoxon(excess).pvalue) <= level else []
 
-    # Friedman's statistic T1, with ties; Conover 1999, chapter 5.8.
+def _loser_of_two(losses: Array, level: float) -> list[int]:
+    """As `losers`, for two candidates: Wilcoxon's signed-rank test."""
+    from scipy.stats import rankdata, wilcoxon
+
+    leader = int(rankdata(losses, axis=1).sum(axis=0).argmin())
+    follower = 1 - leader
+    excess = _differences(losses[:, leader], losses[:, follower])
+    if not excess.any():
+        return []
+    return [follower] if float(wilcoxon(excess).pvalue) <= level else []
+
+
+def _friedman_rejects(ranks: Array, level: float) -> bool:
+    """True if the Friedman test in the Iman-Davenport form finds that the candidates differ.
+
+    `ranks` (seeds, candidates), with ties. T1 and T2 as in Conover 1999, chapter 5.8.
+    """
+    from scipy.stats import f
+
+    n, k = ranks.shape
+    sums = ranks.sum(axis=0)
     scatter = float((ranks**2).sum()) - n * k * (k + 1) ** 2 / 4.0
     if scatter <= 0.0:  # all candidates are equal on each seed
-        return []
+        return False
     t1 = (k - 1) * float(((sums - n * (k + 1) / 2.0) ** 2).sum()) / scatter
-    # T2, the F form of T1 (Iman-Davenport). T2 is infinite if all seeds give the same order; the
-    # test then rejects.
-    t1_margin = n * (k - 1) - t1  # 0 for the same order on all seeds
-    freedom = (n - 1) * (k - 1)
-    if t1_margin > _ROUNDING * n:
-        t2 = (n - 1) * t1 / t1_margin
-        if f.sf(t2, k - 1, freedom) > level:
-            return []
-    # Conover's least significant difference of rank sums, one-sided. The level is divided by the
-    # k - 1 comparisons with the leader (Bonferroni).
-    error = 2.0 * max(n * float((ranks**2).sum()) - float((sums**2).sum()), 0.0) / freedom
-    bound = max(float(t.isf(level / (k - 1), freedom)) * math.sqrt(error), _ROUNDING)
-    return [column for column in range(k) if sums[column] - sums[leader] > bound]
+    t1_margin = n * (k - 1) - t1
+    if t1_margin <= _ROUNDING * n:  # 0, and T2 infinite: all seeds give the same order
+        return True
+    t2 = (n - 1) * t1 / t1_margin
+    return bool(f.sf(t2, k - 1, (n - 1) * (k - 1)) <= level)
 
 
 def mean_loss(losses: Sequence[float]) -> tuple[int, float]:

@@ -50,12 +50,17 @@ def rerun(
 ) -> dict[str, str]:
     """Repeat the experiment in `folder`; returns, by run id, how each finished run now differs.
 
-    An empty text: the traces are equal bit by bit; without traces, the metrics are equal. Runs are
-    repeated from the manifest alone, and nothing in `folder` changes. With `out`, all runs are
-    repeated in this folder. Without, the finished runs are repeated in a temporary folder.
-    `processes`: runs at a time. `timeout`: s without progress, then a run fails. `is_trusted`:
-    Python files that the manifest names run unchecked. ConfigError if `folder` is no experiment,
-    has no finished run, or is `out`, and if a Python file is not trusted (see `warnings` above).
+    The text of a run is empty if the traces are equal bit by bit, or, without traces, if the
+    metrics are equal. Runs are repeated from the manifest alone, and nothing in `folder` changes.
+
+    - `out`: the folder in which all runs are repeated. None: the finished runs are repeated in a
+      temporary folder.
+    - `processes`: runs at a time.
+    - `timeout`: a run fails after this time in s without progress.
+    - `is_trusted`: Python files that the manifest names run unchecked.
+
+    ConfigError if `folder` is no experiment, has no finished run, or is `out`. ConfigError also if
+    a Python file is not trusted (see `warnings` above).
     """
     before = load_results(folder)
     if not before.runs:

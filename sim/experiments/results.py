@@ -302,34 +302,40 @@ class Results:
 
     def text(self, names: Sequence[str | Metric] | None = None) -> str:
         """A table for each variant with the metrics `names`; None: all that have a value."""
+        lines = self._head_lines()
+        tables = {variant: self._summaries(variant, names) for variant in self.variants}
+        if names is not None:
+            shown = {metric.name for metric in map(self.about, names)}
+        else:
+            shown = {
+                metric.name
+                for table in tables.values()
+                for metric, summary in table
+                if summary.n or summary.never
+            }
+        for variant, table in tables.items():
+            lines += ["", variant] if variant else [""]
+            rows = [row for row in table if row[0].name in shown]
+            lines += statistics.aligned(statistics.HEADER, statistics.summary_rows(rows))
+        if names is None and self._rows:
+            left_out = [name for name in self.metrics if name not in shown]
+            if left_out:
+                lines += ["", f"without a value in any run: {', '.join(left_out)}"]
+        return "\n".join(lines)
+
+    def _head_lines(self) -> list[str]:
+        """The number of runs, the speed, and a line about kernels that are not compiled."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
         count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
         lines = [f"{self.plan.scenario}: {part}{count}{failed}"]
         if (speed := self._speed()) is not None:
-            some = (
-                f"{speed['median']:.3g} times real time ({speed['min']:.3g} to {speed['max']:.3g})"
-            )
-            lines.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
+            least_and_most = f"{speed['min']:.3g} to {speed['max']:.3g}"
+            each = f"{speed['median']:.3g} times real time ({least_and_most})"
+            lines.append(f"each run: {each}; all runs: {sum(row.wall for row in self._rows):.3g} s")
         if self.kernels not in ("", "compiled"):
             lines.append(f"kernels: {self.kernels}")
-        tables = {variant: self._summaries(variant, names) for variant in self.variants}
-        has_runs = {
-            metric.name
-            for table in tables.values()
-            for metric, summary in table
-            if summary.n or summary.never
-        }
-        # `names` were asked for; of all metrics, those without any value are one line.
-        shown = has_runs if names is None else {metric.name for metric in map(self.about, names)}
-        for variant, table in tables.items():
-            lines += ["", variant] if variant else [""]
-            rows = [row for row in table if row[0].name in shown]
-            lines += statistics.aligned(statistics.HEADER, statistics.summary_rows(rows))
-        left_out = [name for name in self.metrics if name not in shown] if names is None else []
-        if self._rows and left_out:
-            lines += ["", f"without a value in any run: {', '.join(left_out)}"]
-        return "\n".join(lines)
+        return lines
 
     def __str__(self) -> str:
         return self.text()
@@ -383,11 +389,11 @@ def known_metrics(manifest: Manifest, folder: Path, *, is_trusted: bool) -> dict
 
 @dataclass(frozen=True)
 class _Code:
-    """The code of a metric that the results in `folder` name, imported when a value is measured.
+    """The code of a metric that the results in `folder` name.
 
-    Not earlier: recorded values can be shown without the code. `digest`: SHA-256 of the code that
-    the runs used. ConfigError, when a value is measured, if the code is new, has changed or has
-    never been run by this user, unless `is_trusted`.
+    The code is imported when a value is measured, since recorded values can be shown without it.
+    `digest`: SHA-256 of the code that the runs used. If the code is new, has changed or has never
+    been run by this user, measuring raises ConfigError, unless `is_trusted`.
     """
 
     folder: Path

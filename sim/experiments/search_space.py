@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.numbers import finite_number
@@ -144,6 +144,15 @@ class ParameterSpace:
         )
 
 
+class Declared(NamedTuple):
+    """A parameter of a pattern with its declared bounds."""
+
+    parameter: Parameter
+    exclusion: str
+    """Why a tuning leaves the parameter out unless the user gives bounds; empty if the declared
+    bounds suffice."""
+
+
 def parameter_space(
     scenario: Scenario, words: Iterable[str] = (), on_note: Callable[[str], object] = str
 ) -> ParameterSpace:
@@ -151,31 +160,36 @@ def parameter_space(
 
     `words`: each is KEY=LO..HI, KEY=A,B,C or KEY. KEY is a dotted key of the scenario, or the name
     of a pattern's parameter. KEY alone stands for the parameter's declared bounds. Without words,
-    the space has all parameters of the scenario's patterns whose declaration has bounds. `on_note`
-    is called with a line about each other parameter, except those that every pattern has, such as
-    `recovery`. ConfigError names the wrong word.
+    the space has all parameters of the scenario's patterns whose declaration has bounds, and
+    `on_note` is called with a line about each parameter without. ConfigError names the wrong word.
     """
     declared = _declared(scenario)
-    words = list(words)
-    if not words:
-        parameters = []
-        for parameter, exclusion in declared:
-            if not exclusion:
-                parameters.append(parameter)
-            elif parameter.param not in Params.__struct_fields__:  # of this pattern alone
-                name = parameter.name
-                on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
-        if not parameters:
-            raise ConfigError(
-                f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
-                f" {SOURCE} {_EXAMPLE}"
-            )
-    else:
-        parameters = [
-            _parameter(word, declared, scenario.effective, "the scenario") for word in words
-        ]
+    parameters = [_parameter(word, declared, scenario.effective, "the scenario") for word in words]
+    if not parameters:
+        parameters = _bounded(declared, on_note)
+    if not parameters:
+        raise ConfigError(
+            f"scenario {scenario.name} runs no pattern with parameters to tune; name keys with"
+            f" {SOURCE} {_EXAMPLE}"
+        )
     check_keys(parameters)
     return ParameterSpace(parameters)
+
+
+def _bounded(declared: Sequence[Declared], on_note: Callable[[str], object]) -> list[Parameter]:
+    """The parameters that are tuned by default; `on_note` gets a line about each other parameter.
+
+    The parameters of all patterns, such as `recovery`, get no line.
+    """
+    parameters = []
+    for parameter, exclusion in declared:
+        is_of_all_patterns = parameter.param in Params.__struct_fields__
+        if not exclusion:
+            parameters.append(parameter)
+        elif not is_of_all_patterns:
+            name = parameter.name
+            on_note(f"{name} is not tuned: {exclusion}; name it with {SOURCE} {name}=LO..HI")
+    return parameters
 
 
 def file_parameter(word: str, data: Mapping[str, Any], what: str) -> Parameter:
@@ -211,12 +225,11 @@ def patterns_of(scenario: Scenario) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
-    """Each parameter of the scenario's patterns with its declared bounds, and an exclusion.
+def _declared(scenario: Scenario) -> list[Declared]:
+    """Each parameter of the scenario's patterns.
 
-    The exclusion is a text: why a tuning leaves the parameter out unless the user gives bounds. It
-    is "" if the declared bounds suffice. A speed's bounds are also limited to plus and minus the
-    speed limit of the slowest robot that runs the pattern.
+    The bounds of a speed are also limited to plus and minus the speed limit of the slowest robot
+    that runs the pattern.
     """
     origins = pattern_names(scenario.plugin_dir)
     load = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -244,29 +257,29 @@ def _declared(scenario: Scenario) -> list[tuple[Parameter, str]]:
     return declared
 
 
-def _with_bounds(
-    parameter: Parameter, spec: ParamSpec, platform: Platform
-) -> tuple[Parameter, str]:
-    """The parameter with its declared bounds or choices, and the exclusion of `_declared`."""
+def _with_bounds(parameter: Parameter, spec: ParamSpec, platform: Platform) -> Declared:
+    """The parameter with its declared bounds or choices, limited to the speeds of `platform`."""
     if spec.name in Params.__struct_fields__:
-        return replace(parameter, choices=spec.choices or (True, False)), "it is a parameter of all"
+        choices = spec.choices or (True, False)
+        return Declared(replace(parameter, choices=choices), "it is a parameter of all")
     if spec.choices:
-        return replace(parameter, choices=spec.choices), ""
+        return Declared(replace(parameter, choices=spec.choices), "")
     if spec.type == "bool":
-        return replace(parameter, choices=(False, True)), ""
+        return Declared(replace(parameter, choices=(False, True)), "")
     if spec.type == "str":
-        return parameter, "it is any text"
+        return Declared(parameter, "it is any text")
     parameter = replace(parameter, is_int=spec.type == "int")
     if spec.ge is None or spec.le is None:
-        return parameter, f"it has no {'lower' if spec.ge is None else 'upper'} bound"
+        return Declared(parameter, f"it has no {'lower' if spec.ge is None else 'upper'} bound")
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
     limit = limits.get(spec.unit, math.inf)
     if spec.name == "lateral" and spec.unit == "m/s":
         limit = platform.limits.lateral
         if limit == 0.0:
-            return parameter, f"{platform.name} does not move sideways"
+            return Declared(parameter, f"{platform.name} does not move sideways")
     low, high = max(spec.ge, -limit), min(spec.le, limit)
-    return replace(parameter, low=low, high=high), "" if low < high else "it has one value"
+    exclusion = "" if low < high else "it has one value"
+    return Declared(replace(parameter, low=low, high=high), exclusion)
 
 
 def _robot_of(scenario: Scenario, pattern: str) -> str:
@@ -298,7 +311,7 @@ def _key(scenario: Scenario, pattern: str, name: str) -> str:
 
 def _parameter(
     word: str,
-    declared: Sequence[tuple[Parameter, str]],
+    declared: Sequence[Declared],
     data: Mapping[str, Any],
     what: str,
 ) -> Parameter:
@@ -308,46 +321,53 @@ def _parameter(
     a dotted key is looked up; messages call it `what`. ConfigError if the word is wrong.
     """
     key, equals, text = (part.strip() for part in word.partition("="))
-    names = [parameter.name for parameter, _ in declared]
-    by_key = {parameter.name: (parameter, exclusion) for parameter, exclusion in declared}
-    by_key |= {parameter.key: (parameter, exclusion) for parameter, exclusion in declared}
-    parameter, exclusion = by_key.get(key, (None, ""))
-
-    # 1. KEY alone: the declared bounds or choices.
+    by_key = {row.parameter.name: row for row in declared}
+    by_key |= {row.parameter.key: row for row in declared}
+    known = by_key.get(key)
+    names = [row.parameter.name for row in declared]
     if not equals:
-        if parameter is None:
+        if known is None:
             raise ConfigError(f"{SOURCE} {unknown('parameter', key, names)}; or give {_EXAMPLE}")
-        if exclusion and not parameter.choices:  # choices need no bounds
-            raise ConfigError(f"{SOURCE} {key}: {exclusion}; give {key}=LO..HI")
-        return parameter
-
-    if parameter is None:
-        if "." not in key:
-            raise ConfigError(
-                f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
-            )
-        parameter = Parameter(key, key, present=_present(data, key))
-    # The word replaces the declared choices or bounds.
-    is_choice = bool(parameter.choices)
-    parameter = replace(parameter, choices=(), low=0.0, high=0.0)
-
-    # 2. KEY=A,B,C: choices.
-    match = _RANGE.fullmatch(text)
-    if match is None:
-        _, values = parse_override(f"{key}={text}", SOURCE, "[{}]")  # read as a YAML list
-        if not values or any(isinstance(value, dict | list) for value in values):
-            raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
-        return replace(parameter, choices=tuple(dict.fromkeys(values)))
-
-    # 3. KEY=LO..HI: a range. A pattern's parameter is searched in whole numbers if its type is int,
-    # any other key of the scenario if both bounds are whole numbers.
-    if is_choice:
+        if known.exclusion and not known.parameter.choices:  # choices need no bounds
+            raise ConfigError(f"{SOURCE} {key}: {known.exclusion}; give {key}=LO..HI")
+        return known.parameter
+    if known is None and "." not in key:
+        raise ConfigError(
+            f"{SOURCE} {unknown('parameter', key, names)}; or give a dotted key of {what}"
+        )
+    parameter = (
+        Parameter(key, key, present=_present(data, key)) if known is None else known.parameter
+    )
+    if _RANGE.fullmatch(text) is None:
+        return _with_choices(parameter, word, f"{key}={text}")
+    if parameter.choices:
         raise ConfigError(f"{SOURCE} {key} has no range; expected values such as {key}=a,b")
+    return _with_range(parameter, word, text)
+
+
+def _with_choices(parameter: Parameter, word: str, text: str) -> Parameter:
+    """The parameter with the choices of `text`, KEY=A,B,C, in place of its bounds or choices.
+
+    `word`: the text as the user gave it.
+    """
+    _, values = parse_override(text, SOURCE, "[{}]")  # read as a YAML list
+    if not values or any(isinstance(value, dict | list) for value in values):
+        raise ConfigError(f"{SOURCE} {word}: expected {_EXAMPLE}")
+    return replace(parameter, choices=tuple(dict.fromkeys(values)), low=0.0, high=0.0)
+
+
+def _with_range(parameter: Parameter, word: str, text: str) -> Parameter:
+    """The parameter with the range `text`, LO..HI, of the word KEY=LO..HI.
+
+    A pattern's parameter is searched in whole numbers if its type is int. Any other key of the
+    scenario is searched in whole numbers if both bounds are whole numbers.
+    """
     low, high = parse_range(word)
-    are_whole = all(re.fullmatch(r"[+-]?\d+", bound) for bound in match.groups())
+    are_whole = all(re.fullmatch(r"[+-]?\d+", bound.strip()) for bound in text.split(".."))
     is_pattern_parameter = bool(parameter.param)
     is_int = parameter.is_int if is_pattern_parameter else are_whole
     if is_int and not are_whole:
+        key = word.partition("=")[0].strip()
         raise ConfigError(f"{SOURCE} {word}: expected whole numbers, such as {key}=1..8")
     return replace(parameter, low=low, high=high, is_int=is_int)
 

@@ -203,6 +203,34 @@ def run_experiment(
         return results
 
 
+class _Work:
+    """The work of an experiment's runs in robot-seconds, for the progress."""
+
+    def __init__(self, work: Mapping[str, float]) -> None:
+        """`work`: of all runs to do, by run."""
+        self.shares: dict[str, float] = {}  # simulated share 0..1 of runs in progress, by run
+        self._work = work
+        self._ended = 0.0  # simulated by runs that have ended
+        self._to_end = sum(work.values())  # of all runs that have not ended
+
+    def end(self, run: str, *, has_failed: bool) -> None:
+        """Count a run that has ended; a failed run has done its last reported share."""
+        last_share = self.shares.pop(run, 0.0)
+        self._ended += self._work[run] * last_share if has_failed else self._work[run]
+        self._to_end -= self._work[run]
+
+    def done_and_left(self) -> tuple[float, float]:
+        """The work that is simulated, and the work that is left.
+
+        The work left is at least the longest run's rest on all workers, since workers without a
+        further run wait for the end of this run.
+        """
+        begun = sum(self._work[run] * share for run, share in self.shares.items())
+        rests = [self._work[run] * (1.0 - share) for run, share in self.shares.items()]
+        longest = max(rests, default=0.0)
+        return self._ended + begun, max(self._to_end - begun, longest * len(self.shares))
+
+
 def _gather(
     store: Store,
     runs: Sequence[Run],
@@ -215,41 +243,30 @@ def _gather(
     share (0..1) of each run in progress. SwarmError if a result cannot be written.
     """
     run_by_id = {run.id: run for run in runs}
-    work = {run.id: run.robot_seconds for run in runs}
+    work = _Work({run.id: run.robot_seconds for run in runs})
     total = len(store.rows) + len(runs)
-    ended_work = 0.0  # robot-seconds that runs which have ended have simulated
-    unended_work = sum(work.values())  # robot-seconds of all runs that have not ended
-    shares: dict[str, float] = {}  # of runs in progress
 
     def report_progress() -> None:
         if on_progress is not None:
             failed = len(store.failures)
-            begun_work = sum(work[run] * share for run, share in shares.items())
-            # The work left is at least the longest run's rest on all workers, since workers without
-            # a further run wait for the end of this run.
-            longest = max((work[run] * (1.0 - share) for run, share in shares.items()), default=0.0)
-            work_left = max(unended_work - begun_work, longest * len(shares))
             done = len(store.rows) + failed
-            on_progress(Progress(done, total, failed, ended_work + begun_work, work_left))
+            on_progress(Progress(done, total, failed, *work.done_and_left()))
 
     with closing(reports):
         report_progress()
         for result in reports:
             if not isinstance(result, JobResult):
-                shares = dict(result)
+                work.shares = dict(result)
                 report_progress()
                 continue
             if result.write_error:
                 text = f"{result.write_error}; {len(store.rows)} finished runs are kept"
                 raise SwarmError(f"{text}: mend it and give the same command again")
-            last_share = shares.pop(result.run, 0.0)
             if result.metrics is None:
                 store.fail(run_by_id[result.run], result.reason)
-                ended_work += work[result.run] * last_share
             else:
                 store.add(run_by_id[result.run], result.metrics, result.wall, result.errors)
-                ended_work += work[result.run]
-            unended_work -= work[result.run]
+            work.end(result.run, has_failed=result.metrics is None)
             report_progress()
 
 

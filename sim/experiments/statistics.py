@@ -244,20 +244,22 @@ def interaction_p(cells: Array, *, has_blocks: bool) -> float | None:
 
     rows, columns, n = cells.shape
     means, all_mean = cells.mean(axis=2), cells.mean()
-    # The cell means if both effects add up, and degrees of freedom of interaction and error.
-    additive = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
+    # The F ratio: the mean square of the interaction over the mean square of the scatter.
+    means_without_interaction = means.mean(axis=1)[:, None] + means.mean(axis=0)[None] - all_mean
+    interaction = n * float(((means - means_without_interaction) ** 2).sum())
+    interaction_freedom = (rows - 1) * (columns - 1)
     residuals = cells - means[:, :, None]
-    error_freedom = rows * columns * (n - 1)
+    scatter_freedom = rows * columns * (n - 1)
     if has_blocks:
-        residuals = residuals - (cells.mean(axis=(0, 1)) - all_mean)
-        error_freedom -= n - 1  # n effects of seeds, whose sum is 0
-    freedom = (rows - 1) * (columns - 1)
-    error = float((residuals**2).sum())
-    has_no_scatter = error <= _ROUNDING * float((cells**2).sum())
-    if not freedom or not error_freedom or has_no_scatter:
+        effects_of_seeds = cells.mean(axis=(0, 1)) - all_mean  # (n,), with the sum 0
+        residuals = residuals - effects_of_seeds
+        scatter_freedom -= n - 1
+    scatter = float((residuals**2).sum())
+    has_no_scatter = scatter <= _ROUNDING * float((cells**2).sum())
+    if not interaction_freedom or not scatter_freedom or has_no_scatter:
         return None
-    ratio = n * float(((means - additive) ** 2).sum()) / freedom / (error / error_freedom)
-    return float(distribution.sf(ratio, freedom, error_freedom))
+    ratio = interaction / interaction_freedom / (scatter / scatter_freedom)
+    return float(distribution.sf(ratio, interaction_freedom, scatter_freedom))
 
 
 @cache

@@ -163,13 +163,44 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
 
     The values of the first key are rows, the values of the second key are columns.
     """
-    # 1. An array (rows, columns, seeds) of the seeds with a value in each variant.
     (row_key, row_values), (column_key, column_values) = results.plan.sweep.items()
-    by_cell: dict[tuple[Any, Any], dict[int, float]] = {}  # values by (row, column) and seed
+    by_cell = _values_by_cell(results, metric, row_key, column_key)
+    common_seeds = sorted(set.intersection(*map(set, by_cell.values())))
+    if not common_seeds:
+        return None
+    row_texts, column_texts = [*map(shown, row_values)], [*map(shown, column_values)]
+    cells = np.array([
+        [[by_cell[row, column][seed] for seed in common_seeds] for column in column_texts]
+        for row in row_texts
+    ])  # fmt: skip
+    row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
+    # Marginal means: of all runs with one value of a key.
+    marginals = (
+        *_marginals(row_name, row_texts, cells.mean(axis=1)),
+        *_marginals(column_name, column_texts, cells.mean(axis=0)),
+    )
+    # Interaction: the cell whose mean is farthest from the sum of both effects.
+    means = cells.mean(axis=2)
+    residuals = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
+    row, column = np.unravel_index(int(np.abs(residuals).argmax()), residuals.shape)
+    largest = f"{row_name}={row_texts[row]},{column_name}={column_texts[column]}"
+    p = interaction_p(cells, has_blocks=True)
+    deviation = float(residuals[row, column])
+    return Factors(metric.name, metric.unit, len(common_seeds), marginals, largest, deviation, p)
+
+
+def _values_by_cell(
+    results: Results, metric: Metric, row_key: str, column_key: str
+) -> dict[tuple[str, str], dict[int, float]]:
+    """The known values by (row, column) as texts, and by seed.
+
+    An event that never happened counts as the duration of the shortest runs.
+    """
+    by_cell = {}
+    horizon = min(_duration(results, name) for name in results.variants)
     for variant in results.plan.variants:
         values = results.metric(metric, variant.name)
         if metric.is_time_to_event:
-            horizon = min(_duration(results, name) for name in results.variants)
             values = restricted(values, horizon)
         seeds = map(int, results.seeds(variant.name))
         cell = shown(variant.values[row_key]), shown(variant.values[column_key])
@@ -178,31 +209,12 @@ def _factors(results: Results, metric: Metric) -> Factors | None:
             for seed, value in zip(seeds, values.tolist(), strict=True)
             if not math.isnan(value)
         }
-    common = sorted(set.intersection(*map(set, by_cell.values())))
-    if not common:
-        return None
-    row_texts, column_texts = [*map(shown, row_values)], [*map(shown, column_values)]
-    row_name, column_name = (key.rpartition(".")[2] for key in (row_key, column_key))
-    cells = np.array(
-        [[[by_cell[a, b][seed] for seed in common] for b in column_texts] for a in row_texts]
-    )
+    return by_cell
 
-    # 2. Marginal means: of all runs with one value of a key, with intervals over seeds.
-    axes = (
-        (row_name, row_texts, cells.mean(axis=1)),
-        (column_name, column_texts, cells.mean(axis=0)),
-    )
-    marginals = [
+
+def _marginals(name: str, texts: Sequence[str], means: Array) -> list[Marginal]:
+    """The effect of each value of a key; `means` (values, seeds), with intervals over seeds."""
+    return [
         Marginal(name, text, float(values.mean()), mean_interval(values))
-        for name, texts, by_text in axes
-        for text, values in zip(texts, by_text, strict=True)
+        for text, values in zip(texts, means, strict=True)
     ]
-
-    # 3. Interaction: the cell whose mean is farthest from the sum of both effects.
-    means = cells.mean(axis=2)
-    residuals = means - means.mean(axis=1)[:, None] - means.mean(axis=0)[None] + means.mean()
-    row, column = np.unravel_index(int(np.abs(residuals).argmax()), residuals.shape)
-    largest = f"{row_name}={row_texts[row]},{column_name}={column_texts[column]}"
-    p = interaction_p(cells, has_blocks=True)
-    deviation = float(residuals[row, column])
-    return Factors(metric.name, metric.unit, len(common), tuple(marginals), largest, deviation, p)

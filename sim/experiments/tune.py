@@ -204,9 +204,9 @@ class Tuning:
     def value(self, candidate: Candidate) -> float:
         """The mean of the metric over the seeds of the races.
 
-        For a candidate that ended early the mean is extrapolated: the mean of the race's leader
-        over all seeds, plus the mean of (candidate - leader) over the seeds that the candidate has
-        run. A failed run counts as the worst run of the race.
+        A failed run counts as the worst run of the race. The mean of a candidate that ended early
+        is extrapolated: it is the mean of the race's leader over all seeds, plus the candidate's
+        mean difference from the leader over the seeds that the candidate has run.
         """
         return candidate.estimate if self.goal == "min" else -candidate.estimate
 
@@ -313,7 +313,6 @@ def tune(
     ConfigError before anything runs if an argument is invalid. SwarmError if all runs of a race
     failed. PluginError without optuna.
     """
-    # 1. Checks of the arguments.
     if find_spec("optuna") is None:
         raise PluginError("tuning needs optuna, not installed; run: pip install 'swarmd[sim,tune]'")
     if jobs < 1 or candidates < 2:
@@ -328,41 +327,24 @@ def tune(
         )
     loaded = load_scenario(str(scenario), set)
     loaded.starts(race_seeds[0])  # ConfigError if there is no room for the robots
-
-    # 2. The search space: numbers of one mission, missions of patterns, or parameters.
-    # Without `out`, the folder is made after these checks, so that a wrong argument leaves none.
-    folder = Path("tuning") if out is None else Path(out)
-    space: Space
-    modules = tuple(mission.split(",") if isinstance(mission, str) else mission)
-    if len(modules) == 1 and modules[0].endswith(SUFFIX):
-        space = mission_file_space(loaded, Path(modules[0]), tuple(param), folder / MISSIONS)
-    elif modules:
-        space = mission_space(loaded, modules, param, folder / MISSIONS)
-    else:
-        space = parameter_space(loaded, param, on_note)
-    if out is None:
-        folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-"))
-        if isinstance(space, Missions):
-            space.folder = folder / MISSIONS
-
-    # 3. The races, then the held-out runs.
-    tuner = _Tuner(
-        scenario=str(scenario),
-        sets=dict(set or {}),
-        loaded=loaded,
-        space=space,
-        metric=parsed_metric,
-        goal=goal,
-        seeds=race_seeds,
-        budget=budget,
-        per_race=candidates,
-        folder=folder,
-        runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
-        on_look=on_look or (lambda look: None),
-        on_step=on_step,
-        on_progress=on_progress,
-    )
+    folder = Path(tempfile.mkdtemp(prefix="swarmd-tune-")) if out is None else Path(out)
     try:
+        tuner = _Tuner(
+            scenario=str(scenario),
+            sets=dict(set or {}),
+            loaded=loaded,
+            space=_space(loaded, tuple(param), mission, folder / MISSIONS, on_note),
+            metric=parsed_metric,
+            goal=goal,
+            seeds=race_seeds,
+            budget=budget,
+            per_race=candidates,
+            folder=folder,
+            runner=partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else run_here,
+            on_look=on_look or (lambda look: None),
+            on_step=on_step,
+            on_progress=on_progress,
+        )
         with ExitStack() as stack:
             if workers is not None:
                 tuner.runner, manifest = stack.enter_context(workers(tuner.manifest()))
@@ -376,6 +358,25 @@ def tune(
     if out is None:
         weakref.finalize(tuning, shutil.rmtree, folder, ignore_errors=True)
     return tuning
+
+
+def _space(
+    scenario: Scenario,
+    param: tuple[str, ...],
+    mission: Iterable[str],
+    missions: Path,
+    on_note: Callable[[str], object],
+) -> Space:
+    """The search space of a tuning, by the arguments `param`, `mission` and `on_note` of `tune`.
+
+    `missions`: the folder for the missions of candidates.
+    """
+    words = tuple(mission.split(",") if isinstance(mission, str) else mission)
+    if not words:
+        return parameter_space(scenario, param, on_note)
+    if len(words) == 1 and words[0].endswith(SUFFIX):
+        return mission_file_space(scenario, Path(words[0]), param, missions)
+    return mission_space(scenario, words, param, missions)
 
 
 def _held_out(given: int | Iterable[int], race_seeds: Sequence[int]) -> tuple[int, ...]:
@@ -427,37 +428,29 @@ class _Tuner:
         self.candidates.append(present)
         best = present
         while True:
-            # 1. New candidates, as many as the budget allows, or as many as the recorded race has.
             index = len(self.races)
+            is_first = index == 0
             recorded = recorded_races[index] if index < len(recorded_races) else None
-            affordable = (self.budget - self._runs) // len(self.seeds)
-            count = min(self.per_race, affordable) if recorded is None else len(recorded)
-            if index == 0:
-                count -= 1  # candidate 0, the scenario's values, is a new candidate of this race
-            # Also for a recorded race, so that the sampler continues as without interruption.
-            new = self._draw(study, max(count, 0))
-            if not new and index > 0:
+            # Drawn for a recorded race, too: the sampler continues as without interruption.
+            drawn = self._draw(study, self._drawn_count(index, recorded))
+            if not drawn and not is_first:
                 break  # the budget is used, or the sampler draws no further values
 
-            # 2. The race, run or recorded.
-            racing = [best, *new]
+            racing = [best, *drawn]
             self.races.append([candidate.number for candidate in racing])
             if recorded is None:
                 self._race(racing, index)
             else:
                 self._recall(racing, recorded)
 
-            # 3. The sampler learns the mean losses of new candidates, in race 0 also of candidate
-            # 0. The best candidate goes to the next race.
-            for candidate in racing if index == 0 else new:
+            # The sampler has learned the loss of `best` after an earlier race, except in race 0.
+            for candidate in racing if is_first else drawn:
                 _tell(study, candidate, racing, self.space)
-            best = min(
-                (candidate for candidate in racing if not candidate.is_out),
-                key=lambda candidate: mean_loss(candidate.losses),
-            )
+            finishers = (candidate for candidate in racing if not candidate.is_out)
+            best = min(finishers, key=lambda candidate: mean_loss(candidate.losses))
             if recorded is None:
                 self._record()
-            if not new:  # race 0 had candidate 0 alone
+            if not drawn:  # race 0 had candidate 0 alone
                 break
         return Tuning(
             folder=self.folder,
@@ -471,6 +464,17 @@ class _Tuner:
             candidates=self._ranked(),
             importance=_importance(study),
         )
+
+    def _drawn_count(self, index: int, recorded: Sequence[object] | None) -> int:
+        """The number of candidates to draw for race `index`, from 0 on.
+
+        `recorded`: the candidates of the race in an interrupted tuning; None: the race is new, and
+        has as many candidates as it may have and as the budget allows.
+        """
+        affordable = (self.budget - self._runs) // len(self.seeds)
+        count = min(self.per_race, affordable) if recorded is None else len(recorded)
+        # In race 0, candidate 0 (the values of the scenario) is one of them, and is not drawn.
+        return max(count - 1 if index == 0 else count, 0)
 
     def assess(self, tuning: Tuning, held_out: tuple[int, ...], *, pseudo_reality: bool) -> None:
         """Compare the best candidate with the scenario's values on held-out seeds.
@@ -515,20 +519,16 @@ class _Tuner:
 
         After each block, a rank test ends the candidates that are significantly worse than the
         leader (`is_out`). The best candidate of the race before is compared with the new
-        candidates, too, but does not run again and does not end early, since all its losses are
-        known. `number`: of the race, from 0 on. SwarmError if no run of the first block has a
-        value.
+        candidates, too. Since all its losses are known, it neither runs again nor ends early.
+        `number`: of the race, from 0 on. SwarmError if no run of the first block has a value.
         """
         new = [candidate for candidate in racing if not candidate.losses]
         earlier_best = [candidate for candidate in racing if candidate.losses]  # none in race 0
         self.on_step(f"race {number + 1}, {len(new)} new candidates over {len(self.seeds)} seeds")
         manifest = self.manifest(new)
-        # Candidates are compared after each of these numbers of seeds, except after all seeds: then
-        # no run is left to save. The level is divided by the number of comparisons (Bonferroni),
-        # which is 0 with few seeds.
-        seed_counts = (*looks(len(self.seeds)), len(self.seeds))
-        level = ALPHA / max(len(seed_counts) - 1, 1)
-        for count in seed_counts:
+        # No comparison after all seeds: no run is left to save.
+        comparison_counts = looks(len(self.seeds))
+        for count in (*comparison_counts, len(self.seeds)):
             alive = [candidate for candidate in new if not candidate.is_out]
             if not alive:
                 break
@@ -536,11 +536,9 @@ class _Tuner:
             if not any(math.isfinite(loss) for candidate in racing for loss in candidate.losses):
                 raise SwarmError(self._why_all_failed(number))
             if count < len(self.seeds):
-                compared = [*alive, *earlier_best]
-                table = np.array([candidate.losses[:count] for candidate in compared]).T
-                for column in losers(table, level):
-                    if column < len(alive):  # behind them is the column of the earlier best
-                        alive[column].is_out = True
+                # Bonferroni: the level is divided by the number of comparisons.
+                level = ALPHA / len(comparison_counts)
+                _end_losers(alive, earlier_best, count, level)
             self._report(number, sum(not candidate.is_out for candidate in new))
 
     def _run_block(
@@ -643,37 +641,38 @@ class _Tuner:
         After _MAX_DRAWS refusals in a row, fewer candidates are returned. ConfigError if the whole
         tuning has no accepted candidate.
         """
+        is_first_race = len(self.candidates) == 1  # candidate 0 alone
         accepted: list[Candidate] = []
-        draws = 0  # since the last accepted candidate
+        refusals = 0  # in a row
         last_refusal = ""
-        while len(accepted) < count and draws < _MAX_DRAWS:
-            draws += 1
+        while len(accepted) < count and refusals < _MAX_DRAWS:
             trial = study.ask()
-            values = self.space.draw(trial)
-            equal_candidate = next(
-                (candidate for candidate in self.candidates if candidate.values == values), None
-            )
             try:
-                if equal_candidate is not None:
-                    raise ConfigError(f"they are those of candidate {equal_candidate.number}")
-                overrides = self.space.overrides(values)
-                scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
-                scenario.starts(self.seeds[0])
+                candidate = self._candidate(trial)
             except ConfigError as error:
+                refusals += 1
                 last_refusal = str(error)
                 _refuse(study, trial)
                 continue
-            draws = 0
-            number = len(self.candidates)
-            candidate = Candidate(number, values, overrides, plain(scenario.effective), trial=trial)
+            refusals = 0
             self.candidates.append(candidate)
             accepted.append(candidate)
-        # In race 0 the only earlier candidate is number 0, which has the scenario's values.
-        is_first_race = len(self.candidates) == 1
         if count and not accepted and is_first_race:
             text = f"no values of {', '.join(self.space.text)} are accepted"
             raise ConfigError(f"{text}; the last: {last_refusal}")
         return accepted
+
+    def _candidate(self, trial: Trial) -> Candidate:
+        """The candidate of a trial; ConfigError if its values are refused."""
+        values = self.space.draw(trial)
+        for candidate in self.candidates:
+            if candidate.values == values:
+                raise ConfigError(f"they are those of candidate {candidate.number}")
+        overrides = self.space.overrides(values)
+        scenario = load_scenario(self.scenario, {**self.sets, **overrides}, source=SOURCE)
+        scenario.starts(self.seeds[0])  # ConfigError if there is no room for the robots
+        effective = plain(scenario.effective)
+        return Candidate(len(self.candidates), values, overrides, effective, trial=trial)
 
     @property
     def _runs(self) -> int:
@@ -699,7 +698,7 @@ class _Tuner:
         tuning, or has files that are not of a tuning.
         """
         path = self.folder / STATE
-        head = self._head()  # "asked": the arguments, "manifest": the software
+        head = self._head()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not path.exists():
@@ -713,8 +712,15 @@ class _Tuner:
             contents = path.read_bytes()
         except OSError as error:
             raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
+        return self._recorded_races(path, contents, head)
 
-        # An existing folder must have the same arguments and software.
+    def _recorded_races(
+        self, path: Path, contents: bytes, head: Mapping[str, Any]
+    ) -> list[list[dict[str, Any]]]:
+        """The races in the `contents` of tune.json; ConfigError unless `head` is that of the file.
+
+        The head holds the arguments of the tuning (`asked`) and its software (`manifest`).
+        """
         try:
             data = json.loads(contents)
             recorded_manifest = msgspec.convert(data["manifest"], Manifest)
@@ -722,6 +728,7 @@ class _Tuner:
         except (ValueError, KeyError, TypeError, msgspec.ValidationError) as error:
             raise ConfigError(f"{path}: damaged; remove the folder, and tune again") from error
         manifest = msgspec.convert(head["manifest"], Manifest)
+        # The first difference of software, else of arguments.
         difference = next(manifests.differences(recorded_manifest, manifest), None)
         for key, value in head["asked"].items():
             recorded = recorded_arguments.get(key)
@@ -772,6 +779,21 @@ class _Tuner:
             candidate.losses = [math.inf if x is None else float(x) for x in row["losses"]]
 
 
+def _end_losers(
+    alive: Sequence[Candidate], earlier_best: Sequence[Candidate], count: int, level: float
+) -> None:
+    """Set `is_out` of the candidates `alive` that lose after `count` seeds.
+
+    `earlier_best`: the candidate that is compared, too, but does not end; empty in race 0. `level`:
+    of significance.
+    """
+    compared = [*alive, *earlier_best]
+    table = np.array([candidate.losses[:count] for candidate in compared]).T
+    for column in losers(table, level):
+        if column < len(alive):
+            alive[column].is_out = True
+
+
 def _variant(name: str) -> str:
     return f"candidate={name}"
 
@@ -800,9 +822,9 @@ def _refuse(study: Study, trial: Trial) -> None:
 def _tell(study: Study, candidate: Candidate, racing: Sequence[Candidate], space: Space) -> None:
     """Set a candidate's `estimate`, its mean loss over all seeds, and tell it to the sampler.
 
-    The mean of a candidate that ended early is extrapolated (see `Tuning.value`) from the losses of
-    the race's leader: of all candidates that have run all seeds, the one with the least mean loss.
-    `racing`: all candidates of the race.
+    `racing`: all candidates of the race. If the candidate ended early, the estimate is extrapolated
+    (see `Tuning.value`) from the losses of the race's leader: the candidate with the least mean
+    loss of those that have run all seeds.
     """
     finite = [loss for racer in racing for loss in racer.losses if math.isfinite(loss)]
     worst = max(finite)

@@ -58,22 +58,7 @@ def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
     direction = "less" if tuning.goal == "min" else "more"
     yield f"Tuned for {tuning.metric.name}{unit}; {direction} is better."
 
-    # Races. Candidate 0 has the present values of the scenario.
-    effort = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
-    present = next(
-        (candidate for candidate in tuning.candidates if candidate.number == 0), tuning.best
-    )
-    if tuning.best.number == 0:
-        yield f"No values are better than the present ones ({effort})."
-    else:
-        early_end = f" (by {len(present.losses)} seeds)" if present.is_out else ""
-        mean, present_mean = (number(tuning.value(c)) for c in (tuning.best, present))
-        yield (
-            f"Races: seeds {_seeds(tuning.seeds)}, {effort}. Mean: {mean} tuned, {present_mean}"
-            f" present{early_end}. These seeds chose the values, so this difference is too good."
-        )
-
-    # Held-out seeds, and pseudo-reality.
+    yield _races(tuning)
     if tuning.gain is not None:
         text = _shown(tuning.gain, "present", "tuned", tuning)
         yield f"Held-out seeds {_seeds(tuning.held_out)}: {text}"
@@ -87,6 +72,22 @@ def _evidence(tuning: Tuning, manifest: Manifest) -> Iterator[str]:
     changed = ", changed" if git is not None and git.is_dirty else ""
     commit = [] if git is None else [f"commit {git.commit[:12]}{changed}"]
     yield f"Made with {', '.join((*software, *commit))}; code {manifest.made_with['code'][:12]}."
+
+
+def _races(tuning: Tuning) -> str:
+    """The sentences about the races; candidate 0 has the present values of the scenario."""
+    effort = f"{tuning.runs} runs, {len(tuning.candidates)} candidates"
+    if tuning.best.number == 0:
+        return f"No values are better than the present ones ({effort})."
+    present = next(
+        (candidate for candidate in tuning.candidates if candidate.number == 0), tuning.best
+    )
+    early_end = f" (by {len(present.losses)} seeds)" if present.is_out else ""
+    mean, present_mean = (number(tuning.value(c)) for c in (tuning.best, present))
+    return (
+        f"Races: seeds {_seeds(tuning.seeds)}, {effort}. Mean: {mean} tuned, {present_mean}"
+        f" present{early_end}. These seeds chose the values, so this difference is too good."
+    )
 
 
 def _shown(difference: Difference, a: str, b: str, tuning: Tuning) -> str:

@@ -16,7 +16,7 @@ apply as on robots.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -99,30 +99,37 @@ def env(
         raise ConfigError(f"render_mode: {unknown('mode', str(render_mode), RENDER_MODES)}")
     if render_mode is not None and find_spec("OpenGL") is None:
         raise PluginError("render_mode rgb_array needs PyOpenGL; run: pip install 'swarmd[film]'")
-    # 1. The scenario with the overrides.
-    if not isinstance(scenario, Scenario):
-        loaded = load_scenario(scenario, set, source="set")
-    elif set:
-        loaded = scenario_of(scenario.effective, set, source="set")
-    else:
-        loaded = scenario
-    # 2. The robots that learn, which must provide what the spec needs.
+    loaded = _scenario(scenario, set)
     learners = learners_of(loaded, agents)
     spec = spec or default_spec(loaded.robots[learners[0]])
     check_spec(spec)
-    for robot in learners:
-        missing = sorted(spec.needs - loaded.robots[robot].provides)
-        if missing:
-            raise ConfigError(
-                f"spec needs {', '.join(missing)}, which {robot} ({loaded.robots[robot].name})"
-                " does not provide; leave these parts out"
-            )
-    # 3. The reward: weights or a function.
+    _check_needs(spec, loaded, learners)
     chosen_reward = default_reward(loaded.name) if reward is None else reward
     if not callable(chosen_reward):
         check_weights(chosen_reward)
     learning = with_agents(loaded, learners)
     return SwarmEnv(learning, learners, spec, chosen_reward, seed, render_mode)
+
+
+def _scenario(scenario: str | Path | Scenario, overrides: Mapping[str, Any] | None) -> Scenario:
+    """The scenario with overrides by dotted key."""
+    if not isinstance(scenario, Scenario):
+        return load_scenario(scenario, overrides, source="set")
+    if overrides:
+        return scenario_of(scenario.effective, overrides, source="set")
+    return scenario
+
+
+def _check_needs(spec: PolicySpec, scenario: Scenario, learners: Sequence[str]) -> None:
+    """ConfigError if a robot that learns does not provide what the spec needs."""
+    for robot in learners:
+        platform = scenario.robots[robot]
+        missing = sorted(spec.needs - platform.provides)
+        if missing:
+            raise ConfigError(
+                f"spec needs {', '.join(missing)}, which {robot} ({platform.name})"
+                " does not provide; leave these parts out"
+            )
 
 
 @dataclass(slots=True)
@@ -133,7 +140,8 @@ class _Episode:
     seats: dict[str, Seat]  # the exchange of observation and action with the pattern, by robot
     rewards: Rewards
     episodes: ContactEpisodes
-    lives: dict[str, int]  # how often a robot has joined, by robot
+    lives: dict[str, int]
+    """How often each robot has joined; each time the robot is another agent."""
     contacts: NDArray[np.int64]  # (n,) contacts that began in this step
     present: dict[str, bool]  # whether a robot has a daemon
     is_over: bool = False
@@ -209,42 +217,47 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         Without `seed`, the seed is drawn by a random generator that the last given seed has
         started. ConfigError if there is no room for the robots.
         """
-        # 1. The seed.
-        if seed is not None:
-            self._next_seed = check_seeds([seed])[0]
-            self._seeds = np.random.default_rng(self._next_seed)
-        if self._next_seed is None:
-            self._next_seed = int(self._seeds.integers(2**31))
-        self.seed, self._next_seed = self._next_seed, None
-        # 2. The run, in which each learner's pattern exchanges observations and actions by a seat.
+        self.seed = self._seed(seed)
+        # Each learner's pattern exchanges observations and actions by a seat.
         seats = {robot: new_seat(self.spec) for robot in self._learners}
         patterns = {PATTERN: agent_class(self.spec, seats)}
         swarm = Lockstep(self.scenario, self.seed, patterns=patterns)
         self.close()  # not before the new run exists: after a ConfigError the old run goes on
         is_present = {robot: robot not in self.scenario.absent for robot in self._learners}
-        self._episode = episode = _Episode(
+        self._episode = _Episode(
             swarm=swarm,
             seats=seats,
             rewards=Rewards(self._reward, self.scenario, self.seed, swarm.world),
             episodes=ContactEpisodes(),
-            # How often each robot has joined; each time the robot is another agent.
             lives={robot: int(there) for robot, there in is_present.items()},
             contacts=np.zeros(len(swarm.world.ids), dtype=np.int64),
             present=is_present,
         )
-        # 3. The first inputs of the present robots, within _FIRST_INPUTS s, and at least a period
-        # before the end of the scenario, so that a step is left.
-        first_seats = [seats[robot] for robot, there in is_present.items() if there]
-        deadline = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
-        while swarm.world.time < deadline and any(seat.inputs is None for seat in first_seats):
-            self._advance(swarm.world.dt)
-        episode.contacts[:] = 0
+        self._await_inputs(swarm, [seats[robot] for robot, there in is_present.items() if there])
+        self._episode.contacts[:] = 0
         # The agent of a robot's first life has the robot's name.
-        self.agents = [robot for robot in self._learners if episode.lives[robot]]
+        self.agents = [robot for robot in self._learners if self._episode.lives[robot]]
         state = self._state(0.0)
-        episode.rewards.begin(state)
+        self._episode.rewards.begin(state)
         infos = self._infos(state, self.agents)
         return {agent: self._observed(agent) for agent in self.agents}, infos
+
+    def _seed(self, given: int | None) -> int:
+        """The seed of the next run: given, else that of the constructor once, else drawn."""
+        if given is not None:
+            self._next_seed = check_seeds([given])[0]
+            self._seeds = np.random.default_rng(self._next_seed)
+        seed, self._next_seed = self._next_seed, None
+        return int(self._seeds.integers(2**31)) if seed is None else seed
+
+    def _await_inputs(self, swarm: Lockstep, seats: Sequence[Seat]) -> None:
+        """Simulate until each seat has inputs, for _FIRST_INPUTS s at most.
+
+        At least a period before the end of the scenario is left, so that a step is possible.
+        """
+        deadline = min(_FIRST_INPUTS, self.scenario.duration - self.spec.period)
+        while swarm.world.time < deadline and any(seat.inputs is None for seat in seats):
+            self._advance(swarm.world.dt)
 
     def step(self, actions: dict[str, Array]) -> Step:
         """Apply the actions by agent, and simulate one period of the spec.
@@ -255,17 +268,10 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         first `reset`, after the end of a run, for an unknown agent, and for an action that is not
         (spec.actions,) finite numbers.
         """
-        # 1. Check all actions, then set them.
         episode = self._running()
         if episode.is_over:
             raise ConfigError("the run is over; call reset for the next one")
-        if strange := sorted({*map(str, actions)} - {*self.possible_agents}):
-            raise ConfigError(f"actions: {unknown('agent', strange[0], self.possible_agents)}")
-        present = {agent: action for agent, action in actions.items() if agent in self.agents}
-        checked = {agent: self._checked(agent, action) for agent, action in present.items()}
-        for agent, action in checked.items():
-            episode.seats[_robot_of(agent)].action = action
-        # 2. Simulate.
+        self._set_actions(episode, actions)
         agents_before = list(self.agents)
         start = episode.swarm.world.time
         episode.contacts[:] = 0
@@ -273,10 +279,10 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         end = episode.swarm.world.time
         # The end of the scenario, to the nearest whole period.
         episode.is_over = end > self.scenario.duration - 0.5 * self.spec.period
-        # 3. The agents after the step, and the results of all agents before or after the step.
         present_robots = [robot for robot, there in episode.present.items() if there]
         agents_after = [name_of(robot, episode.lives[robot]) for robot in present_robots]
         joined = [agent for agent in agents_after if agent not in agents_before]
+        # The results are those of all agents that were present before or after the step.
         agents = [*agents_before, *joined]
         state = self._state(end - start)
         robot_rewards = episode.rewards.of(state)
@@ -287,6 +293,15 @@ class SwarmEnv(ParallelEnv[str, Observation, Array]):  # type: ignore[misc]  # i
         self.agents = [] if episode.is_over else agents_after
         observations = {agent: self._observed(agent) for agent in agents}
         return observations, rewards, terminations, truncations, self._infos(state, agents)
+
+    def _set_actions(self, episode: _Episode, actions: Mapping[str, Array]) -> None:
+        """Set the actions of present agents; ConfigError, before any is set, if one is invalid."""
+        if strange := sorted({*map(str, actions)} - {*self.possible_agents}):
+            raise ConfigError(f"actions: {unknown('agent', strange[0], self.possible_agents)}")
+        present = {agent: action for agent, action in actions.items() if agent in self.agents}
+        checked = {agent: self._checked(agent, action) for agent, action in present.items()}
+        for agent, action in checked.items():
+            episode.seats[_robot_of(agent)].action = action
 
     def trace(self) -> Trace:
         """The trace of the run up to now, as `exp run` keeps it: metrics and plots take it."""

@@ -68,9 +68,10 @@ def default_reward(name: str) -> Mapping[str, float]:
 class Rewards:
     """Computes each robot's reward: call `begin` with the first state, then `of` with each state.
 
-    The term of a metric is equal for all robots: weight times change of the metric since the
-    previous step. It is 0 if the metric had no value before or after the step, or if robots have
-    joined or left. The terms of CONTACTS and LIMITED are weight times the value of each robot.
+    The reward is a sum of terms. The term of a metric is equal for all robots: its weight times the
+    change of the metric since the previous step. This term is 0 if the metric had no value before
+    or after the step, or if robots have joined or left. The terms of CONTACTS and LIMITED are the
+    weight times the robot's own value.
     """
 
     def __init__(self, reward: Reward, scenario: Scenario, seed: int, world: World) -> None:

@@ -120,14 +120,12 @@ class Lockstep:
         `process`: this process of the run; None: the only process. `patterns`: classes by name,
         which are preferred to installed patterns.
         """
-        # 1. The world, the radio and the patterns.
         scenario = drawn(scenario, seed)
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
         self.world = world_of(scenario, seed)
         self.world.measures_late = self._process.count > 1  # while the other processes finish
         self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
-        ids, n = self.world.ids, len(self.world.ids)
         # Made on first use: listing the installed patterns takes as long as a simulated second.
         installed = cache(lambda: _loader(scenario))
         self._find = lambda name: patterns.get(name) or installed()(name)
@@ -137,9 +135,26 @@ class Lockstep:
             for row, platform in enumerate(self._platforms)
             if scenario.fence is not None or "pose" in platform.provides
         )
-        # 2. The schedules. Each robot has a random phase of 0 to 1 s, at which its scans, readings,
-        # ticks and neighbors are due. All odometry is due together.
-        phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
+        self._begin_schedules()
+        self._begin_bodies()
+        self._begin_robots()
+        self._begin_latches()
+        # The messages and the latches that this process's robots sent since the last exchange.
+        self._flights: list[Flight] = []
+        self._published: list[tuple[int, dict[str, Latch]]] = []
+        ids = self.world.ids
+        self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
+        self._timeline = EventTimeline(scenario.events, self)
+        self._recorder = LockstepRecorder(self.world)
+
+    def _begin_schedules(self) -> None:
+        """Begin the schedules, and share the robots among the processes.
+
+        Each robot has a random phase of 0 to 1 s, at which its scans, readings, ticks and neighbors
+        are due. All odometry is due together.
+        """
+        ids, n = self.world.ids, len(self.world.ids)
+        phases = np.array([generator(self.seed, "phase", robot).random() for robot in ids])
         scan_rates = np.array([p.scan.rate for p in self.world.platforms])
         self._sensor_times = SensorTimes(
             Schedules(scan_rates, phases),
@@ -153,39 +168,40 @@ class Lockstep:
         )
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
-        self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
-        self._record_due = Schedules(np.array([scenario.trace_rate]))
+        self._neighbors_due = Schedules(np.full(n, neighbors_rate(self.scenario.radio)), phases)
+        self._record_due = Schedules(np.array([self.scenario.trace_rate]))
         # By the time of the first scan, so that the scans of one step are shared by the processes.
         self._process.share(np.argsort(phases % (1.0 / scan_rates), kind="stable"))
-        # 3. What robots know of each other's bodies. Needed only if a robot has a finding about
-        # another: the robot's lidar cannot see the peer, or the peer is too fast.
+
+    def _begin_bodies(self) -> None:
+        """Set what robots know of each other's bodies."""
         bodies = [body_of(p) for p in self._platforms]
-        self._bodies = dict(zip(ids, bodies, strict=True))
+        self._bodies = dict(zip(self.world.ids, bodies, strict=True))
         self._heard: dict[str, Body | None] = {}  # bodies of robots that have ever had a daemon
-        self._is_mixed = has_findings(self._platforms, scenario.accepts)
-        # 4. The state of the bases and of the daemons, by row.
+        # Robots get bodies only if a robot has a finding about another robot: its lidar cannot see
+        # the peer, or the peer is too fast.
+        self._is_mixed = has_findings(self._platforms, self.scenario.accepts)
+
+    def _begin_robots(self) -> None:
+        """Set the state of bases and daemons, by row; no robot has a daemon."""
+        n = len(self.world.ids)
         self.alarms = Alarms(n, self.world.dt)
         self.commands = np.zeros((n, 3))
         self.has_new_commands = True  # `commands` differ from those of the world
         self._silent_at: dict[int, float] = {}  # s at which a base without a daemon stops
         self._boots = [0] * n  # daemons that were started
-        # The robots by row; None for a robot without a daemon or of another process.
+        # None: the robot has no daemon, or belongs to another process.
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
-        # 5. Latches (emergency stops that hold until a reset): stored by ended daemons, of present
-        # robots, and new since the last step.
-        self._latches: dict[int, LatchRecord | None] = {}
-        self._peer_latches: dict[int, dict[str, Latch]] = {}
-        self._new_latches: list[tuple[int, dict[str, Latch]]] = []
-        self._latched: set[int] = set()  # robots whose published latches are not empty
-        # 6. The outputs of this process's robots since the last exchange.
-        self._flights: list[Flight] = []
-        self._published: list[tuple[int, dict[str, Latch]]] = []
         self._steps = 0
-        self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
-        self._timeline = EventTimeline(scenario.events, self)
-        self._recorder = LockstepRecorder(self.world)
+
+    def _begin_latches(self) -> None:
+        """Set the latches, emergency stops that hold until a reset; no robot has any."""
+        self._latches: dict[int, LatchRecord | None] = {}  # that ended daemons stored
+        self._peer_latches: dict[int, dict[str, Latch]] = {}  # of present robots
+        self._new_latches: list[tuple[int, dict[str, Latch]]] = []  # since the last step
+        self._latched: set[int] = set()  # robots whose published latches are not empty
 
     # For the timeline of a scenario
 
@@ -258,35 +274,36 @@ class Lockstep:
         self._latched.discard(row)
 
     def exchange(self, meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Give the outputs of this process's robots to all processes, and take theirs.
+        """Give the outputs of this process's robots since the last call to all processes.
 
-        The outputs since the last exchange: commands, gripper commands, messages in transit
-        (flights), and published latches (emergency stops that hold until a reset). Also with a
-        single process: messages and latches take effect only here. `meanwhile`: work without
-        outputs, which several processes do before they wait for each other.
+        All processes receive the outputs of all: commands, gripper commands, messages in transit
+        (flights), and published latches (emergency stops that hold until a reset). With a single
+        process, too, messages and latches take effect only here. `meanwhile`: work without outputs,
+        which several processes do before they wait for each other.
         """
         process = self._process
         if process.count == 1 and not (self._flights or self._published):
             return
-        grips, rows = self.world.grips, process.rows
         # As bytes, since numpy takes 12 us to pickle and read two arrays.
-        arrays = self.commands[rows].tobytes(), grips[rows].tobytes()
-        outputs = *arrays, self._flights, self._published
+        own_commands = self.commands[process.rows].tobytes()
+        own_grips = self.world.grips[process.rows].tobytes()
+        outputs = own_commands, own_grips, self._flights, self._published
         self._flights, self._published = [], []
         all_published: list[tuple[int, dict[str, Latch]]] = []
-        for index, (commands, is_closed, flights, published) in enumerate(
+        for index, (commands, grips, flights, published) in enumerate(
             process.exchange(outputs, meanwhile)
         ):
             if index != process.index:
                 rows = process.rows_of[index]
                 self.commands[rows] = np.frombuffer(commands).reshape(-1, 3)
-                grips[rows] = np.frombuffer(is_closed, dtype=np.bool_)
+                self.world.grips[rows] = np.frombuffer(grips, dtype=np.bool_)
                 self.has_new_commands = True
             self._radio.carry(flights, process.own)  # to the receivers of this process
             all_published += published
         # In order of rows, so that the number of processes has no effect.
         for row, latches in sorted(all_published, key=itemgetter(0)):
-            self._peer_latches.pop(row, None)  # then set anew, behind those of other robots
+            # Removed first, so that the latches of the robot that published last come last.
+            self._peer_latches.pop(row, None)
             if latches:
                 self._peer_latches[row] = latches
                 self._new_latches.append((row, latches))

@@ -100,18 +100,17 @@ class _Member(RunProcess):
         index: int,
         memory: mmap.mmap,
         ready: list[list[Semaphore]],
-        watch: Callable[[int, float], None],
+        children: _Children | None = None,
     ) -> None:
         """`ready[a][b]` is released when process a has written data for process b.
 
-        `memory`: shared by all processes. `watch(process, seconds)` is called while this process
-        waits for `process`, with the waiting time in s since the last call, and with 0 when the
-        wait ends. `watch` may raise an error, which ends the run.
+        `memory`: shared by all processes. `children`: the other processes, which this process
+        checks while it waits; None: this process waits without a limit.
         """
         super().__init__(index, len(ready))
         self._memory = memory
         self._ready = ready
-        self._watch = watch
+        self._children = children
         # Two halves of the memory are written in turn: before a process writes a half again, all
         # processes have read it.
         self._half = 0
@@ -136,7 +135,7 @@ class _Member(RunProcess):
     ) -> list[bytearray]:
         """Exchange `data` in rounds of _CHUNK bytes until the longest data are sent.
 
-        Returns the data by process, empty for this process, and empty for all unless `keeps`.
+        Returns the data by process, empty for this process; empty for all processes unless `keeps`.
         Successive rounds use the two halves of the memory in turn: a peer that is still reading
         the last round does not lose its data.
         """
@@ -145,28 +144,36 @@ class _Member(RunProcess):
             os._exit(0)
         peers = [process for process in range(self.count) if process != self.index]
         received = [bytearray() for _ in range(self.count)]
-        sent, longest = 0, 1  # bytes of each process; at least one round
-        while sent < longest:
-            # 1. Write a chunk behind the length of all data, and wake the peers.
+        sent = 0  # bytes of each process
+        is_done = False
+        while not is_done:
             self._write(len(data), data[sent : sent + _CHUNK])
             for process in peers:
                 self._ready[self.index][process].release()
             if sent == 0:
                 meanwhile()
-            # 2. Read the peers' chunks; the last chunk may be short or empty.
             longest = len(data)
             for process in peers:
                 self._wait(process)
-                slot = self._slot(process)
-                (size,) = _HEAD.unpack_from(self._memory, slot)
+                size, chunk = self._read(process, sent)
                 longest = max(longest, size)
                 if keeps:
-                    begin = slot + _HEAD.size
-                    left = max(size - sent, 0)  # 0: only the data of another peer are longer
-                    received[process] += self._memory[begin : begin + min(_CHUNK, left)]
+                    received[process] += chunk
             sent += _CHUNK
             self._half = 1 - self._half
+            is_done = sent >= longest
         return received
+
+    def _read(self, process: int, sent: int) -> tuple[int, bytes]:
+        """The size of all data of a process, and the chunk behind the first `sent` bytes of them.
+
+        The chunk is empty if the data are shorter; the round then serves other processes.
+        """
+        slot = self._slot(process)
+        (size,) = _HEAD.unpack_from(self._memory, slot)
+        begin = slot + _HEAD.size
+        left = max(size - sent, 0)
+        return size, self._memory[begin : begin + min(_CHUNK, left)]
 
     def _write(self, size: int, chunk: bytes) -> None:
         at = self._slot(self.index)
@@ -187,10 +194,12 @@ class _Member(RunProcess):
         before = time.monotonic()
         while not ready.acquire(True, _POLL_PERIOD):
             now = time.monotonic()
-            # Time in which this process was suspended, too, does not count.
-            self._watch(process, min(now - before, 2.0 * _POLL_PERIOD))
+            if self._children is not None:
+                # Limited, since time in which this process was suspended does not count.
+                self._children.check(process, min(now - before, 2.0 * _POLL_PERIOD))
             before = now
-        self._watch(process, 0.0)
+        if self._children is not None:
+            self._children.end_silence()
 
 
 class _Children:
@@ -198,7 +207,7 @@ class _Children:
 
     def __init__(self, count: int, timeout: float) -> None:
         self._count, self._timeout = count, timeout
-        self._silence = 0.0
+        self._silence = 0.0  # s for which the first process has waited for a process
         self._pids: dict[int, int] = {}
         self._errors: dict[int, int] = {}
 
@@ -226,16 +235,13 @@ class _Children:
         os.set_blocking(ours, False)
         self._pids[process], self._errors[process] = pid, ours
 
-    def watch(self, process: int, seconds: float) -> None:
+    def check(self, process: int, seconds: float) -> None:
         """Check the children while the first process waits for `process`.
 
-        `seconds`: the waiting time since the last call; 0: the wait has ended. Raises the error
-        that ended a child, SwarmError for a child that ended without an error, and SwarmError if
-        the wait has lasted for the time-out.
+        `seconds`: the waiting time since the last call. Raises the error that ended a child,
+        SwarmError for a child that ended without an error, and SwarmError if the silence of
+        `process` has lasted for the time-out.
         """
-        if seconds == 0.0:
-            self._silence = 0.0
-            return
         for number, pid in list(self._pids.items()):
             has_ended, code = _ended(pid)
             if has_ended:
@@ -247,6 +253,10 @@ class _Children:
                 f"{self._name(process)} made no progress in {self._timeout:g} s; a pattern may not"
                 " return"
             )
+
+    def end_silence(self) -> None:
+        """Begin to count anew: the awaited process has answered."""
+        self._silence = 0.0
 
     def end(self) -> None:
         """Kill the children that still run."""
@@ -313,9 +323,9 @@ def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = 
     children = _Children(count, timeout)
     try:
         for index in range(1, count):
-            # A child waits without a limit: the first process watches all children.
-            child = _Member(index, memory, ready, lambda process, seconds: None)
+            # A child waits without a limit: the first process checks all children.
+            child = _Member(index, memory, ready)
             children.fork(index, partial(work, child))
-        return work(_Member(0, memory, ready, children.watch))
+        return work(_Member(0, memory, ready, children))
     finally:
         children.end()

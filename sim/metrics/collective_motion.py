@@ -21,8 +21,9 @@ STANDING = 0.01
 def polarisations(trace: Trace) -> Array:
     """(T,) the length of the mean direction of motion: 1 if all move in one direction.
 
-    The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226), whose particles never
-    stand. NaN while no robot is present, and in a trace of one instant.
+    The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226). The particles of Vicsek
+    never stand; here a robot that stands counts as a zero vector. NaN while no robot is present,
+    and in a trace of one instant.
     """
     is_present = presence(trace)
     ahead = _directions(trace)

@@ -28,44 +28,55 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) on a grid of squares of
     `cell` m. A square is covered when its centre is covered. Walls do not block. If the trace names
     an arena, floor outside the arena does not count. The side of the squares doubles until the grid
-    has at most four million squares. To save time, only one position is examined of all positions
-    in a cell of a grid ten times finer: the first. So the effective radius is up to 0.15 `cell`
-    too small.
+    has at most four million squares.
+
+    Of the positions in one cell of a grid ten times finer, only the first is examined. This saves
+    time, and makes the effective radius up to 0.15 `cell` too small.
     """
-    # 1. The positions of all robots at all instants (k,), and the square of each.
-    instant, robot = np.nonzero(presence(trace))
-    if len(instant) == 0:
+    instants, robots = np.nonzero(presence(trace))
+    if len(instants) == 0:
         return np.zeros(len(trace.t))
-    place = trace.pose[instant, robot, :2]
-    # The product is at least the number of squares of the grid below.
-    while np.prod((np.ptp(place, axis=0) + 2.0 * radius) / cell + 3.0) > _MANY_CELLS:
+    places = trace.pose[instants, robots, :2]  # (k, 2) of all robots at all instants
+    # The product is at least the number of squares of the grid.
+    while np.prod((np.ptp(places, axis=0) + 2.0 * radius) / cell + 3.0) > _MANY_CELLS:
         cell *= 2.0
-    square = np.floor(place / cell).astype(np.int64)
-    margin = math.ceil(radius / cell)
-    low = square.min(axis=0) - margin
-    shape = square.max(axis=0) + margin + 1 - low
-    from_centre = place - (square + 0.5) * cell
-    first_in_square = _firsts(square)
-    first_in_fine_cell = _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
-    # 2. For each offset (`right`, `up`) in squares within the margin: a position covers the square
-    # at this offset from its own square if the centre of that square is within `radius`. If this is
-    # so for each place of the own square, only the first position in the own square is examined,
-    # else the first position in each fine cell.
     never = len(trace.t)
+    lowest, covered_at = _first_cover(instants, places, radius, cell, never)
+    covered_at[~_in_arena(trace, lowest, covered_at.shape, cell)] = never
+    new_squares = np.bincount(covered_at.ravel(), minlength=never + 1)[:never]
+    areas: Array = np.cumsum(new_squares).astype(np.float64) * cell**2
+    return areas
+
+
+def _first_cover(
+    instants: NDArray[np.intp], places: Array, radius: float, cell: float, never: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The first instant at which each square of a grid is covered, and where the grid begins.
+
+    `places` (k, 2): positions in m, at the instants with the indices `instants` (k,). Returns the
+    numbers (2,) of the lowest square along x and y, and an array (columns, rows) of indices of
+    instants; `never` for a square that no position covers.
+    """
+    own_squares = np.floor(places / cell).astype(np.int64)
+    from_centres = places - (own_squares + 0.5) * cell
+    margin = math.ceil(radius / cell)
+    lowest = own_squares.min(axis=0) - margin
+    shape = own_squares.max(axis=0) + margin + 1 - lowest
+    first_in_square = _firsts(own_squares)
+    first_in_fine_cell = _firsts(np.floor(places / (cell / 10.0)).astype(np.int64))
     covered_at = np.full(shape, never, dtype=np.int64)
+    # Each pass looks at squares that lie `right` and `up` squares from the positions' own squares.
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
             farthest_corner = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell
-            rows = first_in_square if farthest_corner <= radius else first_in_fine_cell
-            x, y = right * cell - from_centre[rows, 0], up * cell - from_centre[rows, 1]
+            # True: all places in the own square cover that square, so the first position decides.
+            covers_always = farthest_corner <= radius
+            rows = first_in_square if covers_always else first_in_fine_cell
+            x, y = right * cell - from_centres[rows, 0], up * cell - from_centres[rows, 1]
             near = rows[np.hypot(x, y) <= radius]
-            covered = square[near, 0] - low[0] + right, square[near, 1] - low[1] + up
-            covered_at[covered] = np.minimum(covered_at[covered], instant[near])
-    covered_at[~_in_arena(trace, low, covered_at.shape, cell)] = never
-    # 3. The number of squares that are covered by each instant.
-    new = np.bincount(covered_at.ravel(), minlength=never + 1)[:never]
-    areas: Array = np.cumsum(new).astype(np.float64) * cell**2
-    return areas
+            at = own_squares[near, 0] - lowest[0] + right, own_squares[near, 1] - lowest[1] + up
+            covered_at[at] = np.minimum(covered_at[at], instants[near])
+    return lowest, covered_at
 
 
 def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -11,10 +11,11 @@
         '''Robots within 1 m of the warm spot.'''
         return (np.hypot(trace.pose[..., 0] - 1.5, trace.pose[..., 1]) < 1.0).mean(axis=1)
 
-The function returns a number, None where the run has no value, or an array (T,): the values over
-time, whose mean over the late part is the number of the run. The metric of a file is named
-`path/to/file.py:warm`, the metric of a package by its entry point in the group `swarmd.metrics`.
-The decorator may be left out.
+The function returns the number of the run, or None if the run has no value. It may also return an
+array (T,) of values over time: the number of the run is then the mean of the late part.
+
+The metric of a file is named `path/to/file.py:warm`, the metric of a package by its entry point in
+the group `swarmd.metrics`. The decorator may be left out.
 """
 
 from __future__ import annotations

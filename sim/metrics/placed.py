@@ -109,11 +109,11 @@ def box_progress(trace: Trace, x: float, y: float) -> Array | None:
 
 
 def coverage_distance(trace: Trace, areas: Sequence[Area]) -> Array | None:
-    """(T,) mean distance in m from the floor to the nearest robot, outside the areas in the name.
+    """(T,) the mean distance in m from the floor outside `areas` to the nearest robot there.
 
-    The floor is a grid of squares of CELL m. Each square outside the areas has a distance: from its
-    middle to the nearest robot outside the areas. Without such a robot the distance is the arena's
-    diagonal. None if the trace names no arena.
+    The floor is a grid of squares of CELL m. Squares in the areas and robots in the areas do not
+    count. The distance of a square is measured from its middle. While no robot counts, the mean is
+    the arena's diagonal. None if the trace names no arena.
     """
     arena = arena_of(trace)
     if arena is None:

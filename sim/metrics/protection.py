@@ -37,8 +37,9 @@ def protection_duty(trace: Trace) -> float | None:
     """The share of scans on which protection replaced or reduced the requested command.
 
     The share is over the scans of all robots, since the protection of Kaiser et al. 2022 decides on
-    every scan. If the trace does not count scans, the share is over the instants at which robots
-    run: those at which protection changed the command (`active`). None without data or decision.
+    every scan. If the trace does not count scans, the result is another share: of all instants at
+    which a robot runs, those at which protection changed the command (`active`). None without data
+    or decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)

@@ -34,9 +34,10 @@ def radio_range(trace: Trace) -> float:
 def radio_links(trace: Trace) -> Iterator[Pairs]:
     """Yield all links in parts, each of consecutive instants.
 
-    `instant` of a link counts from the first instant of the trace. The disk graph of Zavlanos,
-    Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of Mobile Robot Networks, Proc.
-    IEEE 99), without links that obstacles block if `radio.line_of_sight`.
+    The links are those of the disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic
+    Connectivity Control of Mobile Robot Networks, Proc. IEEE 99). With `radio.line_of_sight`, links
+    that obstacles block are left out. `instant` of a link counts from the first instant of the
+    trace.
     """
     sight = _sight(trace)
     is_present = presence(trace)

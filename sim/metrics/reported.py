@@ -1,10 +1,13 @@
 """Metrics of reports of patterns and readings of sensors: `report:KEY[=TEXT]`, `reading:KEY`.
 
-A suffix names statistics: `report:KEY.ROBOTS_TIME`, `report:KEY.ROBOTS` or `report:KEY.TIME`. The
-values of the robots are first combined over the robots (ROBOTS: mean, median, min, max, std, sum;
-default mean), then over time (TIME: start, end, late, mean, min, max, std; default late, the mean
-of the last 60 s). A word that is in both lists is ROBOTS. Examples: `report:value`,
-`report:value.max`, `reading:battery.min_end`.
+The values of the robots are first combined over the robots, then over time. A suffix of the name
+chooses the statistics: `report:KEY.ROBOTS_TIME`, `report:KEY.ROBOTS` or `report:KEY.TIME`.
+
+- ROBOTS: mean (default), median, min, max, std or sum.
+- TIME: start, end, late (default: the mean of the last 60 s), mean, min, max or std.
+- A single word that is in both lists is ROBOTS.
+
+Examples: `report:value`, `report:value.max`, `reading:battery.min_end`.
 
 With TEXT the value of a robot is 1 while it reports this text, else 0: `report:state=wait` is the
 share of the robots that wait. A reading has no TEXT. Only present robots with a value of KEY count.

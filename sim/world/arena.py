@@ -219,10 +219,13 @@ def _text(value: float) -> str:
 def parse_arena(text: str) -> Arena:
     """Parse an arena of the command line; raises ConfigError.
 
-    `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg:mass`, `,pole:x:y:radius` and
-    `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: a box without a mass is fixed.
-    `box/crate:...` gives a name. `:out` after the mass leaves the box out of the arena at first.
-    `,item/NAME:x:y:size:mass` is an item, whose mass is optional too.
+    `LxW` in m, then any number of these parts, with lengths in m:
+
+    - `,box:x:y:length:width:yaw_deg:mass`. Yaw and mass may be left out; a box without a mass in kg
+      is fixed. `:out` after the mass leaves the box out of the arena at first.
+    - `,box/NAME:...`: the same with a name.
+    - `,pole:x:y:radius` and `,segment:x1:y1:x2:y2`.
+    - `,item/NAME:x:y:size:mass`. The mass may be left out.
     """
     try:
         return _parsed(text)
@@ -247,16 +250,16 @@ def _parsed(text: str) -> Arena:
         kind, _, name = head.partition("/")
         if kind == "box" and 4 <= len(words) <= 7:
             boxes.append(_box(name, words))
-        elif head == "pole" and len(words) == 3:
+        elif kind == "item" and 3 <= len(words) <= 4:
+            x, y, side, *mass = map(_number, words)
+            items.append(Item(x, y, _size(side), name, *mass))
+        elif head == "pole" and len(words) == 3:  # poles and segments have no name
             x, y, radius = map(_number, words)
             poles.append(Pole(x, y, _size(radius)))
         elif head == "segment" and len(words) == 4:
             segment = Segment(*map(_number, words))
             _size(segment.box.length)  # _TextError for a segment without length
             segments.append(segment)
-        elif kind == "item" and 3 <= len(words) <= 4:
-            x, y, side, *mass = map(_number, words)
-            items.append(Item(x, y, _size(side), name, *mass))
         else:
             raise _TextError(f"{part!r} is not a valid box, pole, segment or item")
     length, width = (_size(_number(word)) for word in match.groups())

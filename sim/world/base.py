@@ -42,21 +42,22 @@ def _clipped(value: cython.double, limit: cython.double) -> cython.double:
 class Bases:
     """The bases of n robots: delay, acceleration caps and servos.
 
-    Reads and writes positions, velocities and forces in MuJoCo's own memory. `before`: positions
-    and velocities of all bodies when `drive` was called. `driven` (n, 3): the linear, angular and
-    lateral velocities that the servos aim at. `drift` (n, 2): m/s along the world's x and y, added
-    to the velocity; a caller may write it. `inert` (n, 3): mass in kg twice, and inertia in kg m2.
-    `delay_steps`: the delay of commands in steps.
+    Reads and writes positions, velocities and forces in MuJoCo's own memory.
 
     A servo gives the force that reaches the commanded velocity within one step, up to the friction
     of the tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff actuator
     with a force limit chatters by 0.04 m/s at rest, and a soft actuator lags.
     """
 
+    # Positions and velocities of all bodies when `drive` was called.
     before = cython.declare(object, visibility="readonly")
+    # (n, 3) the linear, angular and lateral velocities that the servos aim at, in the base frame.
     driven = cython.declare(object, visibility="readonly")
+    # (n, 2) m/s along the world's x and y, added to the velocity; callers may write the array.
     drift = cython.declare(object, visibility="readonly")
+    # (n, 3) inertia along the world's x, y and yaw: the mass in kg twice, the moment in kg m2.
     inert = cython.declare(object, visibility="readonly")
+    # The delay of commands in steps.
     delay_steps = cython.declare(cython.Py_ssize_t, visibility="readonly")
     _n: cython.Py_ssize_t
     _dt: cython.double
@@ -69,15 +70,16 @@ class Bases:
     _command: cython.double[:, ::1]
     _step: cython.Py_ssize_t
     _is_capped: cython.bint
-    _caps: cython.double[::1]  # (3,) change of the capped command in a step, at most
-    _capped: cython.double[:, ::1]
+    _caps: cython.double[::1]  # (3,) the most that the capped command changes in a step
+    _capped: cython.double[:, ::1]  # (n, 3) the delayed command, limited in its change
     _limits: cython.double[:, ::1]
     _max_steps: cython.double[:, ::1]  # m/s or rad/s that a base gains in a step at most
     _inert: cython.double[:, ::1]
     _grip: cython.double[::1]  # N, the friction of the tyres
     _grip_torque: cython.double[::1]  # N m
     _driven: cython.double[:, ::1]
-    _shares: cython.double[::1]  # of the error of the velocity that a base takes off in a step
+    # (n,) the share of the velocity error that a base removes in a step; below 1 if the base lags.
+    _shares: cython.double[::1]
     _drift: cython.double[:, ::1]
 
     def __init__(self, actuation, platforms, memory, dt):
@@ -93,33 +95,44 @@ class Bases:
         self._qpos, self._qvel, self._applied = map(memoryview, memory)
         self.before = memory[0].copy(), memory[1].copy()
         self._qpos_before, self._qvel_before = map(memoryview, self.before)
-        # Delay and caps of the commands: linear, angular, lateral.
-        self.delay_steps = round(actuation.delay / dt)
+        self._begin_commands(actuation, platforms)
+        self._begin_servos(platforms)
+        self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
+        self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
+
+    @cython.cfunc
+    def _begin_commands(self, actuation, platforms) -> cython.int:
+        """Set delay, caps and limits of the commands: linear, angular, lateral. Returns 0."""
+        n: cython.Py_ssize_t = len(platforms)
+        self.delay_steps = round(actuation.delay / self._dt)
         self._delay_line = memoryview(np.zeros((self.delay_steps + 1, n, 3)))
         self._command, self._capped = (memoryview(np.zeros((n, 3))) for _ in range(2))
         linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
         self._is_capped = linear is not None or angular is not None
-        caps = [math.inf if cap is None else cap * dt for cap in (linear, angular, linear)]
+        caps = [math.inf if cap is None else cap * self._dt for cap in (linear, angular, linear)]
         self._caps = memoryview(np.array(caps))
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
-        # Inertia; the greatest change of each velocity per step by the motors; the greatest force
-        # in N (`grip`) and torque in N m that the tyres transmit.
-        accelerations = [_accelerations(platform) for platform in platforms]
-        self._max_steps = memoryview(np.array(accelerations, np.float64).reshape(n, 3) * dt)
+        return 0
+
+    @cython.cfunc
+    def _begin_servos(self, platforms) -> cython.int:
+        """Set inertia, motors and tyres of the bases. Returns 0."""
+        n: cython.Py_ssize_t = len(platforms)
         mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
-        turning = np.array([inertia(platform) for platform in platforms], np.float64)
-        self.inert = np.stack((mass, mass, turning), axis=-1)
+        moment = np.array([inertia(platform) for platform in platforms], np.float64)
+        self.inert = np.stack((mass, mass, moment), axis=-1)
         self._inert = memoryview(self.inert)
+        # What the motors can do.
+        accelerations = [_accelerations(platform) for platform in platforms]
+        self._max_steps = memoryview(np.array(accelerations, np.float64).reshape(n, 3) * self._dt)
+        self._shares = memoryview(np.array([_share(p, self._dt) for p in platforms], np.float64))
+        # What the tyres transmit.
         grip = _FRICTION * _GRAVITY * mass
         half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
         self._grip = memoryview(grip)
         self._grip_torque = memoryview(grip * np.array(half_axles, np.float64))
-        # The velocities that the servos aim at, and the wind's drift in m/s.
-        self.driven, self.drift = np.zeros((n, 3)), np.zeros((n, 2))
-        self._driven, self._drift = memoryview(self.driven), memoryview(self.drift)
-        # The share of the velocity error that a base removes in a step; below 1 if the base lags.
-        self._shares = memoryview(np.array([_share(p, dt) for p in platforms], np.float64))
+        return 0
 
     def put(self, twists):
         """Set the commands (n, 3) linear, angular, lateral in each base frame.
@@ -137,58 +150,70 @@ class Bases:
         """Set the forces for the next step, and keep the present state; call once a step."""
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
-        k: cython.Py_ssize_t
-        # The places in the ring buffer of the present command, and of that `delay_steps` before.
-        newest: cython.Py_ssize_t = self._step % self._delay_line.shape[0]
-        oldest: cython.Py_ssize_t = (self._step + 1) % self._delay_line.shape[0]
-        target: cython.double
-        yaw: cython.double
-        c: cython.double
-        s: cython.double
-        linear: cython.double
-        lateral: cython.double
-        x: cython.double
-        y: cython.double
-        size: cython.double
-        grip_share: cython.double
-        self._step += 1
         for i in range(self._qpos.shape[0]):
             self._qpos_before[i], self._qvel_before[i] = self._qpos[i], self._qvel[i]
         for row in range(self._n):
-            # 1. The velocity to drive to: the delayed command, clipped to the limits, then capped
-            # in its change per step, and followed as fast as the motors can. Clipping comes before
-            # the cap: a ramp towards a speed beyond the limits would lag when the command reverses.
-            for k in range(3):
-                self._delay_line[newest, row, k] = self._command[row, k]
-            for k in range(3):
-                target = self._delay_line[oldest, row, k]
-                target = _clipped(target if isfinite(target) else 0.0, self._limits[row, k])
-                if self._is_capped:
-                    self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
-                    target = _clipped(self._capped[row, k], self._limits[row, k])
-                self._driven[row, k] += _clipped(
-                    (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
-                )
-            linear, lateral = self._driven[row, 0], self._driven[row, 2]
-            # 2. The error of the velocity (x, y) in the world frame. A base that turns drives an
-            # arc, and the chord of this step's arc has the heading half a step ahead. The drift of
-            # a hovering body is added.
-            yaw = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
-            c, s = cos(yaw), sin(yaw)
-            x = c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
-            y = s * linear + c * lateral + self._drift[row, 1] - self._qvel[3 * row + 1]
-            # 3. The force (x, y) in N that removes the error within the step, up to the grip of the
-            # tyres; and the torque in N m.
-            x = x * self._inert[row, 0] / self._dt
-            y = y * self._inert[row, 1] / self._dt
-            size = hypot(x, y)
-            grip_share = min(1.0, self._grip[row] / max(size, 1e-12))
-            self._applied[3 * row] = x * grip_share
-            self._applied[3 * row + 1] = y * grip_share
-            self._applied[3 * row + 2] = _clipped(
-                (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
-                self._grip_torque[row],
+            self._aim(row)
+            self._push(row)
+        self._step += 1
+
+    @cython.cfunc
+    def _aim(self, row: cython.Py_ssize_t) -> cython.int:
+        """Set the velocities that the servos of base `row` aim at in this step. Returns 0."""
+        k: cython.Py_ssize_t
+        target: cython.double
+        # The places of the ring buffer: the place after the newest has the oldest command, which
+        # was given `delay_steps` ago. Without a delay the buffer has one place.
+        newest: cython.Py_ssize_t = self._step % self._delay_line.shape[0]
+        oldest: cython.Py_ssize_t = (self._step + 1) % self._delay_line.shape[0]
+        for k in range(3):
+            self._delay_line[newest, row, k] = self._command[row, k]
+        for k in range(3):
+            target = self._delay_line[oldest, row, k]
+            # Clipping to the limits comes before the cap: a ramp towards a speed beyond the limits
+            # would lag when the command reverses.
+            target = _clipped(target if isfinite(target) else 0.0, self._limits[row, k])
+            if self._is_capped:
+                self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
+                target = _clipped(self._capped[row, k], self._limits[row, k])
+            # The base follows as fast as its motors can.
+            self._driven[row, k] += _clipped(
+                (target - self._driven[row, k]) * self._shares[row], self._max_steps[row, k]
             )
+        return 0
+
+    @cython.cfunc
+    def _push(self, row: cython.Py_ssize_t) -> cython.int:
+        """Set the force and the torque of base `row`, by which its velocity becomes `driven`.
+
+        Both remove the error of the velocity within the step, up to the grip of the tyres.
+        Returns 0.
+        """
+        linear: cython.double = self._driven[row, 0]
+        lateral: cython.double = self._driven[row, 2]
+        # A base that turns drives an arc. The chord of this step's arc has the heading half a step
+        # ahead.
+        yaw: cython.double = self._qpos[3 * row + 2] + self._driven[row, 1] * (self._dt / 2.0)
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        # The error in m/s in the world frame; only bodies that hover have a drift.
+        error_x: cython.double = (
+            c * linear - s * lateral + self._drift[row, 0] - self._qvel[3 * row]
+        )
+        error_y: cython.double = (
+            s * linear + c * lateral + self._drift[row, 1] - self._qvel[3 * row + 1]
+        )
+        force_x: cython.double = error_x * self._inert[row, 0] / self._dt
+        force_y: cython.double = error_y * self._inert[row, 1] / self._dt
+        force: cython.double = hypot(force_x, force_y)
+        grip_share: cython.double = min(1.0, self._grip[row] / max(force, 1e-12))
+        self._applied[3 * row] = force_x * grip_share
+        self._applied[3 * row + 1] = force_y * grip_share
+        self._applied[3 * row + 2] = _clipped(
+            (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
+            self._grip_torque[row],
+        )
+        return 0
 
 
 def _accelerations(platform):
@@ -206,24 +231,28 @@ def _share(platform, dt):
 @cython.auto_pickle(False)
 @cython.cclass
 class Wheels:
-    """Odometry of n bases with errors; `measured` (n, 3, 3): the matrices of `measurement`.
+    """Odometry of n bases with errors.
 
-    `truth`, `reported` (n, 3): the true and the reported poses at the last reading, which `read`
-    replaces. `slip`: the standard deviation of slip, which `rngs` (n,) draw for _DRAWS readings at
-    once: a draw for each reading would take half of the time of a reading.
+    The random numbers of slip are drawn for _DRAWS readings at once: a draw for each reading would
+    take half of the time of a reading.
     """
 
-    _measured: cython.double[:, :, ::1]
-    _truth: cython.double[:, ::1]
-    _reported: cython.double[:, ::1]
-    _slip: cython.double
+    _measured: cython.double[:, :, ::1]  # (n, 3, 3) the matrices of `odometer.measurement`
+    _truth: cython.double[:, ::1]  # (n, 3) true poses at the last reading
+    _reported: cython.double[:, ::1]  # (n, 3) poses that the last reading reported, not wrapped
+    _slip: cython.double  # standard deviation
     _rngs: list
-    _blocks: list  # (_DRAWS, 2) of each base: random numbers, of which `_used` are used
-    _draws: cython.double[:, :, ::1]
-    _used: cython.Py_ssize_t[::1]
+    _blocks: list  # of each base the row of `_draws`, into which its generator writes
+    _draws: cython.double[:, :, ::1]  # (n, _DRAWS, 2) standard normal numbers
+    _used: cython.Py_ssize_t[::1]  # (n,) how many pairs of `_draws` are used
     _slips: cython.double[2]  # factors near 1 on linear and angular motion of the present reading
 
     def __init__(self, measured, truth, reported, slip, rngs):
+        """`truth`, `reported` (n, 3): true and reported poses at the start, which `read` replaces.
+
+        `measured` (n, 3, 3): from true to measured motion. `slip`: the standard deviation of the
+        slip, which the generators `rngs` (n,) draw.
+        """
         self._measured = memoryview(measured)
         self._truth, self._reported = memoryview(truth), memoryview(reported)
         draws = np.empty((len(rngs), _DRAWS, 2))
@@ -251,38 +280,55 @@ class Wheels:
         index: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        x: cython.double
-        y: cython.double
-        turn: cython.double
-        mid_yaw: cython.double
-        c: cython.double
-        s: cython.double
-        linear: cython.double
-        lateral: cython.double
         for index in range(rows.shape[0]):
             row = rows[index]
             self._draw_slips(row)
-            # 1. The true motion since the last reading, along the mean heading.
-            x, y = poses[row, 0] - self._truth[row, 0], poses[row, 1] - self._truth[row, 1]
-            turn = poses[row, 2] - self._truth[row, 2]
-            mid_yaw = self._truth[row, 2] + turn / 2.0
-            c, s = cos(mid_yaw), sin(mid_yaw)
-            # 2. The motion that the wheels measure (from linear, angular and lateral motion in the
-            # base frame), added to the reported pose. `measured` holds the measured motion until
-            # step 3 replaces it by the twist.
-            self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
-            linear, turn, lateral = measured[index, 0], measured[index, 1], measured[index, 2]
-            mid_yaw = self._reported[row, 2] + turn / 2.0
-            c, s = cos(mid_yaw), sin(mid_yaw)
-            self._reported[row, 0] += c * linear - s * lateral
-            self._reported[row, 1] += s * linear + c * lateral
-            self._reported[row, 2] += turn
+            self._measure_motion(row, index, poses, measured)
+            self._add_motion(row, measured[index, 0], measured[index, 1], measured[index, 2])
             for k in range(3):
                 self._truth[row, k] = poses[row, k]
                 reported[index, k] = self._reported[row, k]
             reported[index, 2] = _wrapped(reported[index, 2])
-            # 3. The measured twist.
+            # The twist takes the place of the measured motion, which the reported pose has now.
             self._measure(row, index, twists[row, 0], twists[row, 1], twists[row, 2], measured)
+
+    @cython.cfunc
+    def _measure_motion(
+        self,
+        row: cython.Py_ssize_t,
+        index: cython.Py_ssize_t,
+        poses: cython.double[:, ::1],
+        measured: cython.double[:, ::1],
+    ) -> cython.int:
+        """Measure the motion of base `row` since the last reading. Returns 0.
+
+        Sets row `index` of `measured` to the linear motion in m, the turn in rad and the lateral
+        motion in m. The true motion is taken for a straight line along the mean heading.
+        """
+        x: cython.double = poses[row, 0] - self._truth[row, 0]
+        y: cython.double = poses[row, 1] - self._truth[row, 1]
+        turn: cython.double = poses[row, 2] - self._truth[row, 2]
+        mid_yaw: cython.double = self._truth[row, 2] + turn / 2.0
+        c: cython.double = cos(mid_yaw)
+        s: cython.double = sin(mid_yaw)
+        return self._measure(row, index, c * x + s * y, turn, c * y - s * x, measured)
+
+    @cython.cfunc
+    def _add_motion(
+        self,
+        row: cython.Py_ssize_t,
+        linear: cython.double,
+        turn: cython.double,
+        lateral: cython.double,
+    ) -> cython.int:
+        """Add a measured motion in m and rad to the reported pose of base `row`. Returns 0."""
+        mid_yaw: cython.double = self._reported[row, 2] + turn / 2.0
+        c: cython.double = cos(mid_yaw)
+        s: cython.double = sin(mid_yaw)
+        self._reported[row, 0] += c * linear - s * lateral
+        self._reported[row, 1] += s * linear + c * lateral
+        self._reported[row, 2] += turn
+        return 0
 
     @cython.cfunc
     def _draw_slips(self, row: cython.Py_ssize_t) -> cython.int:

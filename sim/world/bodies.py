@@ -163,7 +163,8 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
         contype=contype,
         conaffinity=conaffinity,
     )
-    # The visible shapes have true heights and collide with nothing.
+    # The visible shapes have true heights and collide with nothing. The housing is the target of
+    # other lidars.
     body_top, housing_top = value(platform, "height"), heights(platform).highest
     body.add_geom(
         name=f"{robot}/body",

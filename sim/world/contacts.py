@@ -93,33 +93,22 @@ class ContactReader:
         `qpos` and `qvel` (3 k,): poses and velocities of all k bodies before the step. MuJoCo
         detects contacts at these poses, before the solver stops the colliding bodies.
         """
-        # 1. The contacts that count: of a robot with any body. The row of a body is its index in
-        # `qpos`; robots come first, so a contact with a robot has a row below `_robots`.
         contact = data.contact
         geoms = np.asarray(contact.geom, dtype=np.intp)  # (c, 2)
         rows = self._rows.take(geoms)
+        # Robots have the first rows, so a contact with a robot has a row below `_robots`.
         is_touching = (contact.dist <= 0.0) & (rows.min(axis=1) < self._robots)
-        if self._is_left_out is not None:  # bodies whose contacts are not read
+        if self._is_left_out is not None:
             is_touching &= ~self._is_left_out.take(geoms).any(axis=1)
         touching = is_touching.nonzero()[0]
         geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
-        point, normal = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
-        # 2. The velocity of each body at the point; the arena, the last row, stands.
-        standing = np.zeros((1, 3))
-        poses = np.concatenate((qpos.reshape(-1, 3), standing)).take(rows, axis=0)
-        twists = np.concatenate((qvel.reshape(-1, 3), standing)).take(rows, axis=0)
-        angular = twists[..., 2]
-        vx = twists[..., 0] - angular * (point[:, 1:2] - poses[..., 1])
-        vy = twists[..., 1] + angular * (point[:, 0:1] - poses[..., 0])
-        # 3. The component of each velocity along the normal, which points from the first body to
-        # the second. Positive: towards the other body.
-        speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
-        speeds[:, 1] *= -1.0
-        # 4. Each pair in order of rows: robots first.
-        swapped = (rows[:, 1] < rows[:, 0]).nonzero()[0]
-        if len(swapped):
-            geoms[swapped] = geoms[swapped, ::-1]
-            speeds[swapped] = speeds[swapped, ::-1]
+        points, normals = contact.pos.take(touching, axis=0), contact.frame.take(touching, axis=0)
+        speeds = _speeds_along(normals, points, rows, qpos, qvel)
+        # Each pair in order of rows: robots first.
+        reversed_pairs = (rows[:, 1] < rows[:, 0]).nonzero()[0]
+        if len(reversed_pairs):
+            geoms[reversed_pairs] = geoms[reversed_pairs, ::-1]
+            speeds[reversed_pairs] = speeds[reversed_pairs, ::-1]
         return ContactPoints(geoms, speeds)
 
     def contacts(self, steps: Sequence[ContactPoints]) -> list[Contact]:
@@ -141,3 +130,24 @@ class ContactReader:
                 geoms[chosen].tolist(), speeds[chosen].tolist(), strict=True
             )
         ]
+
+
+def _speeds_along(
+    normals: Array, points: Array, rows: NDArray[np.intp], qpos: Array, qvel: Array
+) -> Array:
+    """(c, 2) m/s of each surface at a contact towards the other surface.
+
+    `normals`: along x and y in the first two columns, from the first body to the second. `points`:
+    x and y of the contacts. `rows` (c, 2): of the bodies; the arena has the last row. `qpos`,
+    `qvel`: as of `ContactReader.after_step`.
+    """
+    arena = np.zeros((1, 3))  # neither moves nor turns
+    poses = np.concatenate((qpos.reshape(-1, 3), arena)).take(rows, axis=0)
+    twists = np.concatenate((qvel.reshape(-1, 3), arena)).take(rows, axis=0)
+    # The velocity of a point of a body: that of its axle, plus that of the turn about the axle.
+    angular = twists[..., 2]
+    vx = twists[..., 0] - angular * (points[:, 1:2] - poses[..., 1])
+    vy = twists[..., 1] + angular * (points[:, 0:1] - poses[..., 0])
+    speeds: Array = vx * normals[:, 0:1] + vy * normals[:, 1:2]
+    speeds[:, 1] *= -1.0  # the second body moves towards the first against the normal
+    return speeds

@@ -1,9 +1,8 @@
-"""Simulated bodies that hover: a wind of their own, and a height hold with an error.
+"""Simulated bodies that hover: they drift, and the height that they hold has an error.
 
 Drift and height error are processes with a memory of _MEMORY s (Ornstein-Uhlenbeck), cut at two
 standard deviations. A body that hovers has `body: {drift: ..., height_error: ...}`, the standard
-deviations in m/s and m. The world stays planar: the height is only a reading, and beams stay in
-their plane.
+deviations in m/s and m. The world stays planar: the height is a reading, and changes no scan.
 """
 
 from __future__ import annotations

@@ -35,38 +35,34 @@ class Items:
     def __init__(
         self, kinds: Sequence[ItemKind], arena: Arena, platforms: Sequence[Platform], seed: int
     ) -> None:
-        """Make the items without places, which `begin` gives them.
+        """Make the items; they have no places before `begin`.
 
-        `kinds`: of the items in `arena`, whose names are in the same order. `platforms` (n,): of
-        the robots. `seed`: of random places.
+        `kinds`: the kinds of the items in `arena`, in the same order. `platforms` (n,): of the
+        robots. `seed`: of random places.
         """
         self._kinds = tuple(kinds)
         self._arena = arena
-        robots = len(platforms)
         # Outlines (c, 2) of the arena's solid parts, which no item may overlap.
         self._solid = [box.corners for _, box in arena.fixed]
         self._solid += [pole.corners for pole in arena.poles]
         items = [item for kind in kinds for item in kind.things]
         self.names = tuple(item.name for item in items)
         self.shapes = np.array([item.shape for item in items]).reshape(-1, 4, 2)
-        # Of each of q items: (q,) the index of its kind, and (q, 3) its x, y and yaw.
+        # (q,) the index of each item's kind.
         self._kind_of = np.repeat(np.arange(len(kinds)), [len(kind.things) for kind in kinds])
-        self._places = np.zeros((len(self.names), 3))
+        self._places = np.zeros((len(self.names), 3))  # x, y and yaw of each item
         self._rngs = [generator(seed, "items", kind.name) for kind in kinds]
         # An item without a mass is flat, and carried by robots; a puck has a mass, and is pushed.
-        mass = np.array([kind.mass or 0.0 for kind in kinds])
-        # Mass twice, and moment of inertia: a puck is a disc of the diameter `size`, so m r^2 / 2.
-        inert = np.array([(m, m, m * k.size**2 / 8.0) for m, k in zip(mass, kinds, strict=True)])
-        self._is_flat = (mass == 0.0)[self._kind_of]
+        self._is_flat = np.array([kind.mass is None for kind in kinds], np.bool_)[self._kind_of]
         self.has_flat, self._pucks = bool(self._is_flat.any()), np.flatnonzero(~self._is_flat)
-        self._inert = inert.reshape(-1, 3)[self._kind_of][self._pucks]
-        self._dofs = slice(0, 0)  # of the pucks in MuJoCo's memory
-        # (n,) of each robot: the distance in m from its axle to the middle of its front edge, the
-        # state of its gripper, the item that it holds (-1: none), and the items that it delivered.
+        inert = np.array([_inertia(kind) for kind in kinds]).reshape(-1, 3)
+        self._inert = inert[self._kind_of][self._pucks]
+        self._dofs = slice(0, 0)  # of the pucks in MuJoCo's memory; `begin` sets it
+        # (n,) m from the axle of each robot to the middle of its front edge.
         self._front = np.array([platform.footprint[:, 0].max() for platform in platforms])
-        self._is_closed = np.zeros(robots, dtype=np.bool_)
-        self._held = np.full(robots, -1)
-        self.delivered = np.zeros(robots, dtype=np.int64)
+        self._is_closed = np.zeros(len(platforms), dtype=np.bool_)  # the gripper of each robot
+        self._held = np.full(len(platforms), -1)  # the item that each robot holds; -1: no item
+        self.delivered = np.zeros(len(platforms), dtype=np.int64)
 
     def begin(self, model: mujoco.MjModel, data: mujoco.MjData, outlines: Sequence[Array]) -> None:
         """Put all items in their places; the pucks are the last bodies of the model.
@@ -193,3 +189,9 @@ class Items:
             if not any(overlaps(square, body) for body in solid):
                 return place
         raise ConfigError(f"items {kind.name}: no room in the source {list(kind.source)}")
+
+
+def _inertia(kind: ItemKind) -> tuple[float, float, float]:
+    """Inertia of a puck along x, y and yaw: the mass twice, and m r^2 / 2 of a disc; 0 if flat."""
+    mass = kind.mass or 0.0
+    return mass, mass, mass * kind.size**2 / 8.0

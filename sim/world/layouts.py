@@ -21,6 +21,8 @@ _TRIES = 2000
 def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: int) -> Array:
     """Start poses (n, 3) x, y in m and yaw in rad, one for each footprint.
 
+    Defaults in m: SPACING 1.0, RADIUS 1.5, CLEARANCE 0.2.
+
     - `row:SPACING`: along y, centred at the origin, heading along x.
     - `paper:SPACING`: along y from the origin on (experiment 1 of the paper), heading along x.
     - `grid:SPACING`: heading along x.

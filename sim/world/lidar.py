@@ -24,9 +24,10 @@ Visibility = Literal["body", "real"]
 class LidarModel:
     """What the lidars of a world detect of robots, and the number of sectors of a revolution.
 
-    Visibility `body` (lidars see whole footprints) is the default because the published behaviours
-    need it: with true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2
-    m, and protection that needs more than 5 rays detects it only at 1 m.
+    The default visibility is `body`, in which lidars see whole footprints, because the published
+    behaviours need it. With true heights, the part of a Waffle Pi that other lidars see is a
+    housing 0.11 m wide. At a distance of 2 m only 3 rays hit the housing. Protection needs more
+    than 5 rays, so it detects the robot at 1 m only.
     """
 
     visibility: Visibility = "body"
@@ -68,9 +69,14 @@ class Shapes:
 def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
     """The shapes for one kind of sensor; owner i is the robot of `platforms[i]`, then come boxes.
 
-    `plane`: the height in m of the scan plane; None: all footprints are visible. A robot shows its
-    footprint in a plane up to the height of its body, the housing of its lidar in a plane up to its
-    highest point, and nothing in a higher plane. Walls, boxes and poles are visible in any plane.
+    `plane`: the height in m of the scan plane; None: all footprints are visible. What a robot shows
+    depends on the height of the plane:
+
+    - Up to the top of its body: its footprint.
+    - Above, up to its highest point: the housing of its lidar.
+    - Higher: nothing.
+
+    Walls, boxes and poles are visible in any plane.
     """
     body_rows: list[int] = []  # robots whose footprint is visible
     housing_rows: list[int] = []  # robots of which only the lidar's housing is visible
@@ -181,8 +187,8 @@ class Lidar:
     def sweeps(self, ends: Indices, ranges: Array) -> Any:
         """The kernel `Sweeps` of this sensor, which casts scans sector by sector into `ranges`.
 
-        `ends` (steps + 1,): the number of rays that are measured by each step of a sweep. `ranges`
-        (2 n, rays) in m: two rows for each of n robots.
+        `ends` (steps + 1,): the number of rays that are measured from the begin of a sweep up to
+        each of its steps. `ranges` (2 n, rays) in m: two rows for each of n robots.
         """
         sweep, bearings = self._spec.sweep, self._spec.bearings
         assert sweep is not None

@@ -39,19 +39,20 @@ class MovableBoxes:
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
         self.is_there = np.zeros(m, dtype=np.bool_)  # False: out of the arena
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
-        # Friction: (m,) the force in N; (m, 3) its levers: 1 for the forces along x and y, metres
-        # for the torque about yaw; and (m, 3) the inertia along these axes in kg and kg m2.
-        lever = np.array([_lever(box) for box in boxes])
+        # (m,) the force of friction in N.
         self._grip = np.array([FRICTION * GRAVITY * (box.mass or 0.0) for box in boxes])
+        # (m, 3) what this force is multiplied with along x and y (1) and about yaw (m).
+        lever = np.array([_lever(box) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
+        # (m, 3) inertia along x, y and yaw: the mass in kg twice, the moment in kg m2.
         self._inert = np.array([(b.mass, b.mass, moment(b)) for b in boxes]).reshape(m, 3)
         starts = np.array([(box.x, box.y, box.yaw) for box in boxes]).reshape(m, 3)
         for row, box in enumerate(boxes):
             self._put(row, starts[row], is_there=box.is_placed)
         for row in np.flatnonzero(self.is_there).tolist():
-            # All boxes are placed now. The call passes no robots, since the layout of the robots
-            # keeps them off the boxes.
-            fault = self._fault(row, starts[row], ())
+            # Checked once all boxes are placed. Robots are not checked: their layout keeps them off
+            # the boxes.
+            fault = self._fault(row, starts[row], robots=())
             if fault:
                 where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
                 raise ConfigError(f"{where}: {fault}")
@@ -83,11 +84,11 @@ class MovableBoxes:
     def apply_friction(self) -> None:
         """Set the floor's isotropic friction for the next step.
 
-        MuJoCo limits friction for each coordinate of a box (x, y, yaw) separately. Dry friction
-        limits force and torque together, by an ellipsoid (Howe and Cutkosky 1996). The
-        three limits are the coordinates of a point on this ellipsoid, in the direction of the force
-        and torque that would stop the box. The half axes of the ellipsoid are the friction force
-        and, for the torque, this force times the box's lever.
+        Dry friction limits force and torque together, by an ellipsoid (Howe and Cutkosky 1996). Its
+        half axes are the friction force and, for the torque, this force times the box's lever.
+        MuJoCo limits the friction of each coordinate of a box (x, y, yaw) separately. So the three
+        limits are set to a point on the ellipsoid: the point in the direction of the force and
+        torque that would stop the box.
         """
         if not self.is_there.any():
             return
@@ -95,7 +96,8 @@ class MovableBoxes:
         momentum = self._data.qvel[self._dofs].reshape(-1, 3) * self._inert
         against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
         size = np.sqrt((against * against).sum(axis=1))[:, None]
-        # Of the limit along each axis; equal shares for a box that needs no force.
+        # The coordinates of the point as shares of the half axes; equal for a box that needs no
+        # force.
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
         # Above 0, so that the number of friction constraints does not change between steps.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)

@@ -60,15 +60,15 @@ class NoisyLidar:
         measured, rays = ranges.copy(), len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)
-        errors, normal, even = self._errors[rays]  # `errors` reads the buffers of random numbers
+        errors, normal, uniform = self._errors[rays]  # `errors` reads the buffers of random numbers
         if self._is_exact:
             errors.encode(row, measured)
             return measured
         drawn = self._drawn.pop(row, None)
         if drawn is None:
-            self._draw(row, normal, even)
+            self._draw(row, normal, uniform)
         else:
-            normal[:], even[:] = drawn
+            normal[:], uniform[:] = drawn
         errors.measure(row, measured)
         return measured
 
@@ -79,23 +79,23 @@ class NoisyLidar:
         rays = len(ranges)
         if rays not in self._errors:
             self._errors[rays] = self._errors_of(rays)
-        _, normal, even = self._errors[rays]
+        _, normal, uniform = self._errors[rays]
         drawn = self._drawn.get(row)
         if drawn is None:
-            self._draw(row, normal, even)
-            drawn = normal.copy(), even.copy()
+            self._draw(row, normal, uniform)
+            drawn = normal.copy(), uniform.copy()
         self._drawn[row] = drawn
         measured = self.measured(row, ranges)
         self._drawn[row] = drawn
         return measured
 
-    def _draw(self, row: int, normal: Array, even: NDArray[np.float32]) -> None:
+    def _draw(self, row: int, normal: Array, uniform: NDArray[np.float32]) -> None:
         """Draw the random numbers of a scan of robot `row`."""
         self._rngs[row].standard_normal(out=normal)
-        self._rngs[row].random(dtype=np.float32, out=even)
+        self._rngs[row].random(dtype=np.float32, out=uniform)
 
     def _errors_of(self, rays: int) -> tuple[Any, Array, NDArray[np.float32]]:
-        normal, even = np.empty(rays), np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
+        normal, uniform = np.empty(rays), np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
         encoded = np.stack((self._near, self._nothing), axis=-1)
         errors = load_kernel("swarmd.sim.world.ray_caster").Errors(
             self._noise,
@@ -105,9 +105,9 @@ class NoisyLidar:
             encoded,
             self._block_dropout,
             normal,
-            even,
+            uniform,
         )
-        return errors, normal, even
+        return errors, normal, uniform
 
 
 def _nothing(spec: ScanSpec) -> float:

@@ -36,8 +36,7 @@ class Odometers:
     ) -> None:
         """Draw the systematic errors of n bases by `seed` and robot's id.
 
-        `platforms`, `starts` (n, 3) x, y, yaw and `ids` in the order of rows. Ideal odometry draws
-        nothing.
+        `platforms`, `starts` (n, 3) x, y, yaw and `ids` in the order of rows.
         """
         self._noise = noise
         self._starts = starts.copy()
@@ -45,7 +44,7 @@ class Odometers:
         # math, since numpy's vectorised sine differs from math's in the last bit.
         self._turns = np.array([(math.cos(yaw), math.sin(yaw)) for yaw in starts[:, 2]])
         self._turns = self._turns.reshape(-1, 2)
-        if noise.is_ideal:
+        if noise.is_ideal:  # nothing is drawn, and `read` uses no wheels
             return
         rngs = [generator(seed, "odometry", robot) for robot in ids]
         errors = np.array([rng.standard_normal(2) for rng in rngs]).reshape(-1, 2)
@@ -56,10 +55,9 @@ class Odometers:
             separation=np.array([value(platform, "wheel_separation") for platform in platforms]),
             is_lateral=np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        self._truth, self._reported = starts.copy(), np.zeros_like(starts)
         base = load_kernel("swarmd.sim.world.base")
-        kept = self._measured, self._truth, self._reported
-        self._wheels = base.Wheels(*kept, noise.slip, rngs)
+        truth, reported = starts.copy(), np.zeros_like(starts)
+        self._wheels = base.Wheels(self._measured, truth, reported, noise.slip, rngs)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """A reading of robots `rows` (m,): poses x, y, yaw, and twists linear, angular, lateral.

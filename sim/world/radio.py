@@ -39,10 +39,12 @@ _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The radio between robots.
 
-    neighborhood: robots hear `all` robots, or robots within `range` m. line_of_sight: boxes, inner
-    walls and poles between two robots block the radio. loss: the share of messages that a receiver
-    misses. delay: s from sending to receiving. jitter: the delay varies uniformly by up to this
-    time in s, up and down. range_and_bearing: the hardware also senses where the neighbors are.
+    - `neighborhood`: robots hear `all` robots, or robots within `range` m.
+    - `line_of_sight`: boxes, inner walls and poles between two robots block the radio.
+    - `loss`: the share of messages that a receiver misses.
+    - `delay`: s from sending to receiving.
+    - `jitter`: the delay varies uniformly by up to this time in s, up and down.
+    - `range_and_bearing`: the hardware also senses where the neighbors are.
     """
 
     neighborhood: Literal["all", "range"] = "all"
@@ -102,7 +104,7 @@ class Radio:
         self._reach = math.inf if settings.range is None else settings.range
         self._sight = LineOfSight(arena) if settings.line_of_sight else None
         self._rank_rngs = [generator(seed, "rank", robot) for robot in ids]
-        self._ranks = [(-math.inf, 0.0)] * len(self._ids)  # s of the last sending, and its rank
+        self._ranks: dict[int, tuple[float, float]] = {}  # by row: s of the last sending, its rank
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
         self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
@@ -159,8 +161,7 @@ class Radio:
         A flight is a message in transit, which arrives at all its receivers at one time. Without
         jitter all receivers share a flight; with jitter each receiver has a flight of its own. Hand
         the flights to `carry`. The receivers are the present neighbors of the sender, except those
-        that miss the message by random loss. If several messages arrive at one instant, a random
-        rank, drawn for each sender and instant, decides their order.
+        that miss the message by random loss.
         """
         # The sender's own generator: the messages of other robots do not change the losses.
         settings, rng = self.settings, self._loss_rngs[row]
@@ -168,10 +169,7 @@ class Radio:
         if settings.loss > 0.0:
             receivers = receivers[rng.random(len(receivers)) >= settings.loss]
         rows, arrival = receivers.tolist(), now + settings.delay
-        last_sent, rank = self._ranks[row]
-        if last_sent != now:
-            rank = float(self._rank_rngs[row].random())
-            self._ranks[row] = now, rank
+        rank = self._rank(row, now)
         if settings.jitter > 0.0:
             jitter = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
             return [
@@ -179,6 +177,17 @@ class Radio:
                 for offset, receiver in zip(jitter, rows, strict=True)
             ]
         return [(arrival, rank, rows, row, name, value)] if rows else []
+
+    def _rank(self, row: int, now: float) -> float:
+        """The random rank of a sender at `now` s, which orders messages that arrive at one instant.
+
+        All messages that a sender sends at one instant have one rank, so they stay in order.
+        """
+        last_sent, rank = self._ranks.get(row, (None, 0.0))
+        if last_sent != now:
+            rank = float(self._rank_rngs[row].random())
+            self._ranks[row] = now, rank
+        return rank
 
     def carry(
         self, flights: Iterable[Flight], own: Callable[[list[int]], list[int]] = lambda rows: rows

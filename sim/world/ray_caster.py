@@ -123,27 +123,17 @@ class Caster:
     _sin_half: cython.double
 
     def __init__(self, spec, rays, walls, poles, edges, polygon_owners, discs, disc_owners):
-        """The shapes of `lidar.Shapes` as arrays of numbers; lengths in m.
+        """Take the rays of a sensor, and the shapes of `lidar.Shapes` as arrays; lengths in m.
 
-        `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`). `walls`
-        (w, 5): start, vector to the end, and -`range_max` times the length: the least `side` of a
-        wall in reach (`_meet_surface`). `poles` (p, 3): x, y, radius. `edges` (b, k, 4) of
-        polygons: start, and vector to the end. `discs` (d, 3): x, y, radius. Owners: rows of the
-        robots or boxes that have the polygons and discs.
+        - `spec`: the sensor. `rays`: its rays in order of bearing (`lidar.SortedRays`).
+        - `walls` (w, 5): start, vector to the end, and -`range_max` times the length. A wall is in
+          reach if its `side` (see `_meet_surface`) is at least the last number.
+        - `poles` (p, 3): x, y, radius.
+        - `edges` (b, k, 4) of polygons: start, and vector to the end. `polygon_owners` (b,): the
+          rows of the robots or boxes that have the polygons.
+        - `discs` (d, 3): x, y, radius. `disc_owners` (d,): as `polygon_owners`.
         """
-        n, self._step = len(spec.bearings), -1
-        # 1. The rays and the sensor.
-        self._rays = n
-        self._number = memoryview(np.array(rays.number[:n], np.intp))
-        self._cos, self._sin = (
-            memoryview(np.array(rays.cos[:n])),
-            memoryview(np.array(rays.sin[:n])),
-        )
-        self._bearings = memoryview(np.array(rays.bearings))
-        self._is_even, self._ray_step = rays.is_even, rays.step
-        self._range_min, self._range_max = spec.range_min, spec.range_max
-        self._sensor_x, self._sensor_y = spec.offset
-        # 2. The shapes.
+        self._set_rays(spec, rays)
         self._walls = memoryview(np.array(walls, order="C"))
         self._poles = memoryview(np.array(poles, order="C"))
         self._polygon_count, self._corner_count = len(edges), edges.shape[1]
@@ -151,22 +141,39 @@ class Caster:
         self._edges = memoryview(np.array(edges, order="C"))
         self._discs = memoryview(np.array(discs, order="C"))
         self._owner = memoryview(np.concatenate((polygon_owners, disc_owners)).astype(np.intp))
-        # 3. The distance of each body's owner within which the sensor may detect the body.
-        polygon_reach = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
-        disc_reach = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
-        reaches = np.concatenate((polygon_reach, disc_reach)) + (spec.range_max + _ROUNDING)
+        reaches = _radii(edges, discs) + (spec.range_max + _ROUNDING)
         self._reach = memoryview(reaches)
         # At least 0.1 m: the grid's cells are at least this wide, and their width is a divisor.
         self._max_reach = max(float(reaches.max(initial=0.0)), 0.1)
-        # 4. Buffers for the bodies in the world frame, the grid and a scan.
-        self._placed_edges = memoryview(np.empty(edges.shape))
-        self._disc_centers = memoryview(np.empty((len(discs), 2)))
+        self._make_buffers(edges.shape, len(discs))
+
+    @cython.cfunc
+    def _set_rays(self, spec, rays) -> cython.int:
+        """Set the rays and the sensor; returns 0."""
+        n = len(spec.bearings)
+        self._rays = n
+        self._number = memoryview(np.array(rays.number[:n], np.intp))
+        self._cos = memoryview(np.array(rays.cos[:n]))
+        self._sin = memoryview(np.array(rays.sin[:n]))
+        self._bearings = memoryview(np.array(rays.bearings))
+        self._is_even, self._ray_step = rays.is_even, rays.step
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._sensor_x, self._sensor_y = spec.offset
+        return 0
+
+    @cython.cfunc
+    def _make_buffers(self, edges_shape, discs: cython.Py_ssize_t) -> cython.int:
+        """Make the buffers for the bodies in the world frame, the grid and a scan; returns 0."""
+        self._step = -1
+        self._placed_edges = memoryview(np.empty(edges_shape))
+        self._disc_centers = memoryview(np.empty((discs, 2)))
         self._body_places = memoryview(np.empty((self._body_count, 2)))
         grid_side: cython.Py_ssize_t = int(self._body_count**0.5) + 2
         self._cell_begin = memoryview(np.empty(grid_side * grid_side + 1, np.intp))
         self._members = memoryview(np.empty(self._body_count, np.intp))
         self._cell_of = memoryview(np.empty(self._body_count, np.intp))
-        self._inverse = memoryview(np.empty(n))
+        self._inverse = memoryview(np.empty(self._rays))
+        return 0
 
     def cast(
         self,
@@ -204,13 +211,9 @@ class Caster:
         `_set_bodies` must have been called with `poses`. Returns 0, always.
         """
         i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
-        distance: cython.double
         self._first, self._count = first, count
-        # 1. One over the distance of each ray's nearest return; 0: no return. The inverse needs no
-        # division along a flat surface.
         for i in range(count):
-            self._inverse[i] = 0.0
+            self._inverse[i] = 0.0  # no return
         # The pose of an absent robot is NaN in x, y and yaw, so x is enough to check.
         if isfinite(poses[robot, 0]):
             self._set_sensor(poses[robot, 0], poses[robot, 1], poses[robot, 2])
@@ -219,9 +222,15 @@ class Caster:
             self._meet_bodies(robot)
             for i in range(self._poles.shape[0]):
                 self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
-        # 2. The ranges. `_number`: by index in order of bearing, the index in the scan. The indices
-        # of a sector may pass the end of the turn.
-        for i in range(count):
+        return self._write_ranges(ranges, row)
+
+    @cython.cfunc
+    def _write_ranges(self, ranges: cython.double[:, ::1], row: cython.Py_ssize_t) -> cython.int:
+        """Write the ranges of the sector's rays into a row of `ranges`; returns 0."""
+        i: cython.Py_ssize_t
+        index: cython.Py_ssize_t
+        distance: cython.double
+        for i in range(self._count):
             distance = HUGE_VAL
             if self._inverse[i] > 0.0:
                 distance = 1.0 / self._inverse[i]
@@ -229,7 +238,8 @@ class Caster:
                     distance = HUGE_VAL
                 elif distance < self._range_min:
                     distance = -HUGE_VAL
-            index = first + i
+            # A sector may begin with the last rays and end with the first rays.
+            index = self._first + i
             if index >= self._rays:
                 index -= self._rays
             ranges[row, self._number[index]] = distance
@@ -243,10 +253,7 @@ class Caster:
         Bodies are the polygons, then the discs, of robots and movable boxes. Returns 0, always.
         """
         body: cython.Py_ssize_t
-        i: cython.Py_ssize_t
         owner: cython.Py_ssize_t
-        c: cython.double
-        s: cython.double
         x: cython.double
         y: cython.double
         west: cython.double = HUGE_VAL
@@ -261,78 +268,107 @@ class Caster:
                 continue
             west, east = min(west, x), max(east, x)
             south, north = min(south, y), max(north, y)
-            c, s = cos(poses[owner, 2]), sin(poses[owner, 2])
             if body < self._polygon_count:
-                # Rotate and shift the start of each edge; rotate the vector to its end.
-                for i in range(self._corner_count):
-                    self._placed_edges[body, i, 0] = (
-                        c * self._edges[body, i, 0] - s * self._edges[body, i, 1]
-                    ) + x
-                    self._placed_edges[body, i, 1] = (
-                        s * self._edges[body, i, 0] + c * self._edges[body, i, 1]
-                    ) + y
-                    self._placed_edges[body, i, 2] = (
-                        c * self._edges[body, i, 2] - s * self._edges[body, i, 3]
-                    )
-                    self._placed_edges[body, i, 3] = (
-                        s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
-                    )
+                self._place_polygon(body, x, y, poses[owner, 2])
             else:
-                i = body - self._polygon_count
-                self._disc_centers[i, 0] = (c * self._discs[i, 0] - s * self._discs[i, 1]) + x
-                self._disc_centers[i, 1] = (s * self._discs[i, 0] + c * self._discs[i, 1]) + y
+                self._place_disc(body - self._polygon_count, x, y, poses[owner, 2])
         return self._fill_grid(west, east, south, north)
 
     @cython.cfunc
     @cython.boundscheck(False)
+    def _place_polygon(
+        self, body: cython.Py_ssize_t, x: cython.double, y: cython.double, yaw: cython.double
+    ) -> cython.int:
+        """Rotate and shift the start of each edge, and rotate the vector to its end. Returns 0."""
+        i: cython.Py_ssize_t
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        for i in range(self._corner_count):
+            self._placed_edges[body, i, 0] = (
+                c * self._edges[body, i, 0] - s * self._edges[body, i, 1]
+            ) + x
+            self._placed_edges[body, i, 1] = (
+                s * self._edges[body, i, 0] + c * self._edges[body, i, 1]
+            ) + y
+            self._placed_edges[body, i, 2] = (
+                c * self._edges[body, i, 2] - s * self._edges[body, i, 3]
+            )
+            self._placed_edges[body, i, 3] = (
+                s * self._edges[body, i, 2] + c * self._edges[body, i, 3]
+            )
+        return 0
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _place_disc(
+        self, disc: cython.Py_ssize_t, x: cython.double, y: cython.double, yaw: cython.double
+    ) -> cython.int:
+        """Rotate and shift the centre of a disc; returns 0."""
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        self._disc_centers[disc, 0] = (c * self._discs[disc, 0] - s * self._discs[disc, 1]) + x
+        self._disc_centers[disc, 1] = (s * self._discs[disc, 0] + c * self._discs[disc, 1]) + y
+        return 0
+
+    @cython.cfunc
     def _fill_grid(
         self, west: cython.double, east: cython.double, south: cython.double, north: cython.double
     ) -> cython.int:
-        """Sort the bodies by grid cell (counting sort); the bounds of their places are in m.
+        """Sort the bodies by grid cell; the bounds are those of the bodies' places in m.
 
-        A cell is at least as wide as the longest reach of a body. So all bodies that a sensor may
-        detect are in its cell and the eight cells around. The grid is empty without a body. Returns
-        0, always.
+        Without a body `west` is above `east`, and the grid is empty. A cell is at least as wide as
+        the longest reach of a body. So all bodies that a sensor may detect are in its cell and the
+        eight cells around. Returns 0, always.
         """
-        body: cython.Py_ssize_t
-        cell: cython.Py_ssize_t
-        cells: cython.Py_ssize_t
-        total: cython.Py_ssize_t
         self._grid_columns = self._grid_rows = 0
         if not west <= east:
             return 0
-        # 1. The grid, with about one cell for each body at most, as `_cell_begin` has room.
+        # `_cell_begin` has room for about as many cells as bodies.
         self._cell_size = max(
             self._max_reach, max(east - west, north - south) / sqrt(self._body_count)
         )
         self._west, self._south = west, south
         self._grid_columns = cython.cast(cython.Py_ssize_t, (east - west) / self._cell_size) + 1
         self._grid_rows = cython.cast(cython.Py_ssize_t, (north - south) / self._cell_size) + 1
-        cells = self._grid_columns * self._grid_rows
-        # 2. The cell of each body (-1: absent), and the number of bodies of each cell.
+        return self._sort_bodies()
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _sort_bodies(self) -> cython.int:
+        """Set `_members` and `_cell_begin` by a counting sort; returns 0."""
+        body: cython.Py_ssize_t
+        cell: cython.Py_ssize_t
+        cells: cython.Py_ssize_t = self._grid_columns * self._grid_rows
+        total: cython.Py_ssize_t = 0
+        # 1. `_cell_begin` holds the number of bodies of each cell.
         for cell in range(cells + 1):
             self._cell_begin[cell] = 0
         for body in range(self._body_count):
-            self._cell_of[body] = -1
+            self._cell_of[body] = -1  # absent
             if isfinite(self._body_places[body, 0]):
-                cell = self._grid_columns * cython.cast(
-                    cython.Py_ssize_t, (self._body_places[body, 1] - south) / self._cell_size
-                ) + cython.cast(
-                    cython.Py_ssize_t, (self._body_places[body, 0] - west) / self._cell_size
-                )
+                cell = self._cell_at(self._body_places[body, 0], self._body_places[body, 1])
                 self._cell_of[body] = cell
                 self._cell_begin[cell] += 1
-        # 3. The end of each cell's range of `_members`, which the next loop moves to its begin.
-        total = 0
+        # 2. `_cell_begin` holds the end of each cell's range of `_members`.
         for cell in range(cells + 1):
             total += self._cell_begin[cell]
             self._cell_begin[cell] = total
+        # 3. Each range is filled from its end downwards, so `_cell_begin` ends at its begin.
         for body in range(self._body_count):
             cell = self._cell_of[body]
             if cell >= 0:
                 self._cell_begin[cell] -= 1
                 self._members[self._cell_begin[cell]] = body
         return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _cell_at(self, x: cython.double, y: cython.double) -> cython.Py_ssize_t:
+        """The number of the grid cell of a finite place within the grid."""
+        return self._grid_columns * cython.cast(
+            cython.Py_ssize_t, (y - self._south) / self._cell_size
+        ) + cython.cast(cython.Py_ssize_t, (x - self._west) / self._cell_size)
 
     @cython.cfunc
     def _set_sensor(self, x: cython.double, y: cython.double, yaw: cython.double) -> cython.int:
@@ -402,11 +438,10 @@ class Caster:
     @cython.cfunc
     @cython.boundscheck(False)
     def _meet_bodies(self, carrier: cython.Py_ssize_t) -> cython.int:
-        """Meet the bodies in the sensor's grid cell and the eight cells around.
+        """Meet the bodies in the sensor's grid cell and the eight cells around; returns 0.
 
         To meet a shape is to note its distance at each ray that hits it. `carrier`: the row of the
-        robot that carries the sensor; its own polygons are left out, and `_meet_circle` leaves out
-        its disc, which is around the sensor.
+        robot that carries the sensor.
         """
         grid_row: cython.Py_ssize_t
         sensor_row: cython.Py_ssize_t
@@ -416,9 +451,6 @@ class Caster:
         west: cython.Py_ssize_t
         east: cython.Py_ssize_t
         member: cython.Py_ssize_t
-        body: cython.Py_ssize_t
-        x: cython.double
-        y: cython.double
         if not self._grid_columns:
             return 0
         sensor_row = cython.cast(
@@ -433,28 +465,36 @@ class Caster:
         east = max(min(sensor_column + 2, self._grid_columns), west)
         south, north = max(sensor_row - 1, 0), min(sensor_row + 2, self._grid_rows)
         for grid_row in range(south, north):
-            # The cells of a row lie side by side.
+            # The members of the cells of a row follow each other.
             for member in range(
                 self._cell_begin[grid_row * self._grid_columns + west],
                 self._cell_begin[grid_row * self._grid_columns + east],
             ):
-                body = self._members[member]
-                x, y = self._body_places[body, 0] - self._x, self._body_places[body, 1] - self._y
-                if x * x + y * y > self._reach[body] * self._reach[body]:
-                    continue
-                # Outside the cone of the sector's rays; the reach less range_max is the body's
-                # radius.
-                if self._is_outside(x, y, self._reach[body] - self._range_max):
-                    continue
-                if body >= self._polygon_count:
-                    body -= self._polygon_count
-                    self._meet_circle(
-                        self._disc_centers[body, 0],
-                        self._disc_centers[body, 1],
-                        self._discs[body, 2],
-                    )
-                elif self._owner[body] != carrier:
-                    self._meet_polygon(body)
+                self._meet_body(self._members[member], carrier)
+        return 0
+
+    @cython.cfunc
+    @cython.inline
+    @cython.boundscheck(False)
+    def _meet_body(self, body: cython.Py_ssize_t, carrier: cython.Py_ssize_t) -> cython.int:
+        """Meet a body, unless it is out of reach, outside the cone or a polygon of the carrier.
+
+        `_meet_circle` leaves out the carrier's disc, which is around the sensor. Returns 0.
+        """
+        disc: cython.Py_ssize_t = body - self._polygon_count  # negative for a polygon
+        radius: cython.double = self._reach[body] - self._range_max
+        x: cython.double = self._body_places[body, 0] - self._x
+        y: cython.double = self._body_places[body, 1] - self._y
+        if x * x + y * y > self._reach[body] * self._reach[body]:
+            return 0
+        if self._is_outside(x, y, radius):
+            return 0
+        if disc >= 0:
+            self._meet_circle(
+                self._disc_centers[disc, 0], self._disc_centers[disc, 1], self._discs[disc, 2]
+            )
+        elif self._owner[body] != carrier:
+            self._meet_polygon(body)
         return 0
 
     @cython.cfunc
@@ -478,7 +518,6 @@ class Caster:
         return 0
 
     @cython.cfunc
-    @cython.boundscheck(False)
     def _meet_surface(
         self,
         x: cython.double,
@@ -487,7 +526,7 @@ class Caster:
         along_y: cython.double,
         side: cython.double,
     ) -> cython.int:
-        """Note the distance of a flat surface at each ray of the sector that hits it.
+        """Note the distance of a flat surface at each ray of the sector that hits it. Returns 0.
 
         (`x`, `y`): the vector in m from the sensor to the start of the surface, in the world frame.
         (`along_x`, `along_y`): the vector from the start to the end. `side`: their cross product
@@ -497,18 +536,34 @@ class Caster:
         # The surface covers the bearings from `high - width` to `high` (rad).
         high: cython.double = atan2(y, x) - self._yaw
         width: cython.double = atan2(-side, x * (x + along_x) + y * (y + along_y))
-        # With cross products 1 / distance = (ray x surface) / (start x surface), and `side` is the
-        # latter: a sum of the ray's cosine and sine, weighted by `by_cos` and `by_sin`.
+        # With cross products, 1 / distance = (ray x surface) / (start x surface). The divisor is
+        # `side`. The quotient is a sum of the ray's cosine and sine, weighted by the two numbers
+        # below.
         by_cos: cython.double = (self._cos_yaw * along_y - self._sin_yaw * along_x) / side
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
-        inverse: cython.double
         first: cython.Py_ssize_t = self._ray_index((high - width) - _BEARING_MARGIN)
-        # `begin` and `end` count from the sector's first ray, around the full circle. The rays of
-        # the surface may pass the end of the circle: the second pass of the loop takes the rest.
-        begin: cython.Py_ssize_t = (first - self._first) % self._rays
-        end: cython.Py_ssize_t = begin + self._ray_index(high + _BEARING_MARGIN) - first
+        rays: cython.Py_ssize_t = self._ray_index(high + _BEARING_MARGIN) - first
+        return self._note_surface((first - self._first) % self._rays, rays, by_cos, by_sin)
+
+    @cython.cfunc
+    @cython.inline
+    @cython.boundscheck(False)
+    def _note_surface(
+        self,
+        begin: cython.Py_ssize_t,
+        rays: cython.Py_ssize_t,
+        by_cos: cython.double,
+        by_sin: cython.double,
+    ) -> cython.int:
+        """Note a flat surface at `rays` rays from ray `begin` on. Returns 0.
+
+        `begin` counts from the sector's first ray, around the full circle. The rays may pass the
+        sector's first ray again, so the loop runs a second time for the rays behind it.
+        """
+        end: cython.Py_ssize_t = begin + rays
         i: cython.Py_ssize_t
         index: cython.Py_ssize_t
+        inverse: cython.double
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
                 index = self._first + i
@@ -521,43 +576,57 @@ class Caster:
         return 0
 
     @cython.cfunc
-    @cython.boundscheck(False)
     def _meet_circle(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.int:
-        """Note the distance of a circle at each ray of the sector that hits it.
+        """Note the distance of a circle at each ray of the sector that hits it. Returns 0.
 
-        `x`, `y`: its centre in the world frame. A circle around the sensor is not visible.
+        `x`, `y`: its centre in the world frame. A circle around the sensor is left out: no sensor
+        sees its own housing.
         """
-        tangent_squared: cython.double
-        middle: cython.double
-        half: cython.double
-        ahead: cython.double
-        left: cython.double
-        aside: cython.double
-        inverse: cython.double
-        first: cython.Py_ssize_t
-        begin: cython.Py_ssize_t
-        end: cython.Py_ssize_t
-        i: cython.Py_ssize_t
-        index: cython.Py_ssize_t
         x -= self._x
         y -= self._y
-        tangent_squared = x * x + y * y - radius * radius
-        if not tangent_squared > 0.0:  # from inside: no sensor sees its own housing
+        tangent_squared: cython.double = x * x + y * y - radius * radius
+        middle: cython.double
+        half: cython.double
+        first: cython.Py_ssize_t
+        rays: cython.Py_ssize_t
+        is_around_sensor: cython.bint = not tangent_squared > 0.0
+        if is_around_sensor or self._is_outside(x, y, radius):
             return 0
-        if self._is_outside(x, y, radius):
-            return 0
-        # 1. The circle covers the bearings `middle` +- `half` (rad). `begin` and `end` count from
-        # the sector's first ray, around the sensor. The rays that hit may pass the end of the
-        # revolution: the second pass of the loop takes the rest.
+        # The circle covers the bearings `middle` +- `half` (rad).
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
         first = self._ray_index((middle - half) - _BEARING_MARGIN)
-        begin = (first - self._first) % self._rays
-        end = begin + self._ray_index((middle + half) + _BEARING_MARGIN) - first
-        # 2. `aside` is the distance of the centre from the ray. The product of the distances to
-        # both intersections is `tangent_squared`, so 1 / nearer = farther / tangent_squared.
-        # `ahead`, `left`: the centre in the robot's axes.
-        ahead = self._cos_yaw * x + self._sin_yaw * y
-        left = self._cos_yaw * y - self._sin_yaw * x
+        rays = self._ray_index((middle + half) + _BEARING_MARGIN) - first
+        return self._note_circle(
+            (first - self._first) % self._rays,
+            rays,
+            self._cos_yaw * x + self._sin_yaw * y,
+            self._cos_yaw * y - self._sin_yaw * x,
+            radius,
+            tangent_squared,
+        )
+
+    @cython.cfunc
+    @cython.inline
+    @cython.boundscheck(False)
+    def _note_circle(
+        self,
+        begin: cython.Py_ssize_t,
+        rays: cython.Py_ssize_t,
+        ahead: cython.double,
+        left: cython.double,
+        radius: cython.double,
+        tangent_squared: cython.double,
+    ) -> cython.int:
+        """Note a circle at `rays` rays from ray `begin` on (see `_note_surface`). Returns 0.
+
+        `ahead`, `left`: the centre in the robot's axes. A ray meets the circle twice. The product
+        of both distances is `tangent_squared`, so 1 / nearer = farther / tangent_squared.
+        """
+        end: cython.Py_ssize_t = begin + rays
+        i: cython.Py_ssize_t
+        index: cython.Py_ssize_t
+        aside: cython.double  # the distance of the centre from the ray
+        inverse: cython.double
         for _ in range(2):
             for i in range(begin, min(end, self._count)):
                 index = self._first + i
@@ -592,6 +661,12 @@ class Caster:
         return low
 
 
+def _radii(edges, discs):
+    """(bodies,) m from the origin of a body's owner to the farthest point of the body."""
+    polygons = np.hypot(edges[..., 0], edges[..., 1]).max(axis=1, initial=0.0)
+    return np.concatenate((polygons, np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]))
+
+
 @cython.auto_pickle(False)
 @cython.cclass
 class Sweeps:
@@ -612,10 +687,11 @@ class Sweeps:
     _count: cython.Py_ssize_t
 
     def __init__(self, caster: Caster, first, counts, ranges) -> None:
-        """`first` and `counts` (steps + 1,) of the sectors, in order of bearing.
+        """Start without scans; `caster` casts their rays.
 
-        `ranges` (2 n, rays) in m of n robots: the rows into which scans are cast, in the order of
-        the scan's rays.
+        `first`, `counts` (steps + 1,): of the sector of each step since the begin of a scan, the
+        index of its first ray in order of bearing, and its number of rays. `ranges` (2 n, rays) in
+        m of n robots: the rows into which scans are cast, in the order of the scan's rays.
         """
         self._caster, self._steps = caster, len(counts) - 1
         self._first, self._counts = memoryview(first), memoryview(counts)
@@ -635,11 +711,10 @@ class Sweeps:
     ) -> list[tuple[int, int]]:
         """Cast the rays of `step`, and return robot and row of each scan that ends.
 
-        `poses` as in `Caster.cast`, the same in all calls for a step. `ends_only`: casts no rays of
-        other scans.
+        `poses` as in `Caster.cast`, the same in all calls for a step. `ends_only`: the rays of
+        scans that do not end are left to a later call for this step.
         """
         i: cython.Py_ssize_t
-        k: cython.Py_ssize_t
         sector: cython.Py_ssize_t
         ended: list = []
         caster: Caster = self._caster
@@ -650,7 +725,7 @@ class Sweeps:
             if sector == self._steps:
                 ended.append((self._scans[i, 0], self._scans[i, 2]))
             elif ends_only:
-                break  # the scans that began earlier come first
+                break  # scans end in the order of their begins, so no later scan ends at this step
             if self._counts[sector]:
                 if caster._step != step:
                     caster._set_bodies(poses)
@@ -665,11 +740,19 @@ class Sweeps:
                     self._scans[i, 2],
                 )
         if ended:
-            self._count -= len(ended)
-            for i in range(self._count):
-                for k in range(3):
-                    self._scans[i, k] = self._scans[i + len(ended), k]
+            self._remove_first(len(ended))
         return ended
+
+    @cython.cfunc
+    def _remove_first(self, count: cython.Py_ssize_t) -> cython.int:
+        """Remove the first `count` scans; returns 0."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        self._count -= count
+        for i in range(self._count):
+            for k in range(3):
+                self._scans[i, k] = self._scans[i + count, k]
+        return 0
 
 
 @cython.auto_pickle(False)
@@ -677,7 +760,8 @@ class Sweeps:
 class Errors:
     """The errors of all sensors with one number of rays, and the encoding by their drivers.
 
-    `normal` (rays,) and `even` (rays and blocks,) are the random numbers of the next scan.
+    `normal` (rays,) and `uniform` (rays + blocks,) are buffers: before each `measure`, the caller
+    writes standard normal numbers, and numbers that are uniform from 0 to 1, into them.
     """
 
     _near: cython.double
@@ -691,16 +775,16 @@ class Errors:
     _encoded: cython.double[:, ::1]
     _block_dropout: cython.double[::1]
     _normal: cython.double[::1]
-    _even: cython.float[::1]
+    _uniform: cython.float[::1]  # of each ray, then of each block
 
-    def __init__(self, noise, factors, reach, lost, encoded, block_dropout, normal, even):
+    def __init__(self, noise, factors, reach, lost, encoded, block_dropout, normal, uniform):
         self._near, self._near_sd, self._far_sd = noise.near, noise.near_sd, noise.far_sd
         self._resolution = noise.resolution
         self._dropout = np.float32(noise.dropout)  # as the numbers that it is compared to
         self._factors, self._reach = memoryview(factors), memoryview(reach)
         self._lost, self._encoded = memoryview(lost), memoryview(encoded)
         self._block_dropout = memoryview(block_dropout)
-        self._normal, self._even = memoryview(normal), memoryview(even)
+        self._normal, self._uniform = memoryview(normal), memoryview(uniform)
 
     def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
         """Replace exact `ranges` (rays,) in m of robot `row` by its measurements, encoded.
@@ -734,8 +818,10 @@ class Errors:
                 r = -HUGE_VAL
             if r > range_max:
                 r = HUGE_VAL
-            # `_even`: uniform numbers of 0 to 1, of each ray, and behind them of each block.
-            if self._even[i] < self._dropout or self._even[rays + i // _BLOCK] < block_dropout:
+            if (
+                self._uniform[i] < self._dropout
+                or self._uniform[rays + i // _BLOCK] < block_dropout
+            ):
                 r = self._lost[row]
             ranges[i] = r
         self.encode(row, ranges)

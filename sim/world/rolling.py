@@ -43,6 +43,17 @@ class MeasuredSegment:
     """The step at which the first of these rays was measured."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Segment:
+    """The rays of one segment of a sweep; fields as of `MeasuredSegment`."""
+
+    rays: Indices
+    bearings: Array
+    ages: Array
+    first_step: int
+    """The step at which the first of these rays is measured, since the begin of the scan."""
+
+
 class RollingScans:
     """The scans in progress of the sensors of one platform, measured sector by sector.
 
@@ -53,47 +64,52 @@ class RollingScans:
     def __init__(self, lidar: Lidar, platform: Platform, n: int, dt: float, sectors: int) -> None:
         """Divide the sensor's sweep into sectors of whole steps; no scan is in progress.
 
-        `n`: robots of the world. `dt`: s of a step. `platform.scan.sweep` must be given. `sectors`:
-        the least number of sectors of a sweep, if the sweep has as many steps.
+        `platform`: of the sensor, with a `scan.sweep`. `n`: robots of the world. `dt`: s of a step.
+        `sectors`: the least number of sectors of a sweep; a sweep with fewer steps has one sector
+        for each step.
         """
         spec, sweep = platform.scan, platform.scan.sweep
         assert sweep is not None
-        # 1. The step of a scan at which each ray is measured, in the order of the sweep.
         order, times = sweep_order(spec.bearings, sweep)
-        duration = min(sweep.duration, 1.0 / spec.rate)
+        duration = min(sweep.duration, 1.0 / spec.rate)  # the next scan must not begin before
         self._steps = max(int(duration / dt + _ROUNDING), 1)  # whole steps of a sweep
+        # A sector is measured each `sector_steps`, and the time of a ray is rounded to these steps.
         sector_steps = max(self._steps // sectors, 1)
-        # A sector of rays is measured each `sector_steps`: the time of a ray is rounded to these.
         steps = (times / (sector_steps * dt) + 0.5).astype(np.intp) * sector_steps
-        steps = np.minimum(steps, self._steps)
-        # 2. The number of rays measured by each step since the begin of a scan.
+        steps = np.minimum(steps, self._steps)  # of each ray, in the order of the sweep
+        # (steps + 1,) the number of rays measured up to each step since the begin of a scan.
         ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
-        # 3. (rays,) the age in s of each ray at the end of a scan.
+        # (rays,) the age in s of each ray at the end of a scan.
         self._ages = np.empty(len(order))
         self._ages[order] = (self._steps - steps) * dt
         self._ages.flags.writeable = False
-        self._n = n
-        # By the last step of each segment but the last: its rays, their bearings and ages, and the
-        # step of its first ray. The last segment comes with the whole scan.
-        self._segments: dict[int, tuple[Indices, Array, Array, int]] = {}
+        # By its last step. The last segment of a sweep is left out: it comes with the whole scan.
+        self._segments: dict[int, _Segment] = {}
         self.segments: list[MeasuredSegment] = []  # of the last `advance`
-        measured = 0
+        first_ray = 0
         for number in range(1, spec.segments):
-            step = number * self._steps // spec.segments
-            rays, first = order[measured : ends[step]], measured
-            measured = int(ends[step])
-            if len(rays):
-                own = steps[first:measured]
-                bearings, ages = spec.bearings[rays], (own[-1] - own) * dt
-                bearings.flags.writeable = ages.flags.writeable = False
-                self._segments[step] = rays, bearings, ages, int(own[0])
-        # 4. Two rows for each robot, used in turn: a scan begins at the step at which the previous
-        # scan ends, and both write in that step. At first each robot is as if its last scan had
-        # ended at step 0.
-        self._ranges = np.full((2 * n, len(order)), np.inf)
-        self._last_row, self._last_begun = list(range(n)), [-self._steps] * n
-        self._waiting: set[int] = set()
+            last_step = number * self._steps // spec.segments
+            end_ray = int(ends[last_step])
+            if end_ray > first_ray:
+                segment = _segment(
+                    spec.bearings, order[first_ray:end_ray], steps[first_ray:end_ray], dt
+                )
+                self._segments[last_step] = segment
+            first_ray = end_ray
+        self._begin_rows(n, len(order))
         self._sweeps = lidar.sweeps(ends, self._ranges)
+
+    def _begin_rows(self, n: int, rays: int) -> None:
+        """Make two rows of ranges for each of `n` robots, which its scans use in turn.
+
+        A scan begins at the step at which the previous scan ends, and both write in that step.
+        """
+        self._n = n
+        self._ranges = np.full((2 * n, rays), np.inf)
+        self._last_row = list(range(n))
+        # A first scan may begin at step 0, as if another scan ended there.
+        self._last_begun = [-self._steps] * n
+        self._waiting: set[int] = set()
 
     def begin(self, robot: int) -> None:
         """Begin a scan of a robot at the next `advance`, or after its scan in progress."""
@@ -103,7 +119,8 @@ class RollingScans:
         """Measure the rays of `step`; returns the scans that this step completes.
 
         Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
-        `ends_only`: measure no rays of other scans; a second call for this step measures those.
+        `ends_only`: the rays of scans that do not end, and segments, are left to a second call for
+        this step.
         """
         if self._waiting:
             self._start(step)
@@ -112,15 +129,26 @@ class RollingScans:
             for robot, row in self._sweeps.advance(poses, step, ends_only)
         ]
         if self._segments:
-            self.segments = [
-                MeasuredSegment(
-                    robot, self._ranges[self._last_row[robot]], rays, bearings, ages, begun + oldest
-                )
-                for robot, begun in enumerate(self._last_begun)
-                if step - begun in self._segments and not ends_only
-                for rays, bearings, ages, oldest in (self._segments[step - begun],)
-            ]
+            self.segments = [] if ends_only else self._ended_segments(step)
         return completed
+
+    def _ended_segments(self, step: int) -> list[MeasuredSegment]:
+        """The segments of the robots' last scans that end at `step`."""
+        ended = []
+        for robot, begun in enumerate(self._last_begun):
+            segment = self._segments.get(step - begun)
+            if segment is not None:
+                ended.append(
+                    MeasuredSegment(
+                        robot,
+                        self._ranges[self._last_row[robot]],
+                        segment.rays,
+                        segment.bearings,
+                        segment.ages,
+                        begun + segment.first_step,
+                    )
+                )
+        return ended
 
     def _start(self, step: int) -> None:
         ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)
@@ -129,3 +157,10 @@ class RollingScans:
             row = (self._last_row[robot] + self._n) % len(self._ranges)
             self._last_begun[robot], self._last_row[robot] = step, row
             self._sweeps.begin(robot, step, row)
+
+
+def _segment(all_bearings: Array, rays: Indices, steps: Indices, dt: float) -> _Segment:
+    """The segment of `rays` (k,), which are measured at `steps` (k,) of a scan; `dt` in s."""
+    bearings, ages = all_bearings[rays], (steps[-1] - steps) * dt
+    bearings.flags.writeable = ages.flags.writeable = False
+    return _Segment(rays, bearings, ages, int(steps[0]))

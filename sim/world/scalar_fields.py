@@ -128,10 +128,11 @@ def readings_at(
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform, which also provides `reading:<name>` of each field, and of its sensors.
+    """The platform with the readings of `fields` added to what it provides.
 
-    The reading of sensor i of a field is `reading:<name>_<i>`. If the platform has sensors for a
-    kind of input of OPTION_INPUTS (such as seen tags), the result also provides this kind.
+    A field gives `reading:<name>`, and `reading:<name>_<i>` for each sensor i that the platform has
+    for the field. A kind of OPTION_INPUTS, such as seen tags, is added if the platform has sensors
+    for it.
     """
     words = set(OPTION_INPUTS) & platform.sensors.keys()
     for field in fields:

@@ -51,8 +51,9 @@ class World:
     - `rings`: the rows of robots with a ring of range sensors; `ring_rates` (r,): the rate of each
       ring in Hz.
     - `posed`: the rows of robots whose pose in the world is measured.
-    - `measures_late`: `arrived_scans` measures only the rays that end a scan, and leaves all other
-      rays of rolling scans to `measure_rays`. The results are equal. No effect with segments.
+    - `measures_late`: if True, `arrived_scans` measures only the rays of rolling scans that end,
+      and a later call of `measure_rays` measures all others. The results are equal. Without effect
+      if a platform has segments: their rays must be measured before `arrived_segments`.
     """
 
     def __init__(

@@ -48,22 +48,21 @@ def read_document(path: Path) -> Document:
     mission_keys = {key: data[key] for key in MissionFile.__struct_fields__ if key in data}
     root_keys = {key: value for key, value in data.items() if key not in mission_keys}
     part_names = list(data["parts"]) if isinstance(data.get("parts"), dict) else []
-    maps: list[tuple[Keys, Map]] = []  # from reports to parameters, with their places in the file
+    maps: list[tuple[Keys, Map]] = []
 
     def check(value: Any, keys: Keys) -> Iterator[Fault]:
-        """Called for each value of the file at the place `keys`; also gathers the maps."""
+        """Called for each value of the file at the place `keys`; also gathers the valid maps."""
         value_faults = list(check_value(value, keys, part_names))
         if isinstance(value, Map) and not value_faults:
             maps.append((keys, value))
         yield from value_faults
 
     file, faults = read(mission_keys, MissionFile, check)
+    report, report_faults = valid_names("report", file.report, part_names)
+    parameters, parameter_faults = valid_names("parameters", file.parameters, part_names)
     expanded = _expanded(root_keys)  # with {part: NAME} in place of NAME alone
     root, root_faults = read(expanded, Element, check)
     root_faults += check_names(expanded, (), part_names)
-    # Each call appends to `faults`.
-    report = dict(valid_names("report", file.report, part_names, faults))
-    parameters = dict(valid_names("parameters", file.parameters, part_names, faults))
     document = Document(
         path=path,
         description=file.mission,
@@ -74,9 +73,9 @@ def read_document(path: Path) -> Document:
         parameters=parameters,
         recovery=file.recovery,
         root=None if root_faults else root,
-        faults=faults + root_faults,
+        faults=[*faults, *report_faults, *parameter_faults, *root_faults],
     )
-    document.faults += check_whole(document, data)  # faults between several keys
+    document.faults += check_whole(document, data)
     return document
 
 

@@ -241,20 +241,26 @@ def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iter
 
 
 def valid_names(
-    key: str, references: Mapping[str, str], names: Collection[str], faults: list[Fault]
-) -> Iterator[tuple[str, Reference]]:
-    """The valid entries of `report` or `parameters`; appends a fault for each invalid entry."""
+    key: str, references: Mapping[str, str], names: Collection[str]
+) -> tuple[dict[str, Reference], list[Fault]]:
+    """The valid entries of `report` or `parameters`, and the faults of all other entries.
+
+    `names`: the names of the mission's parts.
+    """
+    valid: dict[str, Reference] = {}
+    faults: list[Fault] = []
     for own, reference in references.items():
-        wrong = list(_check_reference(reference, (key, own), names))
+        own_faults = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
             text = (
                 "is not a valid name; expected letters, digits and _, but not recovery, avoidance"
                 " or phase"
             )
-            wrong = [fault_at((key, own), text)]
-        faults += wrong
-        if not wrong:
-            yield own, split(reference)
+            own_faults = [fault_at((key, own), text)]
+        faults += own_faults
+        if not own_faults:
+            valid[own] = split(reference)
+    return valid, faults
 
 
 def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
@@ -262,7 +268,6 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
 
     `data`: the file as read from YAML.
     """
-    # 1. Missing keys, and keys that the root element cannot have.
     if "mission" not in data:
         yield fault_at(("mission",), "is missing; expected a line that says what the mission does")
     if not data.get("parts"):
@@ -271,33 +276,40 @@ def check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
         yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
     if document.root is not None and document.root.transitions is not None:
         yield fault_at(("transitions",), _TRANSITIONS)
-    # 2. Parts with a wrong name, without use, or with a parameter of the whole mission. NO_DRIVER
-    #    is no name: `drives` of a parallel element has this word for no part. If the root has
-    #    faults, all parts count as used.
+    yield from _check_parts(document)
+    yield from _check_targets(document)
+
+
+def _check_parts(document: Document) -> Iterator[Fault]:
+    """Parts with a wrong name, without use, or with a parameter of the whole mission."""
+    # If the root has faults, it is not known which parts are used.
     used_parts = set(document.names) if document.root is None else parts_in(document.root)
     for name in document.names:
         params = document.parts[name].params if name in document.parts else {}
-        if not is_part_name(name):
+        if not is_part_name(name):  # such as NO_DRIVER, which stands for no part in `drives`
             text = f"is not a valid name of a part; expected letters, digits and _, not {NO_DRIVER}"
             yield fault_at(("parts", name), text)
         elif name not in used_parts:
             yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
         elif "avoidance" in params:
             yield fault_at(("parts", name, "params", "avoidance"), _AVOIDANCE)
-    # 3. A parameter of a part that is set twice: by two maps, by two parameters of the mission, or
-    #    by a map and a parameter. `setter_of`: what sets each parameter first, for the text.
-    setter_of: dict[Reference, str] = {}
+
+
+def _check_targets(document: Document) -> Iterator[Fault]:
+    """Parameters of parts that two maps, two mission parameters, or one of each set."""
+    mapped: set[Reference] = set()
     for keys, mapping in document.maps:
         target = split(mapping.target)
-        if target in setter_of:
+        if target in mapped:
             text = f"is {mapping.target}, which another map sets; keep entry"
             yield fault_at((*keys, "to"), text)
-        setter_of[target] = "a map"
+        mapped.add(target)
+    first_setter = dict.fromkeys(mapped, "a map")  # or the name of a mission parameter
     for parameter, target in document.parameters.items():
         _, part_parameter = target
         if part_parameter in _SHARED:
             yield fault_at(("parameters", parameter), _SHARED[part_parameter])
-        if target in setter_of:
-            text = f"is {'.'.join(target)}, which {setter_of[target]} sets too; keep entry"
+        if target in first_setter:
+            text = f"is {'.'.join(target)}, which {first_setter[target]} sets too; keep entry"
             yield fault_at(("parameters", parameter), text)
-        setter_of.setdefault(target, parameter)
+        first_setter.setdefault(target, parameter)

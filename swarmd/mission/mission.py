@@ -225,17 +225,18 @@ def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
     for own_name, (part, part_parameter) in document.parameters.items():
         if part not in classes:
             continue
-        part_params_type = classes[part].params_type
-        part_fields = {field.name: field for field in msgspec.structs.fields(part_params_type)}
-        if part_parameter not in part_fields:
+        params_of_part = classes[part].params_type
+        field_of = {field.name: field for field in msgspec.structs.fields(params_of_part)}
+        if part_parameter not in field_of:
             pattern = document.parts[part].pattern
-            text = f"names {unknown('parameter', part_parameter, part_fields)} (of {pattern})"
+            text = f"names {unknown('parameter', part_parameter, field_of)} (of {pattern})"
             document.faults.append(fault_at(("parameters", own_name), text))
             continue
-        hint = type_hints(part_params_type, include_extras=True)[part_parameter]
-        default = part_fields[part_parameter].default
-        has_default = default is not NODEFAULT
-        fields.append((own_name, hint, default) if has_default else (own_name, hint))
+        # The hint includes the bounds.
+        hint = type_hints(params_of_part, include_extras=True)[part_parameter]
+        default = field_of[part_parameter].default
+        is_required = default is NODEFAULT
+        fields.append((own_name, hint) if is_required else (own_name, hint, default))
     fields.append(("recovery", Recovery, _recovery(document, classes)))
     params_type = msgspec.defstruct(
         "MissionParams",

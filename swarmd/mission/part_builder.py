@@ -75,16 +75,15 @@ def build_setters(
 ) -> list[Setter]:
     """Make a setter for each map of the mission whose two parts are among `parts`.
 
-    A map sets a parameter of the target part by the report of a source part. Each value is tried on
-    two new parts: a part that starts with the value, and a part that is changed to the value. A
-    refused value adds a fault to the builder. `opinions`: by voting part, the new number of its
-    opinions if a change of this parameter is under way; without an entry the present number counts.
+    A map sets a parameter of the target part by the report of a source part. A value of a map that
+    the target refuses adds a fault to the builder. `opinions`: by voting part, the new number of
+    its opinions if a change of this parameter is under way; without an entry the present number
+    counts.
     """
     setters = []
     for keys, mapping in builder.document.maps:
         source, target = split(mapping.source), split(mapping.target)
-        source_part, source_report = source
-        target_part, target_parameter = target
+        (source_part, source_report), (target_part, target_parameter) = source, target
         if source_part not in parts or target_part not in parts:
             continue
         # An unknown parameter is reported here once, instead of once for each value.
@@ -93,23 +92,29 @@ def build_setters(
             text = f"names {unknown('parameter', target_parameter, valid_names)} (of {target_part})"
             builder.faults.append(fault_at((*keys, "to"), text))
             continue
-        # The opinion of a vote has a known number of values, and the map must have all of them.
-        opinion_count: int | None = None
+        opinion_count: int | None = None  # None: the source is not the opinion of a vote
         pattern = parts[source_part]
         if isinstance(pattern, VotingPattern) and source_report == OPINION:
             present_count = getattr(pattern.params, "opinions", 0)
             opinion_count = (opinions or {}).get(source_part, present_count)
         values = _values(builder, keys, mapping, opinion_count)
-        accepted: dict[BoundedScalar, BoundedScalar] = {}
-        for reported, value in values.items():
-            prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
-            try_value = partial(_tried, builder, target, value)
-            # `_noting` returns None for a refused value, and adds a fault with this prefix.
-            converted = _noting(builder, keys, try_value, prefix)
-            if converted is not None:
-                accepted[reported] = converted
-        setters.append(Setter(source, target, accepted))
+        setters.append(Setter(source, target, _accepted(builder, keys, mapping, values)))
     return setters
+
+
+def _accepted(builder: PartBuilder, keys: Keys, mapping: Map, values: Table) -> Table:
+    """The entries of a map's table that the target accepts, with values of the parameter's type.
+
+    Each refused value adds a fault.
+    """
+    accepted: dict[BoundedScalar, BoundedScalar] = {}
+    for reported, value in values.items():
+        prefix = f"sets {mapping.target} to {value} where {mapping.source} is {reported}: "
+        try_value = partial(_tried, builder, split(mapping.target), value)
+        converted = _noting(builder, keys, try_value, prefix)
+        if converted is not None:
+            accepted[reported] = converted
+    return accepted
 
 
 def check_reports(builder: PartBuilder, parts: Parts) -> None:
@@ -122,18 +127,20 @@ def check_reports(builder: PartBuilder, parts: Parts) -> None:
     reports = {part: _reports(builder, part) for part in parts}
 
     def check(keys: Keys, reference: Reference, further_names: set[str]) -> None:
-        """Check `reference` (part, report), which stands at the place `keys` of the file."""
+        """Check `reference` (part, report), which stands at the place `keys` of the file.
+
+        `further_names`: what the place may name besides the reports of the part.
+        """
         part, report = reference
         valid_names = reports.get(part, set()) | further_names
         if reports.get(part) and report not in valid_names:
             text = f"names {unknown('report', report, valid_names)} (of {part})"
             builder.faults.append(fault_at(keys, text))
 
-    # References of maps; of the mission's own report, which may name parameters, too; and of
-    # conditions.
     for keys, mapping in document.maps:
         check((*keys, "from"), split(mapping.source), set())
     for name, reference in document.report.items():
+        # A mission may also report the parameters of its parts.
         part = parts.get(reference[0])
         params = {spec.name for spec in schema(part.params_type)} if part is not None else set()
         check(("report", name), reference, params)
@@ -150,27 +157,32 @@ def _built(builder: PartBuilder, name: str) -> Pattern[Any] | None:
     A refused parameter is left out and the part is made again, so that all faults are found. None,
     with a fault, if the part cannot be made.
     """
-    parts = builder.document.parts
-    # Values that come from the mission's own parameters, not from the part's section of the file.
-    mission_parameters = builder.exposed.get(name, {})
     while True:
-        part = parts[name]
         try:
             return builder(name)
-        except ParameterError as error:
-            key = error.parameter
-            if key in part.params and key not in mission_parameters:
-                text = f"is refused: {error_text(error)}"
-                builder.faults.append(fault_at(("parts", name, "params", key), text))
-                params = {k: value for k, value in part.params.items() if k != key}
-                parts[name] = msgspec.structs.replace(part, params=params)
-                continue
-            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
         except RecursionError:
             raise  # a part that contains itself: each nested copy would add this fault again
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
-        return None
+            if not _leave_out(builder, name, error):
+                builder.faults.append(fault_at(("parts", name), _NOT_MADE + error_text(error)))
+                return None
+
+
+def _leave_out(builder: PartBuilder, name: str, error: BaseException) -> bool:
+    """Leave out the parameter of part `name` that `error` refuses, and add a fault; True if done.
+
+    False for any error that does not refuse a parameter in the part's section of the file, such as
+    a parameter whose value comes from a parameter of the mission.
+    """
+    part = builder.document.parts[name]
+    key = error.parameter if isinstance(error, ParameterError) else ""
+    if key not in part.params or key in builder.exposed.get(name, {}):
+        return False
+    text = f"is refused: {error_text(error)}"
+    builder.faults.append(fault_at(("parts", name, "params", key), text))
+    params = {param: value for param, value in part.params.items() if param != key}
+    builder.document.parts[name] = msgspec.structs.replace(part, params=params)
+    return True
 
 
 def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> Any:
@@ -192,21 +204,19 @@ def _values(builder: PartBuilder, keys: Keys, mapping: Map, opinions: int | None
     None if the source is not the opinion of a vote. Returns {}, and adds a fault, if the map has
     too few values.
     """
+    numbers_reported = mapping.count or opinions
     table: dict[BoundedScalar, BoundedScalar]
-    if isinstance(mapping.values, list):  # for the reported values 0, 1, 2 ...
+    if isinstance(mapping.values, list):
         table = dict(enumerate(mapping.values))
     elif mapping.values is not None:
         table = dict(mapping.values.items())
-    else:  # base + step * n for the reported values n = 0, 1, 2 ...
-        count = mapping.count or opinions
-        if count is None:
-            text = (
-                f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
-            )
-            builder.faults.append(fault_at(keys, text))
-            return {}
+    elif numbers_reported is not None:
         base, step = mapping.base or 0.0, mapping.step or 0.0
-        table = {number: base + step * number for number in range(count)}
+        table = {number: base + step * number for number in range(numbers_reported)}
+    else:
+        text = f"has base and step, but {mapping.source} is not the opinion of a vote; give count"
+        builder.faults.append(fault_at(keys, text))
+        return {}
     missing = [number for number in range(opinions or 0) if number not in table]
     if missing:
         source_part, _ = split(mapping.source)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -55,7 +55,7 @@ class PatternExecutor:
 
     def _on_load(self, load: host_messages.Load) -> host_messages.SentEvent:
         """Make the pattern and its end conditions; the pattern before stays after a refusal."""
-        # 1. The pattern. `_guard` returns a `_Fault` if the code of the pattern raises.
+        # `_guard` returns a `_Fault` if the code of the pattern raises.
         assembled = _guard(
             lambda: assemble(
                 load.pattern,
@@ -68,16 +68,10 @@ class PatternExecutor:
         )
         if isinstance(assembled, _Fault):
             return host_messages.LoadRefused(load.generation, *assembled)
-        # 2. The conditions that end the run. `_guard` has a code of its own for a missing sensor,
-        #    and PATTERN_FAILED for any other error: here such an error is an invalid condition.
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
-            refusal = until.refusal
-            if refusal is Refusal.PATTERN_FAILED:
-                refusal = Refusal.INVALID_CONDITION
-            return host_messages.LoadRefused(load.generation, until.text, refusal)
-        # 3. Take the place of the pattern before. The note tells the operator which requested
-        #    speeds exceed the limits of the base.
+            return host_messages.LoadRefused(load.generation, until.text, _condition_refusal(until))
+        # From here on the load succeeds: the new pattern takes the place of the pattern before.
         self._load = load
         self._assembled = assembled
         self._until = until
@@ -145,27 +139,11 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     """
     if not isinstance(outputs, Outputs):
         raise PluginError(f"step gave {named(outputs)}; expected Outputs")
-    # The command: a numpy number becomes a float.
-    twist = outputs.twist
-    if twist is not None:
-        if not isinstance(twist, Twist):
-            raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
-        linear, angular, lateral = twist.linear, twist.angular, twist.lateral
-        are_floats = type(linear) is float and type(angular) is float and type(lateral) is float
-        if not are_floats:
-            twist = Twist(float(linear), float(angular), float(lateral))
-    # Messages to other robots.
-    messages: dict[str, Value] = {}
-    for channel, raw_value in outputs.messages.items():
-        value, declared_type = _plain(raw_value), channels.get(channel)
-        if declared_type is not None:
-            try:
-                value = msgspec.convert(value, declared_type)
-            except msgspec.ValidationError:
-                expected = f"expected {declared_type.__name__}, as channels declares"
-                raise PluginError(f"channel {channel!r} got {named(value)}; {expected}") from None
-        messages[str(channel)] = value  # on an undeclared channel: the daemon counts and drops it
-    # The report for operators.
+    twist = None if outputs.twist is None else _checked_twist(outputs.twist)
+    messages = {
+        str(channel): _checked_message(channel, value, channels.get(channel))
+        for channel, value in outputs.messages.items()
+    }
     report: dict[str, Scalar] = {}
     for name, reported in outputs.report.items():
         if type(reported) not in _IMMUTABLE:
@@ -175,6 +153,30 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     done = None if outputs.done is None else str(outputs.done)
     grip = None if outputs.grip is None else bool(outputs.grip)
     return Outputs(twist, messages, report, done, grip)
+
+
+def _checked_twist(twist: object) -> Twist:
+    """The command with Python's own floats; PluginError if it is no Twist."""
+    if not isinstance(twist, Twist):
+        raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
+    linear, angular, lateral = twist.linear, twist.angular, twist.lateral
+    are_floats = type(linear) is float and type(angular) is float and type(lateral) is float
+    return twist if are_floats else Twist(float(linear), float(angular), float(lateral))
+
+
+def _checked_message(channel: object, raw_value: object, declared_type: type | None) -> Value:
+    """The value of a message, converted to the type of its channel; PluginError if impossible.
+
+    `declared_type`: None for an undeclared channel, whose messages the daemon counts and drops.
+    """
+    value: Value = _plain(raw_value)
+    if declared_type is None:
+        return value
+    try:
+        return cast("Value", msgspec.convert(value, declared_type))
+    except msgspec.ValidationError:
+        expected = f"expected {declared_type.__name__}, as channels declares"
+        raise PluginError(f"channel {channel!r} got {named(value)}; {expected}") from None
 
 
 def _in_one_line(error: BaseException) -> str:
@@ -216,6 +218,16 @@ class _Fault(NamedTuple):
     text: str
     refusal: Refusal = Refusal.PATTERN_FAILED
     parameter: str = ""
+
+
+def _condition_refusal(fault: _Fault) -> Refusal:
+    """The refusal for a fault of an end condition.
+
+    A missing sensor has a refusal of its own. All other faults have the refusal of a pattern that
+    raises, but here the pattern is right, and the condition is invalid.
+    """
+    is_general = fault.refusal is Refusal.PATTERN_FAILED
+    return Refusal.INVALID_CONDITION if is_general else fault.refusal
 
 
 def _guard(call: Callable[[], T]) -> T | _Fault:

@@ -1,8 +1,8 @@
 """Forks a pattern host from the process that becomes its daemon, so that both share their imports.
 
 The memory of daemon and host (PSS: shared pages count in parts) is 5 MB (8 %) less than with a host
-that starts by exec. Modules that are imported before the fork without need raise the PSS: the
-daemon writes to their pages, and the host keeps copies of these pages.
+that starts by exec. A module that the host does not need must not be imported before the fork: the
+daemon writes to the pages of the module, so the host keeps copies of them, and the PSS rises.
 
 The fork happens before the daemon reads settings and keys, opens a session or starts a thread. The
 host keeps no file descriptor of the daemon, and waits until the daemon uses it as its first host.

@@ -6,8 +6,8 @@ has the pattern's code loaded, and may replace the host in use.
 `robot/pattern_run.py` has the deadlines of a load and a step.
 
 - The first host is a fork of the daemon (`forked.py`). A later host starts by exec: a fork beside
-  an open Zenoh session hung each time. Both start from the main thread, since the kernel takes the
-  end of the starting thread for the end of the parent.
+  an open Zenoh session hung each time. Both start from the main thread: a host ends with its
+  parent, and the kernel takes the end of the thread that starts a host for the end of the parent.
 - The socket does not block, and a frame is dropped if the socket is full. At most one step is
   outstanding. With a pipe, nine seconds of old commands piled up behind a frozen child.
 - A pidfd shows the end of the host, since a child that the pattern forks can keep the socket open.
@@ -86,8 +86,8 @@ class HostSettings:
 class HostProcess:
     """One pattern host (child process), and the daemon's end of its socket.
 
-    `sandbox`: the accesses that the kernel denies the host. None until the host reports them, which
-    it does before any plugin code runs.
+    `sandbox`: the accesses that the kernel denies the host. The host reports them before any plugin
+    code runs; None until then.
     """
 
     def __init__(

@@ -143,10 +143,10 @@ def _checked(path: Path, digest: bytes) -> bytes:
 
 
 def _import_first_from(wheel: str) -> None:
-    """Put a wheel first in the import path, and forget modules with the names of its modules.
+    """Put a wheel first in the import path, so that its modules are imported from it.
 
-    So the next import loads them from this wheel, not from an earlier version. The wheel also
-    precedes an installed package of the same name, since the wheel was pushed and tried.
+    Loaded modules of the same names, from an earlier version of the wheel, are forgotten. The wheel
+    also precedes an installed package of the same name, since the wheel was pushed and tried.
     """
     from zipfile import ZipFile  # imported late: few hosts run a wheel
 

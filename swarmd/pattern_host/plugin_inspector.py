@@ -101,7 +101,29 @@ def main() -> None:
     Imports plugin code and writes JSON lines for the verb `describe`, `check` or `mission`. The
     last line is `end`, or `error` with the text of an error of swarmd.
     """
-    # 1. The command line.
+    args = _parser().parse_args()
+    die_with_parent(args.parent)
+    output = InspectionOutput()
+    try:
+        # Memory is bounded and the sandbox entered before any plugin code is imported.
+        platform = load_platform(args.platform)
+        readable = [] if args.plugin_dir is None else [args.plugin_dir]
+        if args.verb != "describe":
+            readable.append(readable_beside(args.file.resolve()))
+        limit_growth(MAX_GROWTH)
+        confine(readable, args.secret)
+        if args.verb == "check":
+            _check_plugin(args.file.resolve(), frozenset(args.done), output)
+        elif args.verb == "describe":
+            _describe_patterns(args.names, args.plugin_dir, platform, output)
+        else:
+            _inspect_mission(args.file, platform, args.plugin_dir, output)
+        output.send(end=True)
+    except SwarmError as error:
+        output.send(error=str(error))
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
@@ -117,27 +139,7 @@ def main() -> None:
         "--done", nargs="*", default=[], help="rules that are not tested again"
     )
     verbs.add_parser("mission").add_argument("file", type=Path)
-    args = parser.parse_args()
-    die_with_parent(args.parent)
-    output = InspectionOutput()
-    try:
-        # 2. Bound memory and enter the sandbox, before any plugin code is imported.
-        platform = load_platform(args.platform)
-        readable = [] if args.plugin_dir is None else [args.plugin_dir]
-        if args.verb != "describe":
-            readable.append(readable_beside(args.file.resolve()))
-        limit_growth(MAX_GROWTH)
-        confine(readable, args.secret)
-        # 3. Carry out the verb.
-        if args.verb == "check":
-            _check_plugin(args.file.resolve(), frozenset(args.done), output)
-        elif args.verb == "describe":
-            _describe_patterns(args.names, args.plugin_dir, platform, output)
-        else:
-            _inspect_mission(args.file, platform, args.plugin_dir, output)
-        output.send(end=True)
-    except SwarmError as error:
-        output.send(error=str(error))
+    return parser
 
 
 def readable_beside(file: Path) -> Path:
@@ -164,9 +166,9 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
     """The description of a pattern for robots of `platform`, as JSON for `swarmctl patterns`.
 
     `source`: the file or package of the pattern. If the pattern cannot be loaded, the description
-    has only `name`, `source` and `error`. `missing`: sensors that the platform lacks. `refused`:
-    why a robot would refuse a mission; empty for a mission that is not refused, and for patterns
-    that are no missions.
+    has only `name`, `source` and `error`. In the description, `missing` lists the sensors that the
+    platform lacks, and `refused` says why a robot would refuse a mission. `refused` is empty for a
+    mission that a robot takes or that cannot be tried, and for patterns that are no missions.
     """
     try:
         pattern = loader(name)
@@ -174,12 +176,11 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         derived_defaults = pattern.defaults(platform)
         check_zone(name, pattern.touches)  # the zone in which the pattern may touch obstacles
         check_scan_delay(name, pattern.scan_delay)
-        # A mission can be tried if the platform has its sensors and all parameters have defaults.
-        has_mission = issubclass(pattern, Mission)
+        is_mission_class = issubclass(pattern, Mission)
+        has_sensors = pattern.needs <= platform.provides
         has_all_defaults = not any(spec.is_required for spec in params)
-        refused = ""
-        if has_mission and pattern.needs <= platform.provides and has_all_defaults:
-            refused = _refusal(name, loader, platform)
+        can_be_tried = has_sensors and has_all_defaults
+        refused = _refusal(name, loader, platform) if is_mission_class and can_be_tried else ""
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         return {"name": name, "error": error_text(error), "source": source}
     text = (pattern.__doc__ or "").strip()
@@ -188,7 +189,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         "summary": text.split("\n")[0],
         "text": text,
         "kind": _kind(pattern),
-        "group": pattern.group or ("missions" if has_mission else "yours"),
+        "group": pattern.group or ("missions" if is_mission_class else "yours"),
         "source": source,
         "needs": sorted(pattern.needs),
         "missing": sorted(pattern.needs - platform.provides),
@@ -204,8 +205,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
                 "wanted": spec.wanted,
                 "default": derived_defaults.get(spec.name, spec.default),
                 "is_derived": spec.name in derived_defaults,
-                # False for a parameter that the pattern has from a base class.
-                "is_own": spec.name in pattern.params_type.__annotations__,
+                "is_own": spec.name in pattern.params_type.__annotations__,  # not of a base class
             }
             for spec in params
         ],
@@ -258,32 +258,10 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
     first point that hangs, or if the file cannot be loaded.
     """
     _report_side_effects(path, output)
-    # 1. Load the class of the pattern.
-    classes: list[type[Pattern[Any]]] = []
-
-    def load() -> None:
-        name = pattern_name(path)
-        check_module_name(name)
-        is_file = True  # not an entry point of a package
-        classes.append(PatternLoader({name: (str(path), is_file)})(name))
-
-    # `_fault_of` returns fields of the line, such as `fault` and `is_hang`; empty without a fault.
-    output.send(begin=LOADING)
-    output.send(result=LOADING, **_fault_of(load, path))
-    if not classes:
+    pattern = _loaded(path, output)
+    if pattern is None:
         return
-    (pattern,) = classes
-    # 2. Points that the source code shows.
-    from swarmd.testing.no_side_effects import forbidden_imports
-
-    source = path.read_bytes()
-    imports = [(line, f"imports {name}") for line, name in forbidden_imports(source)]
-    unused = [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]
-    for point, places in ((IMPORTS, imports), (DROPPED, unused)):
-        texts = [f"{text} ({path.name}:{line})" for line, text in places]
-        output.send(begin=point)
-        output.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
-    # 3. The tests of the contract, which run the pattern.
+    _check_source(path, output)
     for point, test in _contract_tests(pattern, path.parent):
         if point in done:
             continue
@@ -295,6 +273,35 @@ def _check_plugin(path: Path, done: frozenset[str], output: InspectionOutput) ->
         output.send(result=point, **{"text": text, **fault})
         if fault.get("is_hang"):
             return
+
+
+def _loaded(path: Path, output: InspectionOutput) -> type[Pattern[Any]] | None:
+    """Check the point LOADING; returns the class of the pattern, or None after a fault."""
+    classes: list[type[Pattern[Any]]] = []
+
+    def load() -> None:
+        name = pattern_name(path)
+        check_module_name(name)
+        is_file = True  # not an entry point of a package
+        classes.append(PatternLoader({name: (str(path), is_file)})(name))
+
+    # `_fault_of` returns fields of the line, such as `fault` and `is_hang`; empty without a fault.
+    output.send(begin=LOADING)
+    output.send(result=LOADING, **_fault_of(load, path))
+    return classes[0] if classes else None
+
+
+def _check_source(path: Path, output: InspectionOutput) -> None:
+    """Check the points that the source code shows: IMPORTS and DROPPED."""
+    from swarmd.testing.no_side_effects import forbidden_imports
+
+    source = path.read_bytes()
+    imports = [(line, f"imports {name}") for line, name in forbidden_imports(source)]
+    unused = [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]
+    for point, places in ((IMPORTS, imports), (DROPPED, unused)):
+        texts = [f"{text} ({path.name}:{line})" for line, text in places]
+        output.send(begin=point)
+        output.send(result=point, **({"fault": "; ".join(texts)} if texts else {}))
 
 
 _UNUSED = "and does not use the value; is a return missing?"
@@ -459,8 +466,9 @@ def _inspect_mission(
 def _other_owner(path: Path, origin: Origin | None) -> str:
     """The file or package of another pattern with the name of the mission `path`; empty if none.
 
-    `origin`: the known source of a pattern with this name, and as its `rival` a second source;
-    None if there is no source. Either source may be the mission's own file.
+    `origin`: where a pattern of this name was found: its source, and as `rival` a second source
+    with the same name. Either of them may be the mission's own file. None: there is no such
+    pattern.
     """
     if origin is None:
         return ""
@@ -476,29 +484,32 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     not YAML.
     """
     document = read_document(path)
-    # 1. The name of the file, which becomes the name of the pattern: valid, and of no other
-    #    pattern. The text of a fault goes on after the key `mission`.
     origins = pattern_names(plugin_dir)
-    owner = _other_owner(path, origins.get(path.stem))
-    name_fault = ""
-    if not is_id(path.stem) or path.suffix != MISSION:
-        name_fault = (
-            "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
-        )
-    elif document.description and not is_mission(path):  # valid, but `is_mission` reads by lines
-        name_fault = (
-            "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
-        )
-    elif owner:
-        name_fault = f"has the name of another pattern ({owner}); rename one"
+    name_fault = _name_fault(document, origins.get(path.stem))
     if name_fault:
         document.faults.append(fault_at(("mission",), name_fault))
-    # 2. The parts; the mission as a whole only if the parts are without fault.
     find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
-    if not document.faults:
+    if not document.faults:  # faulty parts would give faults of the whole mission again
         _check_whole(document, platform, find)
     return fault_lines(path, document.faults)
+
+
+def _name_fault(document: Document, origin: Origin | None) -> str:
+    """Why the file is not a mission with a name of its own; empty if it is.
+
+    The text goes on after the key `mission`. `origin`: as of `_other_owner`.
+    """
+    path = document.path
+    if not is_id(path.stem) or path.suffix != MISSION:
+        return (
+            "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
+        )
+    # A robot looks for the key by lines, which misses some forms that YAML permits.
+    if document.description and not is_mission(path):
+        return "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
+    owner = _other_owner(path, origin)
+    return f"has the name of another pattern ({owner}); rename one" if owner else ""
 
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:

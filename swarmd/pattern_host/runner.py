@@ -100,21 +100,16 @@ class ProcessRunner:
         secret: Sequence[Path] = (),
     ) -> None:
         """Start the first host."""
-        # The patterns: of packages, of `plugin_dir`, and pushed patterns. `overlay` is called for
-        # each load and each trial, and returns the patterns with the pushed patterns added.
-        self._installed = installed_patterns()
+        self._installed = installed_patterns()  # of packages
         self._plugin_dir = plugin_dir
-        self._overlay = overlay
-        # The events of hosts, until the daemon takes them. `wake` tells the daemon.
+        self._overlay = overlay  # called for each load and each trial
         self._loop = loop
         self._wake = wake
-        self._events: deque[host_messages.HostEvent] = deque()
+        self._events: deque[host_messages.HostEvent] = deque()  # until the daemon takes them
         self._generation = 0  # of the last command
-        # The start of a new host after the end of a host.
-        self._respawn_delay = MIN_RESPAWN_DELAY  # s
-        self._respawn: asyncio.TimerHandle | None = None  # due; None: no start is planned
+        self._respawn_delay = MIN_RESPAWN_DELAY  # s, before a new host starts
+        self._respawn: asyncio.TimerHandle | None = None  # the planned start of a new host
         self._is_closed = False
-        # The processes.
         self._dying: list[HostProcess] = []  # killed hosts that have not ended
         self._trial: TrialProcess | None = None  # of new code
         self.dropped = 0  # commands for which the socket had no room
@@ -142,39 +137,29 @@ class ProcessRunner:
         A command that cannot be encoded becomes an event: the load is refused, or the pattern has
         failed. A command for which the socket has no room is dropped and counted.
         """
-        # 1. Commands that start or end processes.
-        if isinstance(command, host_messages.StartTrial | host_messages.CancelTrial):
+        if isinstance(command, host_messages.StartTrial):
             self._end_trial()
-            if isinstance(command, host_messages.StartTrial):
-                self._start_trial(command.load)
-            return
-        if isinstance(command, host_messages.KillHost):
+            self._start_trial(command.load)
+        elif isinstance(command, host_messages.CancelTrial):
+            self._end_trial()
+        elif isinstance(command, host_messages.KillHost):
             self._replace()
-            return
+        else:
+            self._send_to_host(command)
+
+    def _send_to_host(self, command: host_messages.SentCommand) -> None:
+        """Send a command to the host in use, or to a new host."""
         if isinstance(command, host_messages.Load):
             log.info("loading %s", command.pattern)
             if command.is_fresh:  # load in a new host: the present host hangs, ends or has old code
                 self._replace()
-        # 2. Encode. A load also gets the places of all patterns, which it may contain.
         self._generation = command.generation
         try:
-            if isinstance(command, host_messages.Load):
-                frame = encode_command(self._with_origins(command, is_trial=False))
-            else:
-                frame = encode_command(command)
+            frame = self._encoded(command)
         except (PluginError, CodecError) as error:
-            generation, text = command.generation, str(error)
-            event: host_messages.HostEvent
-            if isinstance(command, host_messages.Load):
-                refusal = host_messages.refusal_of(error)
-                event = host_messages.LoadRefused(generation, text, refusal)
-            else:
-                event = host_messages.PatternFailed(generation, text)
-            self._events.append(event)
+            self._events.append(_not_encoded(command, error))
             self._loop.call_soon(self._wake)
             return
-        # 3. Send. A full socket shows as the timeout of the command, and the end of the host as its
-        #    pidfd (a file descriptor of the process), which the loop watches.
         host = self._host or self._start()
         try:
             if isinstance(command, host_messages.Load):
@@ -182,7 +167,15 @@ class ProcessRunner:
             else:
                 host.socket.send(frame)
         except OSError:
+            # The socket is full, and the command times out; or the host has ended, which the loop
+            # sees by its pidfd (a file descriptor of the process).
             self.dropped += 1
+
+    def _encoded(self, command: host_messages.SentCommand) -> bytes:
+        """The frame of a command. A load gets the places of all patterns, which it may contain."""
+        if isinstance(command, host_messages.Load):
+            return encode_command(self._with_origins(command, is_trial=False))
+        return encode_command(command)
 
     def events(self) -> Iterable[host_messages.HostEvent]:
         """The events since the last call, in order."""
@@ -352,3 +345,13 @@ class PrintPipe:
             if len(data) > _READ // 8:
                 time.sleep(_PAUSE)
         os.close(self._read)
+
+
+def _not_encoded(
+    command: host_messages.SentCommand, error: PluginError | CodecError
+) -> host_messages.HostEvent:
+    """The event for a command that cannot be encoded."""
+    if isinstance(command, host_messages.Load):
+        refusal = host_messages.refusal_of(error)
+        return host_messages.LoadRefused(command.generation, str(error), refusal)
+    return host_messages.PatternFailed(command.generation, str(error))

@@ -331,61 +331,72 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     - If the loaded value is x, `_allowed(x)` permits the call, and `_refused(x)` refuses the call.
       `_required(x)` refuses the call if the loaded value is not x.
     """
-    # 1. Another architecture (such as 32-bit calls) is refused. System calls that are newer than
-    #    the tables do not exist for the process.
+    yield from _checked_architecture(architecture)
+    # System calls that are refused, or seem absent, whatever their arguments.
+    for table, result in ((_DENIED, _REFUSE), (_ABSENT, _UNKNOWN)):
+        for numbers in table.values():
+            yield from _if_called(numbers[column], [], result)
+    # Signals only to the own process.
+    for numbers in (_KILL, _TGKILL):
+        own_process = [*_argument(0), *_allowed(os.getpid())]
+        yield from _if_called(numbers[column], own_process, _REFUSE)
+    # prctl, fcntl and ioctl without the listed commands.
+    for numbers, argument_index, commands in _REFUSED_COMMANDS:
+        refusals = chain.from_iterable(map(_refused, commands))
+        block = [*_argument(argument_index), *refusals]
+        yield from _if_called(numbers[column], block, _ALLOW)
+    yield from _if_called(_PRLIMIT[column], _reading_own_limits(), _REFUSE)
+    # clone without new namespaces, and without a child of the daemon.
+    has_refused_flag = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)  # without: skip the refusal
+    clone = [*_argument(0), has_refused_flag, (_RETURN, 0, 0, _REFUSE)]
+    yield from _if_called(_CLONE[column], clone, _ALLOW)
+    for numbers, argument_index in ((_OPEN, 1), (_OPENAT, 2)):
+        yield from _if_called(numbers[column], _refused_modes(argument_index), _ALLOW)
+    yield from _if_called(_SOCKETPAIR[column], _permitted_pairs(), _REFUSE)
+    yield _RETURN, 0, 0, _ALLOW
+
+
+def _checked_architecture(architecture: int) -> Iterator[_Instruction]:
+    """Refuse the calls of another architecture (such as 32-bit calls), and load the call's number.
+
+    System calls that are newer than the tables do not exist for the process.
+    """
     yield _LOAD, 0, 0, _ARCHITECTURE
     yield _EQUAL, 1, 0, architecture
     yield _RETURN, 0, 0, _REFUSE
     yield _LOAD, 0, 0, _NUMBER
     yield _AT_LEAST, 0, 1, _NEWEST + 1
     yield _RETURN, 0, 0, _UNKNOWN
-    # 2. System calls that are refused, or seem absent, whatever their arguments.
-    for table, result in ((_DENIED, _REFUSE), (_ABSENT, _UNKNOWN)):
-        for numbers in table.values():
-            yield from _if_called(numbers[column], [], result)
-    # 3. Signals only to the own process.
-    for numbers in (_KILL, _TGKILL):
-        own_process = [*_argument(0), *_allowed(os.getpid())]
-        yield from _if_called(numbers[column], own_process, _REFUSE)
-    # 4. prctl, fcntl and ioctl without the listed commands.
-    for numbers, argument_index, commands in _REFUSED_COMMANDS:
-        refusals = chain.from_iterable(map(_refused, commands))
-        block = [*_argument(argument_index), *refusals]
-        yield from _if_called(numbers[column], block, _ALLOW)
-    # 5. prlimit only for the own process (pid 0), and only to read: the pointer to new limits is
-    #    NULL in its lower half (`_argument`) and in its upper half.
-    limits = [
-        *_argument(0),
-        *_required(0),
-        *_argument(2),
-        *_required(0),
-        *_upper_half(2),
-        *_allowed(0),
-    ]
-    yield from _if_called(_PRLIMIT[column], limits, _REFUSE)
-    # 6. clone without new namespaces, and without a child of the daemon.
-    has_refused_flag = (_ANY_BIT, 0, 1, _NAMESPACES | _OF_PARENT)  # without: skip the refusal
-    clone = [*_argument(0), has_refused_flag, (_RETURN, 0, 0, _REFUSE)]
-    yield from _if_called(_CLONE[column], clone, _ALLOW)
-    # 7. open without two modes that Landlock lets pass: the access mode 3 (neither read nor write)
-    #    permits ioctl; before Linux 6.2 Landlock ignores that a reader truncates.
-    for numbers, argument_index in ((_OPEN, 1), (_OPENAT, 2)):
-        mode = [*_argument(argument_index), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
-        refused_modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
-        refusals = chain.from_iterable(map(_refused, refused_modes))
-        yield from _if_called(numbers[column], [*mode, *refusals], _ALLOW)
-    # 8. Socket pairs of streams and packets. The sockets of a SOCK_DGRAM pair could be connected to
-    #    other sockets.
-    pair = [
-        *_argument(0),
-        *_required(_AF_UNIX),
-        *_argument(1),
-        (_AND, 0, 0, _SOCK_TYPE_MASK),
-        *_allowed(_SOCK_STREAM),
-        *_allowed(_SOCK_SEQPACKET),
-    ]
-    yield from _if_called(_SOCKETPAIR[column], pair, _REFUSE)
-    yield _RETURN, 0, 0, _ALLOW
+
+
+def _reading_own_limits() -> list[_Instruction]:
+    """A block that permits prlimit only for the own process (pid 0), and only to read.
+
+    A call reads if its third argument, the pointer to new limits, is NULL in both halves.
+    """
+    pid_0 = [*_argument(0), *_required(0)]
+    return [*pid_0, *_argument(2), *_required(0), *_upper_half(2), *_allowed(0)]
+
+
+def _refused_modes(argument_index: int) -> list[_Instruction]:
+    """A block that refuses two modes of open that Landlock lets pass.
+
+    The access mode 3 (neither read nor write) permits ioctl. Before Linux 6.2 Landlock ignores that
+    a reader truncates the file.
+    """
+    mode = [*_argument(argument_index), (_AND, 0, 0, _NEITHER | _TRUNCATE)]
+    modes = (_NEITHER, _NEITHER | _TRUNCATE, _TRUNCATE)
+    return [*mode, *chain.from_iterable(map(_refused, modes))]
+
+
+def _permitted_pairs() -> list[_Instruction]:
+    """A block that permits socket pairs of streams and packets.
+
+    The sockets of a SOCK_DGRAM pair could be connected to other sockets.
+    """
+    family = [*_argument(0), *_required(_AF_UNIX)]
+    kind = [*_argument(1), (_AND, 0, 0, _SOCK_TYPE_MASK)]
+    return [*family, *kind, *_allowed(_SOCK_STREAM), *_allowed(_SOCK_SEQPACKET)]
 
 
 def _if_called(

@@ -77,14 +77,9 @@ def _opened(content: bytes, label: str) -> Iterator[zipfile.ZipFile]:
         raise PluginError(f"{label} is no wheel: {text}") from error
 
 
-def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
-    """The files of a wheel, all of which a robot may unpack; else PluginError.
-
-    Refuses a wheel that is too large, and files outside the folder of the wheel, links, native
-    code, and modules that would hide modules of the robot. `label`: the wheel, for messages.
-    """
+def _check_files(archive: zipfile.ZipFile, label: str) -> None:
+    """PluginError if a robot may not unpack the files of a wheel; `label`: the wheel."""
     files = [info for info in archive.infolist() if not info.is_dir()]
-    # 1. Rules for all files together.
     size = sum(info.file_size for info in files)
     if len(files) > MAX_FILES or size > MAX_UNPACKED:
         raise PluginError(
@@ -95,24 +90,31 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
     folders = {folder for path in paths for folder in path.parents}
     if both := sorted(map(str, paths & folders)):
         raise PluginError(f"{label} has the file {both[0]!r}, which is also a folder")
-    # 2. Rules for each file.
     for info in files:
-        path = PurePosixPath(info.filename)
-        is_relative = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
-        is_inside = is_relative and "\\" not in info.filename
-        # The upper 16 bits of the attributes are the Unix mode. A link could point anywhere.
-        mode = info.external_attr >> 16
-        if not is_inside or stat.S_ISLNK(mode) or not info.filename.isprintable():
-            raise PluginError(f"{label} has the file {info.filename!r}, which lies elsewhere")
-        if path.suffix.lower() in _NATIVE or ".so." in path.name:
-            raise PluginError(f"{label} has native code: {info.filename}")
-        top_name = path.parts[0]
-        if top_name.removesuffix(".py") in _TAKEN:
-            raise PluginError(f"{label} would hide a module of that name: {info.filename}")
-        if top_name.endswith(".data"):  # an installer moves such files to other folders
-            raise PluginError(f"{label} has files outside its packages: {info.filename}")
+        _check_file(info, label)
         _read(archive, info, label)  # PluginError if the content is damaged
-    return files
+
+
+def _check_file(info: zipfile.ZipInfo, label: str) -> None:
+    """PluginError for a file that a robot may not unpack.
+
+    Refused: files outside the folder of the wheel, links, native code, and modules that would hide
+    modules of the robot.
+    """
+    path = PurePosixPath(info.filename)
+    is_relative = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+    is_inside = is_relative and "\\" not in info.filename
+    # The upper 16 bits of the attributes are the Unix mode. A link could point anywhere.
+    is_link = stat.S_ISLNK(info.external_attr >> 16)
+    if not is_inside or is_link or not info.filename.isprintable():
+        raise PluginError(f"{label} has the file {info.filename!r}, which lies elsewhere")
+    if path.suffix.lower() in _NATIVE or ".so." in path.name:
+        raise PluginError(f"{label} has native code: {info.filename}")
+    top_name = path.parts[0]
+    if top_name.removesuffix(".py") in _TAKEN:
+        raise PluginError(f"{label} would hide a module of that name: {info.filename}")
+    if top_name.endswith(".data"):  # an installer moves such files to other folders
+        raise PluginError(f"{label} has files outside its packages: {info.filename}")
 
 
 def _about(archive: zipfile.ZipFile, label: str) -> PurePosixPath:

@@ -72,13 +72,13 @@ class ClockLine:
     def error(self, time: float) -> float:
         """The largest possible error of `forward` (the time on the second clock) at `time`, in s.
 
-        The exchanges of the two clocks bound the error at their times (`bounds`). The least of
-        these bounds at `time` counts:
+        The exchanges of the two clocks bound the error at their own times (`bounds`). A bound at
+        `time` follows in two ways, and the least of all these bounds counts:
 
-        1. from each single exchange: its bound, plus MAX_DRIFT and the drift of the line for the
-           time since or until the exchange,
-        2. from each pair of exchanges: the bound on the line through both bounds, since the error
-           is a line in time, too.
+        1. From a single exchange: its bound, plus MAX_DRIFT and the drift of the line for the time
+           between the exchange and `time`.
+        2. From two exchanges: since the error is a line in time, too, it is bounded by the line
+           through both bounds.
         """
         # 1. One exchange.
         away = np.abs(time - self.times)
@@ -174,13 +174,21 @@ def align(
         paths[clock] = path
         for neighbor in neighbors[clock]:
             if neighbor not in paths:
-                line = lines[min(neighbor, clock), max(neighbor, clock)]
-                begin, end = float(line.times.min()), float(line.times.max())
-                line_error = max(line.error(begin), line.error(end))
-                heapq.heappush(candidates, (path_error + line_error, (*path, neighbor)))
+                error = path_error + _largest_error(lines[_pair(clock, neighbor)])
+                heapq.heappush(candidates, (error, (*path, neighbor)))
     return {
         clock: _along(paths[clock], lines, span) for clock, span in spans.items() if clock in paths
     }
+
+
+def _pair(a: str, b: str) -> tuple[str, str]:
+    """Two clocks in sorted order, by which lines are found."""
+    return min(a, b), max(a, b)
+
+
+def _largest_error(line: ClockLine) -> float:
+    """The larger bound of a line's error at its first and its last exchange, in s."""
+    return max(line.error(float(line.times.min())), line.error(float(line.times.max())))
 
 
 def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
@@ -211,7 +219,7 @@ def _along(
     ends, errors = list(span), [0.0, 0.0]
     rate = 1.0
     for clock, next_clock in pairwise(reversed(path)):
-        line = lines[min(clock, next_clock), max(clock, next_clock)]
+        line = lines[_pair(clock, next_clock)]
         is_forward = clock < next_clock  # a line leads from the first clock in order to the second
         rate *= 1.0 + line.drift if is_forward else 1.0 / (1.0 + line.drift)
         for k, time in enumerate(ends):

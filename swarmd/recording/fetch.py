@@ -96,18 +96,34 @@ def fetch(
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(".mcap.partial")
-    # 1. Present files. A file of the same name from another recording is renamed.
     for present in (path, partial):
         if present.exists() and not _is_part_of(present, ask, robot, file):
-            present.rename(_unused(present))
+            present.rename(_unused(present))  # of another recording with the same name
     if path.exists():
         present_size = path.stat().st_size
         # A recording without a checksum (a daemon that was killed left it unfinished) may grow.
         is_complete = file.crc is not None or present_size >= file.size
         if is_complete:
             return Copy(path, received=0, size=present_size, is_whole=True)
-        path.rename(partial)  # the copy of a truncated recording, which has grown since
-    # 2. Append the missing pieces.
+        path.rename(partial)
+    copied = _append(ask, robot, file, partial, on_progress)
+    if file.is_open or copied.fault:
+        return copied
+    if file.crc is not None and crc_of(partial) != file.crc:
+        partial.unlink()
+        raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
+    partial.replace(path)
+    return copied._replace(path=path, is_whole=True)
+
+
+def _append(
+    ask: Ask,
+    robot: str,
+    file: verbs.RecordingFile,
+    partial: Path,
+    on_progress: Callable[[int, int], None],
+) -> Copy:
+    """Append the missing pieces of a file to its incomplete copy `partial`."""
     received_bytes, fault = 0, ""
     with partial.open("ab") as copy:
         while copy.tell() < file.size and not fault:
@@ -120,14 +136,7 @@ def fetch(
             received_bytes += len(reply.data)
             on_progress(copy.tell(), file.size)
         size = copy.tell()
-    # 3. A whole copy with the right checksum gets the name of the recording.
-    if file.is_open or fault:
-        return Copy(partial, received_bytes, size, is_whole=False, fault=fault)
-    if file.crc is not None and crc_of(partial) != file.crc:
-        partial.unlink()
-        raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
-    partial.replace(path)
-    return Copy(path, received_bytes, size, is_whole=True)
+    return Copy(partial, received_bytes, size, is_whole=False, fault=fault)
 
 
 def _is_name(name: str) -> bool:

@@ -18,7 +18,7 @@ from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
 from swarmd.recording.inputs import INPUT, MEMORY
 from swarmd.recording.messages import is_known, message_on
-from swarmd.recording.reader import RecordedFile, clock_of, read_file
+from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of, read_file
 from swarmd.recording.writer import METADATA, PROFILE, Channels
 
 CLOCK_TOPIC = "/clock/pair"
@@ -84,34 +84,21 @@ def survey(paths: Sequence[Path]) -> Recordings:
         recording = read_file(path)
         if recording.fault:
             faults.append(f"{path}: {recording.fault}; what is whole is merged")
-        # 1. Messages of types that no recording has are left out.
-        messages = []
-        foreign: dict[str, str] = {}  # message type by topic
-        for message in recording.messages:
-            if is_known(message.kind):
-                messages.append(message)
-            else:
-                foreign[message.topic] = message.kind
-        if foreign:
-            topic, kind = next(iter(foreign.items()))
-            others = " and others" if len(foreign) > 1 else ""
-            faults.append(
-                f"{path}: {len(foreign)} topics of types that recordings do not have are left out:"
-                f" {topic[:80]!r} ({kind[:80]!r}){others}"
-            )
-        if not messages:
+        recorded_messages, foreign_fault = _known_messages(recording)
+        if foreign_fault:
+            faults.append(f"{path}: {foreign_fault}")
+        if not recorded_messages:
             continue
-        # 2. The span of the file, in s on the clock of the robot.
         source = _source(recording, sources)
         try:
-            times = [clock_of(recording.about, message.at) for message in messages]
+            times = [clock_of(recording.about, message.at) for message in recorded_messages]
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
         exchanges += _exchanges(recording, source.clock)
-    # 3. Exchanges with the operator's clock, which `record fetch` noted in its folder. The files
-    # lie in this folder, or in a folder of their robot inside it, where `record fetch` put them.
+    # `record fetch` puts the files into a folder of their robot, and the exchanges with the
+    # operator's clock into the folder above. The user may have moved files.
     folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
     for folder in sorted(folders):
         exchanges += read_exchanges(folder / CLOCKS_FILE)
@@ -120,11 +107,26 @@ def survey(paths: Sequence[Path]) -> Recordings:
     return Recordings(list(sources.values()), exchanges, faults)
 
 
+def _known_messages(recording: RecordedFile) -> tuple[list[RecordedMessage], str]:
+    """The messages of types that a recording has, and a text about all others; empty without."""
+    known = [message for message in recording.messages if is_known(message.kind)]
+    kind_of_topic = {
+        message.topic: message.kind for message in recording.messages if not is_known(message.kind)
+    }
+    if not kind_of_topic:
+        return known, ""
+    topic, kind = next(iter(kind_of_topic.items()))
+    others = " and others" if len(kind_of_topic) > 1 else ""
+    text = f"{len(kind_of_topic)} topics of types that recordings do not have are left out:"
+    return known, f"{text} {topic[:80]!r} ({kind[:80]!r}){others}"
+
+
 def place(recordings: Recordings, reference: str | None = None) -> list[Placed]:
     """Align the clock of each source with the clock of the robot `reference`.
 
-    A source is a robot's files on one clock. `reference` None: the robot of the first source. The
-    source of the reference is first in the result. ConfigError if no recording is of this robot.
+    A source is a robot's files on one clock. `reference`: None for the robot of the first source.
+    The first source of this robot comes first in the result. ConfigError if no recording is of this
+    robot.
     """
     sources = recordings.sources
     names = [source.robot for source in sources]

@@ -54,25 +54,13 @@ class Converter:
         return round(at * 1e9) + self._offset
 
     def add(self, entry: frames.Entry) -> None:
-        """Write one entry of the daemon as a message of the recording.
-
-        The memory of a robot (its serialised state) comes in several entries, and is written once
-        all parts have arrived.
-        """
+        """Write one entry of the daemon as a message of the recording."""
         stamp_s = 1e-9 * self.ns(entry.at)  # since 1970
         match entry:
             case frames.InputEntry():
                 self._input(entry, stamp_s)
             case frames.MemoryEntry():
-                # Keep the earlier parts of the same memory. Parts of another memory (another time
-                # `at`), and repeated parts, are dropped.
-                earlier = (
-                    part for part in self._memory if part.at == entry.at and part.part < entry.part
-                )
-                self._memory = [*earlier, entry]
-                if len(self._memory) == entry.parts:
-                    data = b"".join(part.data for part in self._memory)
-                    self._write(entry, MEMORY, messages.bytes_message(data, stamp_s))
+                self._memory_part(entry, stamp_s)
             case frames.DecisionEntry():
                 self._write(entry, "/decision", messages.decision_message(entry, stamp_s))
             case frames.SentEntry():
@@ -90,6 +78,18 @@ class Converter:
                 self.writer.dropped += entry.count
                 self._text(entry, "/dropped", {"count": entry.count})
 
+    def _memory_part(self, entry: frames.MemoryEntry, stamp: float) -> None:
+        """Keep a part of the robot's memory (its serialised state); write it after the last part.
+
+        Earlier parts of another memory (of another time `at`), and repeated parts, are dropped.
+        `stamp`: s since 1970.
+        """
+        earlier = (part for part in self._memory if part.at == entry.at and part.part < entry.part)
+        self._memory = [*earlier, entry]
+        if len(self._memory) == entry.parts:
+            data = b"".join(part.data for part in self._memory)
+            self._write(entry, MEMORY, messages.bytes_message(data, stamp))
+
     def _write(self, entry: frames.Entry, topic: str, message: Message, sequence: int = 0) -> None:
         self.writer.add(topic, message, self.ns(entry.at), sequence)
 
@@ -100,20 +100,21 @@ class Converter:
     def _input(self, entry: frames.InputEntry, stamp: float) -> None:
         """Write an input of the robot twice: its bytes for a replay, and a message for viewers.
 
-        `stamp`: s since 1970. A scan is written only once, as messages that a replay reads, too.
+        `stamp`: s since 1970. A scan is written once, by messages that viewers and a replay read.
         """
-        # 1. The bytes, even if the input cannot be decoded (a value exceeds its bound): a replay
-        # reports such an input.
         try:
             input = events.decode_input(entry.data)
-        except CodecError:
+        except CodecError:  # a value exceeds its bound; a replay reports such an input
             self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
             return
         if isinstance(input, events.ScanInput | events.RangesInput):
             self._scan(entry, input, stamp)
             return
         self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
-        # 2. The message for viewers: a ROS message if ROS has the type, else JSON.
+        self._for_viewers(entry, input, stamp)
+
+    def _for_viewers(self, entry: frames.InputEntry, input: events.Input, stamp: float) -> None:
+        """Write an input as a ROS message if ROS has the type, else as JSON."""
         match input:
             case events.OdometryInput():
                 self._write(entry, "/odometry", messages.odometry_message(input.odometry))
@@ -140,7 +141,7 @@ class Converter:
                 | events.TickInput()
             ):
                 pass  # nothing to view
-            case _:  # as JSON: an input of a single field as this field, else a list of its fields
+            case _:  # an input of a single field becomes this field, else a list of its fields
                 fields = structs.astuple(input)
                 value = fields[0] if len(fields) == 1 else fields
                 self._text(entry, f"/{events.tag_of(input)}", value)
@@ -177,33 +178,24 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
     last_report_at = -REPORT_PERIOD
     link.settimeout(CHUNK_TIME)
     try:
-        while True:
-            # 1. Write a batch. After CHUNK_TIME without a batch `_received` returns a batch without
-            # entries, so that step 2 still runs in time.
-            frame = _received(link)
-            is_closed = not frame  # even an empty batch has a byte
-            if is_closed:
-                return
+        # Without a batch for CHUNK_TIME, `_received` returns a batch without entries, so that the
+        # flush and the report come in time.
+        while frame := _received(link):
             for entry in frames.decode_batch(frame):
                 if isinstance(entry, frames.Begin):
                     converter = Converter(entry)
                 elif converter is not None:
                     converter.add(entry)
-            # 2. Flush and report in time.
             if converter is None:
                 continue
-            writer = converter.writer
-            writer.flush_if_due(converter.ns(now()))
+            converter.writer.flush_if_due(converter.ns(now()))
             if time.monotonic() - last_report_at >= REPORT_PERIOD:
                 last_report_at = time.monotonic()
-                _report(link, str(writer.path or ""), writer.written)
+                _report(link, converter)
     except OSError as error:
-        path = "" if converter is None else str(converter.writer.path or "")
-        written_bytes = 0 if converter is None else converter.writer.written
-        _report(link, path, written_bytes, error.strerror or str(error))
+        _report(link, converter, error.strerror or str(error))
         if converter is not None:
-            converter.writer.abandon()
-            converter = None  # the file is not finished below
+            converter.writer.abandon()  # so that `close` does not finish the file
         raise
     finally:
         if converter is not None:
@@ -211,7 +203,10 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
 
 
 def _received(link: socket.socket) -> bytes:
-    """The next batch; an empty batch after CHUNK_TIME; no bytes once the socket is closed."""
+    """The next batch; no bytes once the socket is closed.
+
+    After CHUNK_TIME without a batch, a batch without entries, which has a byte.
+    """
     while True:
         try:
             return link.recv(1 << 18)
@@ -221,9 +216,12 @@ def _received(link: socket.socket) -> bytes:
             continue  # the daemon ended with an unread report: its last batches follow
 
 
-def _report(link: socket.socket, path: str, written: int, fault: str = "") -> None:
+def _report(link: socket.socket, converter: Converter | None, fault: str = "") -> None:
+    """Report the present file, the written bytes and a fault to the daemon."""
+    path = "" if converter is None else str(converter.writer.path or "")
+    written_bytes = 0 if converter is None else converter.writer.written
     with contextlib.suppress(OSError):
-        link.send(frames.encode_report(frames.RecorderReport(path, written, fault)))
+        link.send(frames.encode_report(frames.RecorderReport(path, written_bytes, fault)))
 
 
 def main() -> None:

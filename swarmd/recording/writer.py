@@ -115,7 +115,6 @@ class RecordingWriter:
         if self._file is None or self.path is None:
             return
         file, self._file = self._file, None
-        # 1. Complete the MCAP file, and force it to disk.
         try:
             self._writer.finish()  # type: ignore[no-untyped-call]
             file.flush()
@@ -124,20 +123,23 @@ class RecordingWriter:
         finally:
             file.close()
         self.total += size
-        # 2. The index of the file: an index on disk always describes a whole file.
+        self._write_index(self.path, size)
+        self.dropped = 0  # the count is of one file
+
+    def _write_index(self, path: Path, size: int) -> None:
+        """Write the index of the file `path`, which is on disk, and has `size` bytes."""
         index = {
-            "file": self.path.name,
+            "file": path.name,
             "bytes": size,
-            "crc32": crc_of(self.path),
+            "crc32": crc_of(path),
             "begin_ns": self._begin,
             "end_ns": self._end,
             "messages": self._counts,
             "dropped": self.dropped,
             "about": self._about,
         }
-        with whole_file(self.path.with_suffix(".index.json")) as partial:
+        with whole_file(path.with_suffix(".index.json")) as partial:
             partial.write_text(json.dumps(index, indent=1) + "\n")
-        self.dropped = 0  # the count is of one file
 
     def abandon(self) -> None:
         """Close the file without its end and index."""

@@ -95,9 +95,7 @@ class Parity:
 class Replay:
     """A robot that replays a recording, from its recorded memory or from the recording's head.
 
-    `platform`: replaces the recorded platform. `origins`: by pattern, its `module:Class` or path,
-    and True for a path. `recalls`: begin with the recorded memory (the serialised robot), which the
-    caller has found readable; else with a new robot by the head.
+    `safe` and `requested`: the comparison of the commands of protection, and of the pattern.
     """
 
     def __init__(
@@ -109,25 +107,32 @@ class Replay:
         *,
         recalls: bool = False,
     ) -> None:
-        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory."""
+        """Prepare the replay; `run` makes the robot, or takes it from the recorded memory.
+
+        - `head`, `about`: the head of the recording, and its texts on the robot.
+        - `origins`: by pattern, its `module:Class` or path, and True for a path.
+        - `platform`: replaces the recorded platform.
+        - `recalls`: begin with the recorded memory (the serialised robot), which the caller has
+          found readable; else with a new robot by the head.
+        """
         self._head, self._about = head, about
         self._platform = platform or head.platform
-        self._recalls = recalls
-        self._waits = recalls  # inputs are skipped until the next recorded memory
-        # The replayed robot, and its pattern, which is stepped from its load on.
-        self._robot: Robot
-        self._loader = PatternLoader({})
         self._origins = origins
+        self._recalls = recalls
+        self._robot: Robot
+        self._actions: Actions | None = None  # after the last input that gave any
+        # True: inputs are skipped until the next recorded memory.
+        self._waits = recalls
+        # The pattern of the replay. False: its load was not replayed, so it is not stepped.
+        self._has_pattern = not recalls
+        self._loader = PatternLoader({})
         self._executor = PatternExecutor(self._loader)
-        self._has_pattern = not recalls  # False: the load of the pattern was not replayed
-        self._steps: deque[SentEvent] = deque()  # replayed answers to steps, oldest first
+        self._steps: deque[SentEvent] = deque()  # its answers to steps, oldest first
         self._inputs = InputReader()
         self._begin: float | None = None  # time of the first message, s
-        self._actions: Actions | None = None  # after the last input that gave any
-        # The comparison: of the commands of protection, and of those of the pattern.
         self.safe, self.requested = Compared(), Compared()
         self._notes: dict[str, None] = {}  # in their order, each once
-        # True once the replayed robot ran while the recorded robot did not, or vice versa.
+        # True: one of the replayed and the recorded robot has run while the other did not.
         self._has_parted = False
 
     def _make_robot(self, now: float) -> Robot:

@@ -262,13 +262,7 @@ def _described(node: inspect.Type) -> str:
         case inspect.LiteralType():
             return " or ".join(map(str, node.values))
         case inspect.UnionType():
-            # All scalar types together get one text. A list comes last: its items end the text.
-            arms = sorted(node.types, key=lambda arm: isinstance(arm, inspect.ListType))
-            texts = []
-            if {type(arm) for arm in arms} >= _SCALARS:
-                texts.append("a number, text, true or false")
-                arms = [arm for arm in arms if type(arm) not in _SCALARS]
-            return " or ".join(dict.fromkeys([*texts, *map(_described, arms)]))
+            return _described_union(node)
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"
         case inspect.ListType() | inspect.VarTupleType():
@@ -279,6 +273,17 @@ def _described(node: inspect.Type) -> str:
             return f"keys and values: {', '.join(field.encode_name for field in node.fields)}"
         case _:
             return "keys and values"
+
+
+def _described_union(node: inspect.UnionType) -> str:
+    """The types of a union in words; all scalar types together get one text."""
+    texts = []
+    # A list comes last, since the text of a list ends with that of its items.
+    arms = sorted(node.types, key=lambda arm: isinstance(arm, inspect.ListType))
+    if {type(arm) for arm in arms} >= _SCALARS:
+        texts.append("a number, text, true or false")
+        arms = [arm for arm in arms if type(arm) not in _SCALARS]
+    return " or ".join(dict.fromkeys([*texts, *map(_described, arms)]))
 
 
 def _bounds(node: inspect.FloatType | inspect.IntType) -> str:

@@ -87,8 +87,9 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of the rays in s when a scan arrives. None: half a scan period, as of a
       rotating lidar. With too low a value protection acts on earlier places of obstacles.
-    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`:
-      the robot measures the sweep while turning; until then each ray counts as old as the oldest.
+    - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
+      robot measures the sweep while turning. Before the sweep is measured, each ray counts as old
+      as the oldest ray.
     - `segments`: in how many segments the driver hands over a turn while the sensor measures it.
       Protection then uses rays before their turn is whole. 0: whole turns alone. Needs `sweep` with
       a direction. With a driver that hands over whole turns alone, the value has no effect.
@@ -112,7 +113,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Heights above the floor in m, which show whether the scans of robots see each other.
+    """Heights above the floor in m, by which a robot knows whether its lidar sees another robot.
 
     - `scan_plane`: height of the rays. With a wrong value a robot that is not seen counts as seen,
       and may be hit.
@@ -146,8 +147,8 @@ class SensorSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """A simulated sensor of the ground, of light or of objects.
 
     - `at`: position of the sensor from the axle, m.
-    - `bearing_deg`: the direction of view. None: all directions or down, and ahead for a sensor
-      that recognises objects.
+    - `bearing_deg`: the direction of view. None: a sensor of the ground looks down, a sensor of
+      light in all directions, and a sensor that recognises objects ahead.
     - `field_of_view_deg`, `range`: only for a sensor that recognises objects: the angle and the
       distance in m that it sees.
     """
@@ -178,8 +179,8 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `sensors`: for the simulated world, by name of a field such as `ground`, the sensors that read
       the field. Without sensors the robot reads the field at its axle. Sensors named `detections`
       recognise robots, boxes and lamps. Without effect on a real robot.
-    - `words`: by driver, what the words of an operator, such as `stop`, and events, such as `low
-      battery`, mean to a robot that does more than the words say. `describe` shows these texts.
+    - `words`: by driver, texts on what a robot does at a request, such as `stop`, or at an event,
+      such as `low battery`, if the robot does more than the word says. `describe` shows the texts.
     """
 
     description: str = ""
@@ -304,7 +305,27 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
     Each fault is the path of the wrong key, and a text that begins with the key. A check that needs
     valid keys ends this function if a key is not valid.
     """
-    # 1. Drivers and inputs.
+    yield from _check_drivers(file)
+    yield from _check_sensors(file)
+    fault = _shape_fault(file.footprint)
+    if fault:  # all further checks need a convex polygon
+        text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
+        yield fault_at(("footprint",), text)
+        return
+    yield from _check_ranges(file)
+    yield from _check_ring(file)
+    if file.protection.mode == "barrier":
+        lacking = _lacking_for_barrier(file)
+        if lacking:
+            text = f"is barrier, which needs {lacking}, or take another mode"
+            yield fault_at(("protection", "mode"), text)
+            return
+        yield from _check_walls(file)
+    yield from _check_sight(_platform("", file))
+
+
+def _check_drivers(file: PlatformFile) -> Iterator[Fault]:
+    """Check the common options of drivers, and the names of inputs."""
     for name, options in file.drivers.items():
         try:
             base_options(cast(Mapping[str, Value], options), f"drivers.{name}")
@@ -314,30 +335,13 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         fault = input_fault(input_name)
         if fault:
             yield fault_at(("provides", index), f"names {fault}")
-    yield from _check_sensors(file)
 
-    # 2. The outline: all further checks need a convex polygon.
-    fault = _shape_fault(file.footprint)
-    if fault:
-        text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
-        yield fault_at(("footprint",), text)
-        return
-    yield from _check_ranges(file)
-    yield from _check_ring(file)
 
-    # 3. Protection of mode barrier: what the mode needs, then the range of the sensor.
-    if file.protection.mode == "barrier":
-        missing = ""
-        if file.protection.barrier is None:
-            missing = "protection.barrier; give it others_speed and unseen_extent"
-        elif "odometry" not in file.provides:
-            missing = "odometry; add it to provides"
-        if missing:
-            text = f"is barrier, which needs {missing}, or take another mode"
-            yield fault_at(("protection", "mode"), text)
-            return
-        yield from _check_walls(file)
-    yield from _check_sight(_platform("", file))
+def _lacking_for_barrier(file: PlatformFile) -> str:
+    """What mode barrier needs and the file lacks, with advice; empty if nothing is lacking."""
+    if file.protection.barrier is None:
+        return "protection.barrier; give it others_speed and unseen_extent"
+    return "" if "odometry" in file.provides else "odometry; add it to provides"
 
 
 def _check_walls(file: PlatformFile) -> Iterator[Fault]:
@@ -428,13 +432,7 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
     if barrier is None:
         return
 
-    def needed_range(top_speed: float) -> float:
-        """The range in m that the sensor needs with this `limits.linear` in m/s."""
-        changed = replace(platform, limits=replace(limits, linear=top_speed))
-        # The distance from the sensor beyond which no obstacle limits the robot.
-        return BindingRange(changed, barrier, TICK).for_sensor()
-
-    needed = needed_range(limits.linear)
+    needed = _needed_range(platform, barrier, limits.linear)
     yield from _check_cone(scan, barrier, needed)
     if needed <= scan.range_max:
         return
@@ -446,14 +444,31 @@ def _check_sight(platform: Platform) -> Iterator[Fault]:
         f" protection.barrier, by scans that are {scan.stale_after:g} s old beyond scan.latency"
         f" {scan.latency:g} (scan.rate {scan.rate:g})"
     )
-    # Lower speeds in steps of 0.01 m/s, the fastest (of whole cm/s below `limits.linear`) first.
-    fastest_cm = math.ceil(100.0 * limits.linear) - 1
-    lower_speeds = (0.01 * speed_cm for speed_cm in range(fastest_cm, 0, -1))
-    fitting = (speed for speed in lower_speeds if needed_range(speed) <= scan.range_max)
-    fastest = next(fitting, None)
+    fastest = _fastest_fitting(platform, barrier)
     if fastest is not None:
         text += f"; or limits.linear of at most {fastest:.2f}"
     yield fault_at(("scan", "range_max"), text)
+
+
+def _needed_range(platform: Platform, barrier: BarrierSettings, top_speed: float) -> float:
+    """The range in m that the sensor needs if `limits.linear` is `top_speed` m/s.
+
+    No obstacle farther from the sensor limits the robot.
+    """
+    changed = replace(platform, limits=replace(platform.limits, linear=top_speed))
+    return BindingRange(changed, barrier, TICK).for_sensor()
+
+
+def _fastest_fitting(platform: Platform, barrier: BarrierSettings) -> float | None:
+    """The fastest speed below `limits.linear`, in whole cm/s, for which the range suffices.
+
+    In m/s; None if the range suffices for no speed.
+    """
+    fastest_cm = math.ceil(100.0 * platform.limits.linear) - 1
+    lower_speeds = (0.01 * speed_cm for speed_cm in range(fastest_cm, 0, -1))
+    reach = platform.scan.range_max
+    fitting = (speed for speed in lower_speeds if _needed_range(platform, barrier, speed) <= reach)
+    return next(fitting, None)
 
 
 def _check_cone(scan: ScanSpec, barrier: BarrierSettings, needed: float) -> Iterator[Fault]:

@@ -108,31 +108,25 @@ def load_daemon_settings(
     `DaemonFile` and `die_with_parent`; None means not given. Raises ConfigError, which names
     source, key, value, what was expected and the nearest valid key.
     """
-    # 1. Merge the sources.
     given = {key: value for key, value in overrides.items() if value is not None}
     parent = given.pop("die_with_parent", None)
     layers = swarmfile.layered(config, given, environ)
     file = layers.build(swarmfile.DaemonFile, swarmfile.check)
-
-    # 2. Platform and identity. A path in the file is relative to the file's folder; an option is
-    # relative to the working folder.
-    folder = Path()
-    if config is not None and "platform" not in given:
-        folder = config.parent
+    # A path in the file is relative to the file's folder, an option to the working folder.
+    is_option = "platform" in given
+    folder = Path() if config is None or is_option else config.parent
     platform = load_platform(file.platform, folder)
     identity = swarmfile.identity_of(layers, file, config, environ)
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
-
     if file.fence is not None and (text := fence_fault(file.fence, platform)):
         raise layers.error(("fence",), f"fence {text}")
-
-    # 3. Folders, and the inputs that the driver's options add, such as the readings of topics.
     state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config)
     state_dir = state_dir or state_folder(environ)
     recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config)
     recordings = recordings or state_dir / file.swarm / robot / "recordings"
     options = _driver_options(platform, file)
+    # The options of the driver add inputs, such as the readings of topics.
     platform = replace(platform, provides=platform.provides | _inputs_of(options))
     return DaemonSettings(
         id=robot,
@@ -141,7 +135,6 @@ def load_daemon_settings(
         platform_name=_absolute(file.platform, folder),
         driver=file.driver,
         driver_options=options,
-        # `members`, `robots`: `labels` and `roster` of the file, with all ranges expanded.
         labels=tuple(label for label, robots in file.members.items() if robot in robots),
         label_members=file.members,
         parameters=file.parameters,

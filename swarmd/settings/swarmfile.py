@@ -94,11 +94,11 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
       this file is an error, and missing robots are reported.
     - `labels`: names for groups of robots (ids and ranges), as targets and for `parameters`.
     - `goal`: what `swarmctl apply` lets robots run. Daemons ignore this key.
-    - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
+    - `neighbors`: which robots are neighbors. A pattern hears the messages of neighbors alone.
     - `touch`: the zones in which patterns may touch obstacles.
-    - `accepts_unseen`: platforms that the lidar of other robots misses, as it passes over or under.
-      Without this key a robot stands while it does not know where such a peer is; with the key it
-      drives, and may collide with the peer.
+    - `accepts_unseen`: platforms that the lidars of other robots do not see, since the rays pass
+      above or below. Without this key a robot stands while it does not know where such a peer is;
+      with the key it drives, and may collide with the peer.
     - `accepts_faster`: platforms that are faster than the barrier of other robots assumes. Without
       this key a robot stands while it has such a peer. Both keys: a list of platforms, or reasons
       by platform.
@@ -250,7 +250,6 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
 
     The words of roster and labels may stand for several robots, such as `tb3-[01-07]`.
     """
-    # 1. The robot's id and the roster.
     if file.id is not None:
         yield from _check_id(("id",), file.id)
     roster: list[str] = []
@@ -261,22 +260,8 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             if name in roster:
                 yield ("roster", index), f"roster names {name!r} twice; keep one"
         roster += names
-
-    # 2. Labels.
-    for label, robots in file.labels.items():
-        yield from _check_id(("labels", label), label)
-        if label in roster or label == file.id:
-            text = "is the name of a robot; expected the label, and its robots in the list:"
-            example = f"{robots[0]}: [{label}]" if robots else f"red: [{label}]"
-            yield fault_at(("labels", label), f"{text} {example}")
-            continue
-        for names_text in robots:
-            names, faults = _expanded(("labels", label), names_text)
-            yield from faults
-            for name in names:
-                yield from _check_robot(("labels", label), name, roster)
-
-    # 3. The goal, and the keys of parameters.
+    for label in file.labels:
+        yield from _check_label(file, label, roster)
     if file.goal is not None:
         yield from _check_goal(file.goal)
     for label in file.parameters.labels:
@@ -285,6 +270,23 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
             yield fault_at(("parameters", "labels", label), text)
     for name in file.parameters.robots:
         yield from _check_robot(("parameters", "robots", name), name, roster)
+
+
+def _check_label(file: DaemonFile, label: str, roster: list[str]) -> Iterator[Fault]:
+    """Yield the faults of a label and its robots; `roster`: all ids, without ranges."""
+    keys = ("labels", label)
+    robots = file.labels[label]
+    yield from _check_id(keys, label)
+    if label in roster or label == file.id:
+        text = "is the name of a robot; expected the label, and its robots in the list:"
+        example = f"{robots[0]}: [{label}]" if robots else f"red: [{label}]"
+        yield fault_at(keys, f"{text} {example}")
+        return
+    for names_text in robots:
+        names, faults = _expanded(keys, names_text)
+        yield from faults
+        for name in names:
+            yield from _check_robot(keys, name, roster)
 
 
 def _check_goal(goal: GoalSection) -> Iterator[Fault]:
