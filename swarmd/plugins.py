@@ -4,14 +4,14 @@ Plugins are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swar
 `swarmd.commands`). A pattern is
 
 1. an entry of `swarmd.patterns` that names a class,
-2. a folder of a package that such an entry names: `<package>/<name>/pattern.py`, with the class of
-   that name,
+2. a folder `<name>` in a package that an entry of `swarmd.patterns` names, with a file `pattern.py`
+   that has the class of the pattern,
 3. a file `<plugin_dir>/<name>.py` or `<plugin_dir>/<name>/pattern.py` with exactly one Pattern,
-   unless its name is `test_*.py`,
+   unless `<name>` begins with `test_`,
 4. a mission: `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or a mission of swarmd.
 
-Reading the metadata of all installed packages takes 40 ms and more, so that the command line calls
-these functions only where necessary, and a process reads the metadata once.
+To read the metadata of all installed packages takes 40 ms and more. So the command line calls these
+functions only where necessary, and a process reads the metadata once.
 """
 
 from __future__ import annotations
@@ -211,17 +211,9 @@ def command_summaries() -> Mapping[str, str]:
     or of the source of a verb, changes. Without the cache, the search in the metadata of packages
     takes 17 ms of `--help`.
     """
-    # 1. Read the cache. O_NONBLOCK and the limit: a named pipe without a writer must not block, and
-    #    a device may never end. Any error counts as no cache.
-    try:
-        handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(handle, "rb") as stored:
-            cache = json.loads(stored.read(MAX_SUMMARIES))
-        if cache["times"] == {path: _time(path) for path in (*sys.path, *cache["sources"])}:
-            return {str(name): str(text) for name, text in cache["lines"].items()}
-    except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
-        pass
-    # 2. Search the metadata, and write the cache.
+    cached_lines = _cached_summaries()
+    if cached_lines is not None:
+        return cached_lines
     entry_points = command_names()
     lines = {name: command_summary(point) for name, point in entry_points.items()}
     source_files = [_source_file(point.module) for point in entry_points.values()]
@@ -232,6 +224,21 @@ def command_summaries() -> Mapping[str, str]:
         _summaries_file().parent.mkdir(parents=True, exist_ok=True)
         write_whole(_summaries_file(), json.dumps(cache).encode())
     return lines
+
+
+def _cached_summaries() -> Mapping[str, str] | None:
+    """The lines of help in the cache; None without a valid cache, also if its file is damaged."""
+    try:
+        # The file may be a named pipe without a writer, for which O_NONBLOCK does not wait, or a
+        # device, whose content may never end: MAX_SUMMARIES.
+        handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with open(handle, "rb") as stored:
+            cache = json.loads(stored.read(MAX_SUMMARIES))
+        if cache["times"] == {path: _time(path) for path in (*sys.path, *cache["sources"])}:
+            return {str(name): str(text) for name, text in cache["lines"].items()}
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
+        pass
+    return None
 
 
 def _summaries_file() -> Path:
@@ -378,9 +385,9 @@ def _load(what: str, group: str, name: str) -> object:
 def entry_points_of(group: str) -> EntryPoints:
     """The entry points of a group.
 
-    The process keeps the result until the time stamp of a folder of sys.path with metadata changes.
-    A folder that changed less than SETTLED ago may belong to an unfinished installation; then the
-    process keeps nothing.
+    The process caches the result until the time stamp of a folder of sys.path with metadata
+    changes. If a folder has changed less than SETTLED ago, an installation may be under way, and
+    nothing is cached.
     """
     times = {path: _time(path) for path in map(os.path.abspath, sys.path)}
     if max(times.values()) + SETTLED > time.time_ns():

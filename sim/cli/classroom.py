@@ -112,11 +112,13 @@ def check(
 ) -> None:
     """Mark the work of a class: FOLDER holds a folder FOLDER/PUPIL for each pupil.
 
-    `class lessons` lists what each lesson asks for, and its targets. In a lesson with a pattern,
-    each pupil's pattern has to pass `plugin check`. Then the experiment of the lesson runs with
-    this pattern and fixed seeds, and its metrics have to meet the targets. A pupil may hand in the
-    pattern's file without a folder, as FOLDER/PUPIL.py. In the other lessons the experiments in the
-    pupil's folder have to meet the targets.
+    `class lessons` lists what each lesson asks for, and its targets.
+
+    In a lesson with a pattern, each pupil's pattern has to pass `plugin check`. Then the experiment
+    of the lesson runs with this pattern and fixed seeds, and its metrics have to meet the targets.
+    A pupil may hand in the pattern's file without a folder, as FOLDER/PUPIL.py.
+
+    In a lesson without a pattern, the experiments in the pupil's folder have to meet the targets.
 
     Exit code 0 if the work of all pupils passes, else 1.
     """

@@ -73,14 +73,44 @@ def demo(
     one seed. The demo leaves summary.json, trajectories.png, the trace and all logs in
     runs/<time>/. Exit code 0 only if every robot ran to the end and no two robots touched.
     """
-    # 1. Faults of the options are found here, before any process starts. `world`: the values of
-    #    `fleet_options`, such as scenario, platform and plugin_dir.
+    # 1. Check the options before any process starts. `world`: the values of `fleet_options`, such
+    #    as scenario, platform and plugin_dir.
     need("mujoco")
     if video is not None:
         need_film()
         from swarmd.sim.film.encode import check_output
 
         check_output(video)
+    values = _checked_parameters(pattern, params, world)
+
+    # 2. The fleet. It is made without a folder, so that a wrong option leaves no folder behind.
+    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
+    settings = _settings(fleet, pattern, values, seconds)
+    spec = replace(
+        fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=settings.seconds
+    )
+    if fleet.scenario is not None:  # robots that join later, by an event, have no daemon so far
+        spec = replace(spec, absent=fleet.scenario.scenario.absent)
+
+    # 3. The run, its report, and the film of its trace.
+    is_live = sys.stdout.isatty() and not (headless or is_json)
+    summary = perform(spec, settings, is_live=is_live, page=page)
+    report(summary, folder, is_json=is_json)
+    if video is not None:
+        _film_trace(folder / "trace.npz", video, _title(summary), is_quiet=is_json)
+    ctx.exit(0 if summary.is_good else 1)
+
+
+def _checked_parameters(
+    pattern: str, params: Sequence[str], world: Mapping[str, Any]
+) -> Mapping[str, Any]:
+    """The values of `-p KEY=VALUE` by key; SwarmError if the pattern is unknown or refuses them.
+
+    A demo with a scenario does not run `pattern`, so only the form of `params` is checked.
+    """
+    from swarmd.cli.plugin_check import check_parameters
     from swarmd.plugins import find_pattern
 
     has_scenario = world["scenario"] is not None
@@ -88,34 +118,22 @@ def demo(
         find_pattern(pattern, world["plugin_dir"])
     values = read_assignments(params)
     if values and not has_scenario:
-        from swarmd.cli.plugin_check import check_parameters
-
         check_parameters(pattern, values, world["plugin_dir"], world["platform"])
+    return values
 
-    # 2. The fleet, and a new folder for the results.
-    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)  # its folder is set below
-    if fleet.scenario is not None:  # robots that join later, by an event of the scenario
-        fleet = replace(fleet, absent=fleet.scenario.scenario.absent)
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
-    settings = _settings(fleet, pattern, values, seconds)
-    spec = replace(
-        fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=settings.seconds
-    )
 
-    # 3. The run, its report, and the film of its trace.
-    is_live = sys.stdout.isatty() and not (headless or is_json)
-    summary = perform(spec, settings, is_live=is_live, page=page)
-    report(summary, folder, is_json=is_json)
-    if video is not None:
-        from swarmd.sim.film.film import FilmSettings
-        from swarmd.sim.trace import load_trace
-        from swarmd.sim.view.trace_source import RecordedRun
+def _film_trace(trace: Path, video: Path, title: str, *, is_quiet: bool) -> None:
+    """Film the run in the file `trace`; writes the film to `video`."""
+    from swarmd.sim.film.film import FilmSettings
+    from swarmd.sim.trace import load_trace
+    from swarmd.sim.view.trace_source import RecordedRun
 
-        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-        run = RecordedRun(load_trace(folder / "trace.npz"))
-        film(run, video, title, FilmSettings(), is_quiet=is_json)
-    ctx.exit(0 if summary.is_good else 1)
+    film(RecordedRun(load_trace(trace)), video, title, FilmSettings(), is_quiet=is_quiet)
+
+
+def _title(summary: DemoSummary) -> str:
+    """The title of pictures and films of a demo, such as `attraction, 7 waffle_pi`."""
+    return f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
 
 
 def _settings(
@@ -201,8 +219,7 @@ def report(summary: DemoSummary, folder: Path, *, is_json: bool) -> None:
         from swarmd.sim.plots.trajectories import trajectories_figure
         from swarmd.sim.trace import load_trace
 
-        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-        figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
+        figure = trajectories_figure(load_trace(folder / "trace.npz"), _title(summary))
         save(figure, folder / "trajectories.png")
     except OSError as error:
         text = f"not all results could be kept in {folder}/: {error.strerror or error}"

@@ -7,9 +7,8 @@ import math
 import shlex
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from signal import SIGTERM
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -34,11 +33,13 @@ from swarmd.sim.cli.options import (
     set_option,
     trust_option,
     warn_of_few,
+    workers,
 )
 from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
+    from swarmd.sim.experiments.plan import Plan
     from swarmd.sim.experiments.results import Results
     from swarmd.sim.metrics.metric import Metric
 
@@ -135,22 +136,17 @@ def run(
     from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
-    from swarmd.sim.experiments.results import load_results
-    from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment
+    from swarmd.sim.experiments.simulate import plan_of, run_experiment
     from swarmd.sim.metrics.catalog import beyond_catalog
 
     if scheduler is not None and cores is not None:
         raise ConfigError("--cores is for runs on this machine; leave it out with --scheduler")
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
-        from swarmd.sim.experiments.cluster import connect
 
-    # 2. The plan of all runs, and the cores for each run: more than one core if there are fewer
-    #    runs than cores. `chosen`: the metrics to show, None without --metrics. `custom`: those
-    #    that the catalog of metrics lacks.
+    # 2. The metrics to show (None: a default choice), and the plan of all runs.
     chosen = chosen_metrics(metrics)
-    custom = beyond_catalog(chosen or ())
+    custom = beyond_catalog(chosen or ())  # the chosen metrics that the catalog of metrics lacks
     plan = plan_of(
         scenario,
         parse_seeds(seeds),
@@ -163,21 +159,28 @@ def run(
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
     if scheduler is None and cores is None and plan.runs:
-        parallel_runs = min(len(plan.runs), jobs or MAX_PROCESSES)
-        most_robots = max(run.robots for run in plan.runs)
-        cores_per_run = cores_of_a_run(usable_cores(), parallel_runs, most_robots)
-        cores = cores_per_run if cores_per_run > 1 else None
+        cores = _spare_cores(plan, jobs)
 
     # 3. The manifest, with the command line that resumes the experiment in its folder.
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
-    given = {"--jobs": jobs, "--cores": cores, "--shard": shard, "--scheduler": scheduler,
-             "--out": folder}  # fmt: skip
-    command = _command(scenario, seeds, {"--set": sets, "--sweep": sweeps}, given)
-    command += ["--no-traces"] if no_traces else []
-    if custom:  # to resume, the runs need these metrics; the others are measured in any case
-        command += ["--metrics", ",".join(metric.origin or metric.name for metric in custom)]
-    command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
+    command = _command(
+        scenario,
+        seeds,
+        {
+            "--set": sets,
+            "--sweep": sweeps,
+            "--jobs": jobs,
+            "--cores": cores,
+            "--shard": shard,
+            "--scheduler": scheduler,
+            "--out": folder,
+            "--no-traces": no_traces,
+            # The metrics of the catalog are measured without the option.
+            "--metrics": ",".join(metric.origin or metric.name for metric in custom) or None,
+            "--timeout": None if timeout is None else f"{timeout:g}",
+        },
+    )
     manifest = manifest_of(
         plan,
         traces=not no_traces,
@@ -186,31 +189,17 @@ def run(
         shown=[metric.name for metric in chosen or ()],
     )
 
-    # 4. The runs, in processes of this machine or on a cluster.
-    step_timeout = STEP_TIMEOUT if timeout is None else timeout
+    # 4. The runs.
     start_time = time.monotonic()
     try:
-        with ExitStack() as stack:
-            stack.enter_context(signals_end(SIGTERM))
-            if scheduler is None:
-                runner: Runner = partial(
-                    run_jobs,
-                    processes=jobs or max(1, usable_cores() // (cores or 1)),
-                    timeout=step_timeout,
-                    cores=cores or 1,
-                )
-            else:
-                cluster = stack.enter_context(
-                    connect(scheduler, manifest, step_timeout, warn, jobs)
-                )
-                # This manifest names the software and processors of the workers.
-                manifest, runner = cluster.manifest, cluster.run_jobs
-            on_progress = stack.enter_context(progress())
-            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
+        with (
+            signals_end(SIGTERM),
+            workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, of_workers),
+            progress() as on_progress,
+        ):
+            results = run_experiment(of_workers, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
-        with suppress(SwarmError):  # the folder has no results yet
-            done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
-            warn(f"{done}; to go on: {shlex.join(command)}")
+        _tell_how_to_resume(folder, plan, command)
         raise
 
     # 5. The statistics and the exit code.
@@ -229,26 +218,41 @@ def _exit_code(finished: int, *, is_complete: bool) -> int:
     return PARTIAL if finished else FAILED
 
 
-def _command(
-    scenario: str,
-    seeds: str,
-    repeated: Mapping[str, tuple[str, ...]],
-    given: Mapping[str, object],
-) -> list[str]:
-    """The words of the command line that resumes an experiment, without flags.
+def _spare_cores(plan: Plan, jobs: int | None) -> int | None:
+    """The cores for each run if the runs are fewer than the cores; None: one core for each run.
 
-    `repeated`: by option, such as `--set`, all values that the user gave. `given`: by option the
-    only value; None for an option that the user did not give.
+    `jobs`: runs at a time, or None.
+    """
+    parallel_runs = min(len(plan.runs), jobs or MAX_PROCESSES)
+    most_robots = max(run.robots for run in plan.runs)
+    cores_per_run = cores_of_a_run(usable_cores(), parallel_runs, most_robots)
+    return cores_per_run if cores_per_run > 1 else None
+
+
+def _command(scenario: str, seeds: str, options: Mapping[str, object]) -> list[str]:
+    """The words of the command line that resumes an experiment.
+
+    `options`: the values of the further options in their order: a tuple for an option that may be
+    repeated, a bool for a flag, None for an option that the command line does not need.
     """
     words = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
-    for option, values in repeated.items():
-        words += [word for value in values for word in (option, value)]
-    return words + [
-        word
-        for option, value in given.items()
-        if value is not None
-        for word in (option, str(value))
-    ]
+    for option, value in options.items():
+        if isinstance(value, tuple):
+            words += [word for part in value for word in (option, part)]
+        elif isinstance(value, bool):
+            words += [option] if value else []
+        elif value is not None:
+            words += [option, str(value)]
+    return words
+
+
+def _tell_how_to_resume(folder: Path, plan: Plan, command: Sequence[str]) -> None:
+    """Print how many runs are kept, and `command`; nothing if `folder` has no results so far."""
+    from swarmd.sim.experiments.results import load_results
+
+    with suppress(SwarmError):
+        done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
+        warn(f"{done}; to go on: {shlex.join(command)}")
 
 
 @exp.command()
@@ -305,9 +309,10 @@ def rerun(
             for run, difference in difference_by_run.items()
         ]
         print_table(("RUN", "RESULT"), rows)
-    identical = list(difference_by_run.values()).count("")
-    warn(f"{identical} of {len(difference_by_run)} runs are identical")
-    ctx.exit(_exit_code(identical, is_complete=identical == len(difference_by_run)))
+    identical_runs = [run for run, difference in difference_by_run.items() if not difference]
+    is_complete = len(identical_runs) == len(difference_by_run)
+    warn(f"{len(identical_runs)} of {len(difference_by_run)} runs are identical")
+    ctx.exit(_exit_code(len(identical_runs), is_complete=is_complete))
 
 
 @exp.command()
@@ -352,9 +357,10 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
     A metric differs if the 95 % interval of the difference of means excludes 0. The p-values are
-    corrected for the number of metrics (Holm). If some runs never reach an event, such as
-    gathering, the p-value of its time is that of the log-rank test, and the mean is the restricted
-    mean: a run without the event within the shorter duration of A and B counts as that duration.
+    corrected for the number of metrics (Holm). The time to an event, such as gathering, has the
+    p-value of the log-rank test if some runs never reach the event. Its mean is then the restricted
+    mean: a run that reaches no event within the shorter duration of A and B counts as that
+    duration.
 
     If A is the folder of a sweep and B is left out, one table shows all variants of A. For two
     swept keys a second table shows the mean for each value and the interaction of the keys.
@@ -366,12 +372,10 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     if b is None:
         _compare_variants(a, metrics, is_trusted=is_trusted, is_json=is_json)
         return
-    # A side is one variant of an experiment, with the results of the whole experiment. So the
-    # results of A and of B are the same in all pairs.
-    side_pairs = comparing.sides(a, b, is_trusted=is_trusted)
-    results_of_both = [side.results for side in side_pairs[0]]
-    find_metric = results_of_both[0].asked  # also knows custom metrics that A has measured
-    chosen = chosen_metrics(metrics, find_metric)
+    side_pairs = comparing.sides(a, b, is_trusted=is_trusted)  # a side: a variant of A or of B
+    # Each side holds the results of its whole experiment, so the first pair has all results.
+    results_a, results_b = (side.results for side in side_pairs[0])
+    chosen = chosen_metrics(metrics, results_a.asked)
     comparisons = [
         (left, right, comparing.compare(left, right, chosen)) for left, right in side_pairs
     ]
@@ -381,7 +385,7 @@ def compare(a: str, b: str | None, metrics: str | None, is_trusted: bool, is_jso
     else:
         for left, right, differences in comparisons:
             _print_differences(left, right, differences)
-    exit_if_incomplete(*results_of_both)
+    exit_if_incomplete(results_a, results_b)
 
 
 @exp.command()
@@ -611,9 +615,9 @@ def _compare_variants(folder: str, metrics: str | None, *, is_trusted: bool, is_
             f"{folder}: nothing was swept; name a second experiment, or run a --sweep"
         )
     chosen = chosen_metrics(metrics, results.asked)
-    listed_metrics = shown_metrics(results, chosen)[0]  # the rest is for reports
-    # For each metric: the mean for each value of both keys, and their interaction. Empty if not
-    # exactly two keys were swept.
+    listed_metrics, _ = shown_metrics(results, chosen)
+    # For each metric: the mean for each value of both keys, and the interaction of the keys. Empty
+    # unless exactly two keys were swept.
     factors = sweep.factors(results, listed_metrics)
     if is_json:
         document = {"variants": sweep.variants_document(results, listed_metrics)}

@@ -6,7 +6,6 @@ import math
 import shlex
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -24,7 +23,8 @@ from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
-    from swarmd.sim.experiments.benchmark import Task, TaskEntry
+    from swarmd.sim.experiments.benchmark import Table, Task, TaskEntry
+    from swarmd.sim.experiments.results import Results
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 _LIST = "list"
@@ -83,20 +83,19 @@ def bench(
 ) -> None:
     """Run patterns in the tasks of the benchmark suite, and print one table of the results.
 
-    TASK is a name of `exp bench list`, or a file of that format. Without TASK all ten tasks are
-    run. A cell of the table has the median over the seeds and its 95 % interval. A cell has a rank
-    within its task only if its interval overlaps no other interval of the task. A pattern is not
-    run in a task whose robots lack an input that the pattern needs; a line on stderr names it.
-    Before the runs, a line estimates the time.
+    TASK is a name of `exp bench list`, or a file in the format of these tasks. Without TASK all ten
+    tasks are run. A cell of the table has the median over the seeds and its 95 % interval. A cell
+    has a rank within its task only if its interval overlaps no other interval of the task. A
+    pattern is not run in a task whose robots lack an input that the pattern needs; a line on stderr
+    names the pattern. Before the runs, a line estimates the time.
 
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
     # 1. The tasks, the patterns, and results of other programs.
     need("mujoco")
-    from swarmd.sim.cli.progress import progress, time_span
+    from swarmd.sim.cli.progress import time_span
     from swarmd.sim.experiments import benchmark
     from swarmd.sim.experiments.plan import parse_seeds
-    from swarmd.sim.experiments.pool import run_jobs
 
     if tasks[:1] == (_LIST,):  # the words `exp bench list`
         if len(tasks) > 1:
@@ -127,48 +126,32 @@ def bench(
     command += ["--traces"] if traces else []
 
     # 3. The runs: an entry is one pattern in one task.
-    _print_estimate(entries, chosen_seeds, jobs or usable_cores())
-    start_time, planned, finished = time.monotonic(), 0, 0
+    processes = jobs or usable_cores()
+    _print_estimate(entries, chosen_seeds, processes)
+    start_time = time.monotonic()
+    planned = finished = 0
     try:
         for number, entry in enumerate(entries, start=1):
             warn(f"{number} of {len(entries)}: {entry.task.name}, {entry.pattern}")
-            with ExitStack() as stack:
-                stack.enter_context(signals_end(SIGTERM))
-                results = benchmark.run_entry(
-                    entry,
-                    chosen_seeds,
-                    folder,
-                    partial(run_jobs, processes=jobs or usable_cores()),
-                    traces=traces,
-                    command=command,
-                    on_progress=stack.enter_context(progress()),
-                )
+            results = _run_entry(entry, chosen_seeds, folder, processes, command, traces=traces)
             by_seed = benchmark.values_by_seed(entry, results)
             values[entry.pattern, entry.task.name] = by_seed
-            planned, finished = planned + len(by_seed), finished + len(results.runs)
-            if results.failures:
-                run, reason = next(iter(results.failures.items()))
-                warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
+            planned += len(by_seed)
+            finished += len(results.runs)
     except (KeyboardInterrupt, SystemExit):
         warn(f"finished runs are kept in {folder}/; to go on: {shlex.join(command)}")
         raise
 
-    # 4. The table, with a column for each task that has a value.
+    # 4. The table, the number of runs, and the exit code.
     better = {task.name: task.file.metric.better for task in loaded}
     table = benchmark.table_of(values, better)
     if is_json:
         document = benchmark.document(loaded, table, misfits)
         print_json("BenchmarkTable", {**document, "folder": str(folder)})
     else:
-        columns = [name for name in task_names if any(name in cells for cells in table.values())]
-        print_table(
-            ("PATTERN", *(name.upper() for name in columns)),
-            [
-                (row_name, *(benchmark.cell_text(cells.get(name)) for name in columns))
-                for row_name, cells in table.items()
-            ],
-        )
-    warn_of_few(  # NaN: a failed run, or a metric without a value
+        _print_results(table, task_names)
+    # A failed run, and a run in which the metric has no value, has NaN.
+    warn_of_few(
         sum(math.isfinite(value) for value in by_seed.values()) for by_seed in values.values()
     )
     duration = time_span(time.monotonic() - start_time)
@@ -177,6 +160,47 @@ def bench(
     )
     if finished < planned:
         ctx.exit(PARTIAL if finished else FAILED)
+
+
+def _run_entry(
+    entry: TaskEntry,
+    seeds: Sequence[int] | None,
+    folder: Path,
+    processes: int,
+    command: Sequence[str],
+    *,
+    traces: bool,
+) -> Results:
+    """Do the missing runs of an entry, with progress and the first failure on stderr.
+
+    `seeds`: None: those of the task. `processes`: runs at a time. `command`: the command line that
+    resumes the runs. `traces`: also keep traces.
+    """
+    from swarmd.sim.cli.progress import progress
+    from swarmd.sim.experiments.benchmark import run_entry
+    from swarmd.sim.experiments.pool import run_jobs
+
+    runner = partial(run_jobs, processes=processes)
+    with signals_end(SIGTERM), progress() as on_progress:
+        results = run_entry(
+            entry, seeds, folder, runner, traces=traces, command=command, on_progress=on_progress
+        )
+    if results.failures:
+        run, reason = next(iter(results.failures.items()))
+        warn(f"failed: {len(results.failures)} runs; the first, {run}: {reason}")
+    return results
+
+
+def _print_results(table: Table, task_names: Sequence[str]) -> None:
+    """Print the cells of the table by pattern, with a column for each task that has a value."""
+    from swarmd.sim.experiments.benchmark import cell_text
+
+    columns = [name for name in task_names if any(name in cells for cells in table.values())]
+    rows = [
+        (row_name, *(cell_text(cells.get(name)) for name in columns))
+        for row_name, cells in table.items()
+    ]
+    print_table(("PATTERN", *(name.upper() for name in columns)), rows)
 
 
 def _print_estimate(
@@ -224,7 +248,7 @@ def _pattern_names(patterns: Sequence[str]) -> tuple[list[str], Path | None]:
 def _values_of_files(
     files: Sequence[Path], loaded: Sequence[Task], patterns: set[str]
 ) -> dict[tuple[str, str], dict[int, float]]:
-    """The values in CSV files of another program, by (name of table row, task) and by seed.
+    """The values in CSV files of other programs, by (name of table row, task) and by seed.
 
     Values of tasks that are not in `loaded` are left out. ConfigError if the name of a table row is
     a name of `patterns`, or if two files give values for the same row and task.

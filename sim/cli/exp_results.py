@@ -26,7 +26,9 @@ from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
+    from swarmd.sim.experiments.requirements import RequirementFinding
     from swarmd.sim.experiments.results import Results
+    from swarmd.sim.experiments.simulate import Progress
     from swarmd.sim.metrics.metric import Metric
 
 _MODULES = {
@@ -61,7 +63,6 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.export import export as exported
     from swarmd.sim.experiments.results import load_results
-    from swarmd.sim.experiments.simulate import Progress
 
     results = load_results(folder)
     written: list[Path] = []
@@ -71,15 +72,18 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
         with progress() as show:
             for path in exported(results, cast("Form", form), target_folder, traces=not no_traces):
                 written.append(path)
-                done = sum(file.stem != "results" for file in written)  # traces
-                left = total_traces - done
-                # For the estimate of the time, each trace counts as the same work.
-                now = Progress(done, total_traces, failed=0, worked=float(done), left=float(left))
-                show(now)
-    finally:
-        # Also after a fault. The names come after the end, since text that is printed while the
-        # progress bar is drawn would be lost.
+                traces_done = sum(file.stem != "results" for file in written)
+                show(_progress_of_export(traces_done, total_traces))
+    finally:  # after an error the user also gets the names of the files that are written
+        # Only now: the progress bar would overwrite the names.
         click.echo("\n".join(map(str, written)))
+
+
+def _progress_of_export(done: int, total: int) -> Progress:
+    """The progress after `done` of `total` traces, of which all count as equal work."""
+    from swarmd.sim.experiments.simulate import Progress
+
+    return Progress(done, total, failed=0, worked=float(done), left=float(total - done))
 
 
 @click.command()
@@ -101,7 +105,6 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
-    from swarmd.sim.experiments.statistics import NOTHING, interval, number
 
     parsed = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)  # one for each variant
@@ -112,23 +115,30 @@ def check(
         listed = [finding.document() for finding in findings]
         print_json("Check", {"passed": is_passed, "missing": missing_runs, "requirements": listed})
     else:
-        rows = []
-        for finding in findings:
-            remark = f"({finding.remark})" if finding.remark else ""
-            rows.append(
-                (
-                    finding.requirement.text,
-                    finding.variant or NOTHING,
-                    number(finding.value),
-                    interval(finding.interval),
-                    "met" if finding.is_met else f"missed {remark}",
-                )
-            )
-        print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
+        _print_findings(findings)
     if missing_runs:
         warn(f"not complete: {missing_runs}")
     warn(f"{sum(f.is_met for f in findings)} of {len(findings)} requirements are met")
     ctx.exit(0 if is_passed else MISSED)
+
+
+def _print_findings(findings: Sequence[RequirementFinding]) -> None:
+    """Print a row for each requirement and variant."""
+    from swarmd.sim.experiments.statistics import NOTHING, interval, number
+
+    rows = []
+    for finding in findings:
+        remark = f"({finding.remark})" if finding.remark else ""
+        rows.append(
+            (
+                finding.requirement.text,
+                finding.variant or NOTHING,
+                number(finding.value),
+                interval(finding.interval),
+                "met" if finding.is_met else f"missed {remark}",
+            )
+        )
+    print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), rows)
 
 
 @click.command()
@@ -148,15 +158,15 @@ def report(
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
-    Or write the report of FILE.mcap, the recording of one robot, or of a swarm (`record merge`),
-    with states, gaps, stops, and paths by odometry. A report needs no network and no other file,
-    and prints well.
+    With FILE.mcap, the recording of one robot or of a swarm (`record merge`), the report has
+    states, gaps, stops, and paths by odometry. A report needs no network and no other file, and
+    prints well.
 
     Exit code 1 if planned runs of the experiment are missing.
     """
-    # 1. The path of the report, and options that do not fit a recording.
+    # 1. The path of the report.
     need("mujoco", "matplotlib")
-    from swarmd.sim.experiments.manifest import NAME, write_whole
+    from swarmd.sim.experiments.manifest import write_whole
 
     is_recording = place.suffix == ".mcap"
     path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
@@ -164,7 +174,7 @@ def report(
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
 
     # 2. The text of the report.
-    experiments: list[Results] = []  # empty for a recording
+    results: Results | None = None  # of an experiment; a recording has none
     if is_recording:
         if any(option is not None for option in (metrics, seed, variant)):
             raise ConfigError(f"{place}: --metrics, --seed and --variant are for experiments")
@@ -173,21 +183,15 @@ def report(
 
         text = recording_report(place)
     else:
-        has_recordings = place.is_dir() and any(place.rglob("*.mcap"))
-        has_manifest = (place / NAME).exists()
-        if has_recordings and not has_manifest:
-            raise ConfigError(
-                f"{place}: a folder of recordings; expected an experiment or one file, such as"
-                f" that of: swarmctl record merge {place} -o {place.name}.mcap"
-            )
+        _refuse_recordings(place)
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 
         results = load_results(place, is_trusted=is_trusted)
-        experiments.append(results)
-        chosen = _metrics_of(results, metrics)  # before the line of progress: this may be refused
+        chosen = _metrics_of(results, metrics)
         warn(f"measuring, drawing and writing {len(results.runs)} runs ...")
-        # Loads the results again, without trust: `chosen` has the trusted code already.
+        # `report_of` loads the folder again, without trust. That is no obstacle: the metrics of
+        # `chosen` hold the code that `is_trusted` has allowed.
         text = report_of(place, chosen, seed, variant)
 
     # 3. The file.
@@ -196,7 +200,21 @@ def report(
     except OSError as error:
         raise SwarmError(f"{path}: cannot be written: {error.strerror or error}") from error
     click.echo(f"{path}: {megabytes(path.stat().st_size, 2)}")
-    exit_if_incomplete(*experiments)
+    if results is not None:
+        exit_if_incomplete(results)
+
+
+def _refuse_recordings(folder: Path) -> None:
+    """Raise ConfigError for a folder with recordings that is no experiment."""
+    from swarmd.sim.experiments.manifest import NAME
+
+    has_recordings = folder.is_dir() and any(folder.rglob("*.mcap"))
+    has_manifest = (folder / NAME).exists()
+    if has_recordings and not has_manifest:
+        raise ConfigError(
+            f"{folder}: a folder of recordings; expected an experiment or one file, such as"
+            f" that of: swarmctl record merge {folder} -o {folder.name}.mcap"
+        )
 
 
 @click.command()
@@ -288,15 +306,12 @@ def plot(
     planned runs are missing.
     """
     need("matplotlib")
-    from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.plots.figures import Look, draw_experiment
 
     if seeds and out is None:  # a folder of their own: the pictures of all runs stay as they are
         out = folder / "plots" / f"seeds-{seeds}"
-    # In parse_seeds "7" means seven seeds; here it means the seed 7, which is the range 7-7.
-    seed_range = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
-    chosen_seeds = None if seed_range is None else parse_seeds(seed_range)
+    chosen_seeds = None if seeds is None else _seeds_to_draw(seeds)
     inches = None if width is None else parse_width(width)
     results = load_results(folder, is_trusted=is_trusted)
     target_by_name = parse_targets(targets)
@@ -304,19 +319,27 @@ def plot(
         suffix=f".{form}",
         width=inches,
         facet=facet,
-        # By the metric's own name: for path/to/file.py:warm it is file.py:warm.
-        targets={results.asked(name).name: value for name, value in target_by_name.items()},
+        # By the names of the metrics: path/to/file.py:warm has the name file.py:warm.
+        targets={results.asked(text).name: value for text, value in target_by_name.items()},
         only=None if only is None else parse_kinds(only),
         labels=parse_labels(labels),
     )
     chosen = _metrics_of(results, metrics)
-    # Loads the results again, without trust: `chosen` has the trusted code already.
+    # `draw_experiment` loads the folder again, without trust. That is no obstacle: the metrics of
+    # `chosen` hold the code that `is_trusted` has allowed.
     paths = draw_experiment(folder, out, metrics=chosen, seeds=chosen_seeds, look=look)
     for path in paths:
         click.echo(str(path))
     if not paths:
         warn("nothing differs between runs; for paths from above: --only runs,trajectories")
     exit_if_incomplete(results)
+
+
+def _seeds_to_draw(text: str) -> Sequence[int]:
+    """The seeds of `plot --seeds`. A single number is a seed, not a number of seeds."""
+    from swarmd.sim.experiments.plan import parse_seeds
+
+    return parse_seeds(f"{text}-{text}" if text.isdecimal() else text)
 
 
 def _metrics_of(results: Results, text: str | None) -> Sequence[Metric] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
@@ -22,15 +22,16 @@ from swarmd.sim.cli.options import (
     output_option,
     scenarios,
     set_option,
+    workers,
 )
-from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+from swarmd.sim.experiments.cores import MAX_PROCESSES
 
 if TYPE_CHECKING:
+    from rich.live import Live
     from rich.table import Table
 
-    from swarmd.sim.experiments.manifest import Manifest
-    from swarmd.sim.experiments.simulate import OnProgress, Progress, Runner
-    from swarmd.sim.experiments.tune import Look, OnLook
+    from swarmd.sim.experiments.simulate import OnProgress, Progress
+    from swarmd.sim.experiments.tune import Candidate, Look, OnLook
 
 _MAX_ROWS = 8  # candidates in the live table
 _MAX_METRIC, _BORDERS = 16, 13  # characters of a metric's name, and around four columns
@@ -68,7 +69,6 @@ _MIN_VALUES = 8  # characters of the values of a candidate in one column
 @set_option
 @click.option(
     "--mission",
-    "modules",
     metavar="PATTERN,..|FILE",
     help="Search missions of these patterns instead; --param then has the bounds of conditions:"
     " timeout=5..60, nearer=0.3..1, probability=0.01..1, neighbors=1..6, reading:NAME=LO..HI. With"
@@ -119,7 +119,7 @@ def tune(
     seeds: str,
     params: tuple[str, ...],
     sets: tuple[str, ...],
-    modules: str | None,
+    mission: str | None,
     held_out: str,
     pseudo_reality: bool,
     candidates: int,
@@ -139,26 +139,12 @@ def tune(
     need("mujoco", "optuna", extra="sim,plot,tune")
     from swarmd.sim.experiments import tune as tuning
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
     tuning.split_metric(metric)  # a fault of the metric must not leave an empty folder
     names = (f"{Path(scenario).stem}-tune-{n}" for n in itertools.count(1))
     folder = out or new_folder(Path("experiments"), names)
-    step_timeout = STEP_TIMEOUT if timeout is None else timeout
-
-    @contextmanager
-    def workers(manifest: Manifest) -> Iterator[tuple[Runner, Manifest]]:
-        """Runs in processes of this machine, or on the Dask cluster of `scheduler`."""
-        if scheduler is None:
-            processes = jobs or usable_cores()
-            yield partial(run_jobs, processes=processes, timeout=step_timeout), manifest
-            return
-        from swarmd.sim.experiments.cluster import connect
-
-        with connect(scheduler, manifest, step_timeout, warn, jobs) as cluster:
-            yield cluster.run_jobs, cluster.manifest
 
     # The search, with its progress on stderr.
     try:
@@ -170,14 +156,13 @@ def tune(
                 seeds=parse_seeds(seeds),
                 param=params,
                 set=parse_sets(sets),
-                # Patterns of which missions are composed, or the file of a mission.
-                mission=modules.split(",") if modules else (),
-                # A number of seeds, which then follow those of the search; or the seeds.
+                mission=mission.split(",") if mission else (),
+                # An int is a number of seeds.
                 held_out=int(held_out) if held_out.isdecimal() else parse_seeds(held_out),
                 pseudo_reality=pseudo_reality,
                 candidates=candidates,
                 out=folder,
-                workers=workers,
+                workers=partial(workers, scheduler, jobs, timeout),
                 on_note=lambda note: warn(f"note: {note}"),
                 on_look=on_look,
                 on_step=on_step,
@@ -203,9 +188,8 @@ def tune(
 def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
     """Yield the callbacks `on_look`, `on_step` and `on_progress` of `tune`: progress on stderr.
 
-    A `Look` is an interim result: the candidates, best first. `on_step` gets a line that names the
-    next race or set of held-out runs. A terminal shows a table of the best candidates. Any other
-    output gets a line for each interim result and for each step.
+    A terminal shows a table of the best candidates. Any other output gets a line for each interim
+    result (`Look`), and a line for each step: a race, or a set of held-out runs.
     """
     if not sys.stderr.isatty():
 
@@ -219,85 +203,116 @@ def live_table() -> Iterator[tuple[OnLook, Callable[[str], None], OnProgress]]:
         return
     from rich.console import Console
     from rich.live import Live
-    from rich.text import Text
 
     console = Console(stderr=True, no_color=not has_colour(True))
-    newest_look: Look | None = None
-    step_text = runs_text = ""
     with Live(console=console, transient=True, auto_refresh=False) as live:
+        shown = _LiveTable(live)
+        yield shown.show_look, shown.show_step, shown.show_progress
 
-        def draw() -> None:
-            note = f"{step_text}: {runs_text}" if runs_text else step_text
-            drawn = table(newest_look, note, console.width) if newest_look else Text(note)
-            live.update(drawn, refresh=True)
 
-        def show_look(look: Look) -> None:
-            nonlocal newest_look
-            newest_look = look
-            draw()
+class _LiveTable:
+    """The newest interim result on a terminal, above a line on the present step."""
 
-        def show_step(text: str) -> None:
-            nonlocal step_text, runs_text
-            step_text, runs_text = text, ""
-            draw()
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self._newest_look: Look | None = None
+        self._step_text = self._runs_text = ""
 
-        def show_progress(now: Progress) -> None:
-            nonlocal runs_text
-            # `total` counts the runs up to the next interim result.
-            text = f"{now.total - now.done} runs to come"
-            if text != runs_text:
-                runs_text = text
-                draw()
+    def show_look(self, look: Look) -> None:
+        self._newest_look = look
+        self._draw()
 
-        yield show_look, show_step, show_progress
+    def show_step(self, text: str) -> None:
+        self._step_text, self._runs_text = text, ""
+        self._draw()
+
+    def show_progress(self, now: Progress) -> None:
+        # `total` counts the runs up to the next interim result.
+        text = f"{now.total - now.done} runs to come"
+        if text != self._runs_text:
+            self._runs_text = text
+            self._draw()
+
+    def _draw(self) -> None:
+        from rich.text import Text
+
+        note = f"{self._step_text}: {self._runs_text}" if self._runs_text else self._step_text
+        look, width = self._newest_look, self._live.console.width
+        self._live.update(Text(note) if look is None else table(look, note, width), refresh=True)
 
 
 def table(look: Look, note: str, width: int) -> Table:
     """A table of the best candidates: their values, the mean over their runs, the number of runs.
 
-    `look`: an interim result of a tuning. `note`: text below the table. Each parameter has a column
-    if all columns fit into `width` characters. Else one column has all values of a candidate,
-    shortened, and the values of the best candidate stand in full below the table.
+    `look`: an interim result of a tuning. `note`: text below the table. The table is at most
+    `width` characters wide: a wide table if it fits, else a narrow table.
     """
     from rich.console import Console
+
+    wide = _wide_table(look, note)
+    # No line breaks in 10 000 characters, so `maximum` is the width of the whole table.
+    wide_width = Console(width=10_000).measure(wide).maximum
+    return wide if wide_width <= width else _narrow_table(look, note, width)
+
+
+def _wide_table(look: Look, note: str) -> Table:
+    """The table with a column for each parameter."""
     from rich.table import Table
 
+    labels = _labels(look)
+    wide = Table(title=look.headline, caption=note, title_justify="left", caption_justify="left")
+    for head in ("candidate", *labels.values(), look.metric, "seeds"):
+        wide.add_column(head, justify="right")
+    for candidate in look.candidates[:_MAX_ROWS]:
+        _add_row(wide, look, candidate, _cells(candidate, labels))
+    return wide
+
+
+def _narrow_table(look: Look, note: str, width: int) -> Table:
+    """The table with one column for all values of a candidate, which are cut to fit into `width`.
+
+    The values of the best candidate stand in full below the table.
+    """
+    from rich.table import Table
+
+    labels = _labels(look)
+    metric_width = min(len(look.metric), _MAX_METRIC)
+    free_width = width - len("candidate") - metric_width - len("seeds") - _BORDERS
+    values_width = max(free_width, _MIN_VALUES)
+    caption = f"{note}\nbest: {look.leader_text}"
+    narrow = Table(
+        title=look.headline, caption=caption, title_justify="left", caption_justify="left"
+    )
+    narrow.add_column("candidate", justify="right")
+    narrow.add_column("values", justify="left")
+    narrow.add_column(look.metric, justify="right", width=metric_width)
+    narrow.add_column("seeds", justify="right")
+    for candidate in look.candidates[:_MAX_ROWS]:
+        pairs = zip(labels.values(), _cells(candidate, labels), strict=True)
+        text = " ".join(f"{label}={value}" for label, value in pairs if value)
+        cut_text = text if len(text) <= values_width else f"{text[: values_width - 1]}…"
+        _add_row(narrow, look, candidate, [cut_text])
+    return narrow
+
+
+def _labels(look: Look) -> dict[str, str]:
+    """A short name of each parameter of the shown candidates, by its dotted key."""
+    shown = look.candidates[:_MAX_ROWS]
+    return short_names(list(dict.fromkeys(key for candidate in shown for key in candidate.values)))
+
+
+def _cells(candidate: Candidate, keys: Iterable[str]) -> list[str]:
+    """The value of each key as text; empty for a key that the candidate lacks."""
+    return [_value_text(candidate.values.get(key)) for key in keys]
+
+
+def _add_row(table: Table, look: Look, candidate: Candidate, values: Sequence[str]) -> None:
+    """Add the row of a candidate; pale if the candidate was worse, and gets no further runs."""
     from swarmd.sim.experiments.statistics import number
 
-    best = look.candidates[:_MAX_ROWS]
-    keys = list(dict.fromkeys(key for candidate in best for key in candidate.values))
-    labels = short_names(keys)
-
-    metric_width = min(len(look.metric), _MAX_METRIC)
-    values_width = width - len("candidate") - metric_width - len("seeds") - _BORDERS
-    values_width = max(values_width, _MIN_VALUES)
-
-    def make_table(*, is_wide: bool) -> Table:
-        """The table with a column for each parameter if `is_wide`, else with one for all."""
-        caption = note if is_wide else f"{note}\nbest: {look.leader_text}"
-        made = Table(title=look.headline, caption=caption)
-        made.title_justify = made.caption_justify = "left"
-        made.add_column("candidate", justify="right")
-        for label in labels.values() if is_wide else ["values"]:
-            made.add_column(label, justify="right" if is_wide else "left")
-        made.add_column(look.metric, justify="right", width=None if is_wide else metric_width)
-        made.add_column("seeds", justify="right")
-        for candidate in best:
-            name = "present" if candidate.number == 0 else str(candidate.number)
-            cells = [_value_text(candidate.values.get(key)) for key in keys]
-            if not is_wide:
-                pairs = zip(labels.values(), cells, strict=True)
-                text = " ".join(f"{label}={value}" for label, value in pairs if value)
-                cells = [text if len(text) <= values_width else f"{text[: values_width - 1]}…"]
-            mean, runs = number(look.value(candidate)), str(len(candidate.losses))
-            # `is_out`: the candidate was significantly worse, and gets no further runs.
-            made.add_row(name, *cells, mean, runs, style="dim" if candidate.is_out else "")
-        return made
-
-    wide = make_table(is_wide=True)
-    # The width without line breaks, which a console as narrow as the terminal would not measure.
-    wide_width = Console(width=10_000).measure(wide).maximum
-    return wide if wide_width <= width else make_table(is_wide=False)
+    name = "present" if candidate.number == 0 else str(candidate.number)
+    mean, runs = number(look.value(candidate)), str(len(candidate.losses))
+    table.add_row(name, *values, mean, runs, style="dim" if candidate.is_out else "")
 
 
 def short_names(keys: Sequence[str]) -> dict[str, str]:

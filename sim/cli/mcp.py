@@ -113,19 +113,19 @@ def mcp(options: CommonOptions, allow: tuple[str, ...], scenario: str | None) ->
         )
     rehearse = None if scenario is None else Rehearsal.of(scenario).simulate
 
-    def operator(_: Tell) -> Operator:
-        """A new operator of the connection's pool, with the present files of roster and identity.
+    def make_operator(ignored_tell: Tell) -> Operator:
+        """An operator with the present files of roster and identity.
 
-        The argument would print notes on the connection, for which an agent has no terminal.
+        The operator prints no notes on its connection: an agent has no terminal.
         """
         from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = options.network()
         return Operator(settings, roster=roster, identity=identity, program="mcp")
 
-    # stdout belongs to the protocol.
+    # The log goes to stderr (the default), since stdout belongs to the protocol.
     logging.basicConfig(level=logging.WARNING, format="%(message)s")
-    connection = Connection(operator, timeout=options.timeout)
+    connection = Connection(make_operator, timeout=options.timeout)
     with suppress(asyncio.CancelledError):
         asyncio.run(_serve(connection, allow, rehearse))
 
@@ -145,48 +145,20 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
     These are all tools that read or simulate, and those of `allow` that command robots.
     """
     from mcp.server.mcpserver import MCPServer
-    from mcp.server.mcpserver.exceptions import ToolError
     from mcp_types import ToolAnnotations
 
     arguments_of: dict[str, type[msgspec.Struct]] = {}  # by tool: a field for each argument
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: Answer, context: Any = None) -> Any:
-            # The SDK drops unknown names: `robot` instead of `robots` would command all robots. It
-            # also reads "null" as None, and true as 1.0.
-            if (expected := arguments_of.get(name)) is not None:
-                try:
-                    msgspec.convert(arguments, expected)
-                except msgspec.ValidationError as error:
-                    prefix = "nothing was sent: " if name in COMMANDS else ""
-                    text = _cut(f"{prefix}{error}")
-                    raise ToolError(f"Error executing tool {name}: {text}") from error
+            if name in arguments_of:
+                _check_arguments(name, arguments, arguments_of[name])
             return await super().call_tool(name, arguments, context)
-
-    def tool(method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool) -> None:
-        """Add a method of `tools` to the server; its SwarmError becomes a ToolError."""
-
-        @wraps(method)
-        async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
-            try:
-                return await method(*args, **kwargs)
-            except SwarmError as error:
-                # A ConfigError comes before a request is sent; other errors may come later.
-                is_unsent = is_command and isinstance(error, ConfigError)
-                text = f"nothing was sent: {error}" if is_unsent else str(error)
-                raise ToolError(_cut(text)) from error
-
-        arguments_of[method.__name__] = _arguments(method)
-        is_harmless = method.__name__ in ("stop", "estop")
-        hints = ToolAnnotations(
-            read_only_hint=not is_command, destructive_hint=is_command and not is_harmless
-        )
-        server.add_tool(call, annotations=hints)
 
     server = Server(
         "swarmd", instructions=INSTRUCTIONS, version=version("swarmd"), log_level="WARNING"
     )
-    for method in (
+    methods: list[Callable[..., Coroutine[Any, Any, Answer]]] = [
         tools.members,
         tools.describe,
         tools.goal,
@@ -195,12 +167,51 @@ def make_server(tools: SwarmTools, allow: Collection[str]) -> MCPServer:
         tools.pattern,
         tools.scenarios,
         tools.simulate,
-    ):
-        tool(method, is_command=False)
-    for name in COMMANDS:
-        if name in allow:
-            tool(getattr(tools, name), is_command=True)
+    ]
+    methods += [getattr(tools, name) for name in COMMANDS if name in allow]
+    for method in methods:
+        name = method.__name__
+        arguments_of[name] = _arguments(method)
+        is_command = name in COMMANDS
+        is_destructive = is_command and name not in ("stop", "estop")
+        hints = ToolAnnotations(read_only_hint=not is_command, destructive_hint=is_destructive)
+        server.add_tool(_as_tool(method, is_command=is_command), annotations=hints)
     return server
+
+
+def _check_arguments(name: str, arguments: Answer, expected: type[msgspec.Struct]) -> None:
+    """Raise ToolError for unknown arguments of the tool `name`, and for values of a wrong type.
+
+    The SDK drops unknown arguments: a call with `robot` instead of `robots` would command all
+    robots. The SDK also reads "null" as None, and true as 1.0.
+    """
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    try:
+        msgspec.convert(arguments, expected)
+    except msgspec.ValidationError as error:
+        prefix = "nothing was sent: " if name in COMMANDS else ""
+        text = _cut(f"{prefix}{error}")
+        raise ToolError(f"Error executing tool {name}: {text}") from error
+
+
+def _as_tool(
+    method: Callable[P, Coroutine[Any, Any, Answer]], *, is_command: bool
+) -> Callable[P, Coroutine[Any, Any, Answer]]:
+    """The method with a ToolError in place of its SwarmError."""
+    from mcp.server.mcpserver.exceptions import ToolError
+
+    @wraps(method)
+    async def call(*args: P.args, **kwargs: P.kwargs) -> Answer:
+        try:
+            return await method(*args, **kwargs)
+        except SwarmError as error:
+            # A ConfigError comes before a request is sent; other errors may come later.
+            is_unsent = is_command and isinstance(error, ConfigError)
+            text = f"nothing was sent: {error}" if is_unsent else str(error)
+            raise ToolError(_cut(text)) from error
+
+    return call
 
 
 @dataclass(frozen=True)
@@ -244,9 +255,9 @@ class Rehearsal:
 class SwarmTools:
     """The tools of an agent, each a method whose docstring the agent reads.
 
-    A rehearsal simulates a run before the run is sent (`Rehearsal`). The run is then sent only if
-    no stop was requested during the rehearsal: no stop by this server, and no stop by another
-    operator that the epoch of a robot shows.
+    A rehearsal simulates a run before the run is sent (`Rehearsal`). A stop or another request
+    during the rehearsal prevents the run. This server counts its own stops. A request of another
+    operator changes the epoch of a robot (the count of the robot's changes).
     """
 
     def __init__(self, swarm: AsyncSwarm, rehearse: Rehearse | None = None) -> None:
@@ -373,8 +384,6 @@ class SwarmTools:
                 raise SwarmError(
                     "the run was not sent: a simulation is under way; ask again when it has ended"
                 )
-            # A stop during the rehearsal takes precedence over the run: a stop by this server
-            # counts in `_stops`, a stop by others changes the epochs of robots.
             stops_before = self._stops
             async with self._simulating:
                 epochs_before = await self._epochs()
@@ -478,8 +487,9 @@ def _variant(
 ) -> Scenario:
     """A scenario of `seconds` s in which all robots run `pattern`; None: their own patterns.
 
-    Events after the end are left out. `params` are parameters of `pattern`, and take the place of
-    all parameters in the scenario, which are for the patterns that `pattern` replaces.
+    Events after the end are left out. `params`: the parameters of `pattern`. With a `pattern`, they
+    replace the parameters of the groups, which are for the groups' own patterns. The scenario's
+    parameters by pattern stay.
     """
     from swarmd.sim.scenarios.scenariofile import scenario_of
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,6 +21,8 @@ from swarmd.sim.live.fleet_spec import MAX_ROBOTS, plain_fleet, scenario_fleet
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+    from swarmd.sim.experiments.manifest import Manifest
+    from swarmd.sim.experiments.simulate import Runner
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.metrics.metric import Metric
 
@@ -209,8 +211,9 @@ def chosen_metrics(
 ) -> tuple[Metric, ...] | None:
     """The metrics named by `--metrics A,B`; None if the option is not given (`text` is None).
 
-    `about` finds a metric by name; None: `metric_of`. `Results.asked` also knows the custom metrics
-    that the experiment has measured. ConfigError with the nearest name for an unknown metric.
+    `about`: a function that finds a metric by name, such as `Results.asked`, which also knows the
+    custom metrics of the experiment; None: `metric_of`. ConfigError with the nearest name for an
+    unknown metric.
     """
     if text is None:
         return None
@@ -234,6 +237,36 @@ def warn_of_few(counts: Iterable[int]) -> None:
         warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
     elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
+
+
+@contextmanager
+def workers(
+    scheduler: str | None,
+    jobs: int | None,
+    timeout: float | None,
+    manifest: Manifest,
+    *,
+    cores: int = 1,
+) -> Iterator[tuple[Runner, Manifest]]:
+    """Yield a function that does the runs of `manifest`, and the manifest of its workers.
+
+    The workers are processes of this machine, each run on `cores` cores, or the workers of the Dask
+    cluster at `scheduler`. `jobs`: runs at a time; None: as many as there are cores for. `timeout`
+    in s without progress of a run; None: STEP_TIMEOUT.
+    """
+    from swarmd.sim.experiments.cores import usable_cores
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
+
+    step_timeout = STEP_TIMEOUT if timeout is None else timeout
+    if scheduler is None:
+        processes = jobs or max(1, usable_cores() // cores)
+        yield partial(run_jobs, processes=processes, timeout=step_timeout, cores=cores), manifest
+        return
+    from swarmd.sim.experiments.cluster import connect
+
+    with connect(scheduler, manifest, step_timeout, warn, jobs) as cluster:
+        # The manifest of the cluster names the software and processors of the workers.
+        yield cluster.run_jobs, cluster.manifest
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:

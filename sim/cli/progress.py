@@ -13,7 +13,7 @@ from swarmd.cli.output import has_colour, warn
 if TYPE_CHECKING:
     from swarmd.sim.experiments.simulate import OnProgress, Progress
 
-MAX_LINES = 10  # where there is no terminal, besides the first two
+MAX_LINES = 10  # without a terminal: a line for each tenth of the runs
 FIRST_ESTIMATE = 2.0  # s of progress before there is an estimate
 
 
@@ -22,40 +22,12 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     """Yield a function that shows the progress of an experiment on stderr.
 
     A terminal shows a bar. Any other output gets a line for the first estimate of the time left,
-    and for each tenth of the runs. The estimate takes the rate of simulated robot-seconds since
-    the first report with progress. So no run has to be finished, and the start of workers does not
-    count.
+    and for each tenth of the runs.
     """
-    first_report: tuple[float, float] | None = None  # time in s, robot-seconds simulated so far
-
-    def failures_and_time_left(now: Progress) -> str:
-        """Text such as ", 2 failed, about 30 s left". Sets `first_report`."""
-        nonlocal first_report
-        text = f", {now.failed} failed" if now.failed else ""
-        if first_report is None and now.worked > 0.0:
-            first_report = clock(), now.worked
-        if first_report is None or now.left <= 0.0:
-            return text
-        first_time, first_worked = first_report
-        elapsed, worked = clock() - first_time, now.worked - first_worked
-        if elapsed < FIRST_ESTIMATE or worked <= 0.0:
-            return text
-        return f"{text}, about {time_span(elapsed / worked * now.left)} left"
-
+    notes = _Notes()
     if not sys.stderr.isatty():
-        printed_tenths, has_estimate = -1, False
-
-        def show_lines(now: Progress) -> None:
-            nonlocal printed_tenths, has_estimate
-            text = failures_and_time_left(now)
-            # Tenths of the runs that have ended, 0 to 10; without any run all have ended.
-            tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES
-            is_first_estimate = not has_estimate and text.endswith(" left")
-            if tenths > printed_tenths or is_first_estimate:
-                printed_tenths, has_estimate = tenths, has_estimate or is_first_estimate
-                warn(f"{now.done} of {now.total} runs{text}")
-
-        yield show_lines
+        lines = _Lines(notes)
+        yield lambda now: lines.show(now, clock())
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
@@ -67,10 +39,63 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
         task = bar.add_task("", total=None, notes="")
 
         def show_bar(now: Progress) -> None:
-            notes = failures_and_time_left(now)
-            bar.update(task, completed=now.done, total=now.total, notes=notes)
+            text = notes.text(now, clock())
+            bar.update(task, completed=now.done, total=now.total, notes=text)
 
         yield show_bar
+
+
+class _Notes:
+    """The text on failures and on the time left.
+
+    The time left follows from the rate of simulated robot-seconds. So an estimate needs no finished
+    run. The rate counts from the first report with simulated time: the start of workers, which
+    simulates nothing, does not make the rate too low.
+    """
+
+    def __init__(self) -> None:
+        # Time in s and simulated robot-seconds of the first report with simulated time.
+        self._first_report: tuple[float, float] | None = None
+
+    def text(self, now: Progress, time: float) -> str:
+        """Text such as ", 2 failed, about 30 s left"; empty if there is nothing to tell.
+
+        `time`: of the report `now`, in s.
+        """
+        failures = f", {now.failed} failed" if now.failed else ""
+        seconds = self._seconds_left(now, time)
+        return failures if seconds is None else f"{failures}, about {time_span(seconds)} left"
+
+    def _seconds_left(self, now: Progress, time: float) -> float | None:
+        """The estimate of the time left in s; None before the first estimate, and at the end."""
+        if self._first_report is None and now.worked > 0.0:
+            self._first_report = time, now.worked
+        if self._first_report is None or now.left <= 0.0:
+            return None
+        first_time, first_worked = self._first_report
+        elapsed, worked = time - first_time, now.worked - first_worked
+        if elapsed < FIRST_ESTIMATE or worked <= 0.0:
+            return None
+        return elapsed / worked * now.left
+
+
+class _Lines:
+    """Prints a line for the first estimate of the time left, and for each tenth of the runs."""
+
+    def __init__(self, notes: _Notes) -> None:
+        self._notes = notes
+        self._printed_tenths = -1
+        self._has_estimate = False
+
+    def show(self, now: Progress, time: float) -> None:
+        text = self._notes.text(now, time)
+        is_first_estimate = not self._has_estimate and text.endswith(" left")
+        # Tenths of the runs that have ended; an experiment without runs has ended.
+        tenths = MAX_LINES * now.done // now.total if now.total else MAX_LINES
+        if tenths > self._printed_tenths or is_first_estimate:
+            self._printed_tenths = tenths
+            self._has_estimate = self._has_estimate or is_first_estimate
+            warn(f"{now.done} of {now.total} runs{text}")
 
 
 def time_span(seconds: float) -> str:

@@ -88,7 +88,7 @@ def up(
 
 
 def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
-    """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends.
+    """Run a fleet until Ctrl-C or SIGTERM. SwarmError if the fleet cannot start, or the world ends.
 
     A fleet is a simulated world with a daemon for each robot. `page`: options of a web page that
     shows the fleet; None: no page.

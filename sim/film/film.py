@@ -86,9 +86,8 @@ def make_film(
 
     # 2. The model, which fills a frame but for the caption.
     width, height = size
-    # The height of the caption does not depend on its notes, which follow from the model.
-    caption_height = Caption(size, title, colouring.key).height
-    stage = stage_of(trace, (width, height - caption_height), run.platforms, run.fields)
+    picture_size = width, height - caption_height(height)
+    stage = stage_of(trace, picture_size, run.platforms, run.fields)
     notes = [f"{settings.speed:.3g}x real time"]
     with Renderer(trace, stage, colouring, settings.camera) as renderer:
         if stage.factor > _NOTED_ENLARGEMENT:
@@ -99,14 +98,15 @@ def make_film(
         caption = Caption(size, title, colouring.key, notes)
 
         # 3. The frames. The last frame shows the time `stop`, and stays for _HOLD s.
-        count = max(round((stop - settings.start) * rate / settings.speed), 1)
+        seconds = stop - settings.start
+        count = max(round(seconds * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
-            for number in range(count):
-                time = settings.start + (number + 1) * (stop - settings.start) / count
+            for number in range(1, count + 1):
+                time = settings.start + number * seconds / count
                 picture = marks.onto(renderer.frame(time, settings.trail), time)
                 frame = caption.below(picture, f"{time:.1f} s")
                 encoder.write(frame)
-                on_progress(number + 1, count)
+                on_progress(number, count)
             for _ in range(round(_HOLD * rate)):
                 encoder.write(frame)
     return [
@@ -123,7 +123,7 @@ def frame_size(trace: Trace, size: tuple[int, int], camera: Camera) -> tuple[int
         return size
     extent, (width, height) = extent_of(trace), size
     aspect = min(max(extent.width / extent.height, _NARROWEST), _WIDEST)
-    caption = Caption(size, "", ()).height
+    caption = caption_height(size[1])
     across = math.sqrt(width * (height - caption) * aspect)
     return 2 * round(across / 2.0), 2 * round((across / aspect + caption) / 2.0)
 
@@ -172,6 +172,18 @@ def bar_length(most: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= most)
 
 
+def _text_height(frame_height: int) -> int:
+    """The height of the text of a caption in pixels."""
+    return max(_SMALLEST, round(frame_height / _LINES_A_FRAME))
+
+
+def caption_height(frame_height: int) -> int:
+    """The height in pixels of the caption in a frame, which includes the caption."""
+    text = _text_height(frame_height)
+    height = 2 * (round(1.45 * text) + round(0.2 * text))
+    return height + (frame_height - height) % 2  # the picture above needs an even height
+
+
 class Caption:
     """Draws the caption of one film."""
 
@@ -184,10 +196,9 @@ class Caption:
     ) -> None:
         """`size` in pixels of the whole frame. A title or key that does not fit its line is cut."""
         self.width, height = size
-        text = max(_SMALLEST, round(height / _LINES_A_FRAME))
+        text = _text_height(height)
         self._line = round(1.45 * text)
-        self.height = 2 * (self._line + round(0.2 * text))
-        self.height += (height - self.height) % 2  # the picture above needs an even height
+        self.height = caption_height(height)
         self._pad = round(0.6 * text)
         self._font = ImageFont.load_default(text)
         self._image = Image.new("RGB", (self.width, self.height), _BACK)

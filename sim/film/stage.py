@@ -75,11 +75,7 @@ def stage_of(
     if not arena_text:
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
     arena = parse_arena(arena_text)
-    assumed: list[str] = []  # unknown platforms, which `_platform` adds
-    platform_of = {
-        name: platforms.get(name) or _platform(name, footprint, assumed)
-        for name, footprint in trace.footprints.items()
-    }
+    platform_of, assumed = _platforms_of(trace, platforms)
     robots = {
         robot: platform_of[name] for robot, name in zip(trace.ids, trace.platforms, strict=True)
     }
@@ -94,16 +90,12 @@ def stage_of(
     model = spec.compile()
     _paint(model)
 
-    # 2. Robots that would be too small are enlarged about their axles.
+    # 2. Robots that would be too small are enlarged.
+    parts = tuple(_parts_of(model, robot) for robot in robots)
     factor = _enlargement(trace, extent, size)
-    names = [model.geom(geom).name for geom in range(model.ngeom)]
-    parts = tuple(
-        np.array([geom for geom, name in enumerate(names) if name.startswith(f"{robot}/")])
-        for robot in robots
-    )
     for geoms in parts:
         model.geom_size[geoms] *= factor
-        model.geom_pos[geoms] *= factor
+        model.geom_pos[geoms] *= factor  # relative to the axle
     return Stage(
         model=model,
         size=size,
@@ -118,16 +110,29 @@ def stage_of(
     )
 
 
-def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
-    """The platform `name`; if it is not known here, _ASSUMED with this footprint.
+def _platforms_of(
+    trace: Trace, platforms: Mapping[str, Platform]
+) -> tuple[dict[str, Platform], list[str]]:
+    """The platforms of a run by name, and the names of platforms that are unknown here.
 
-    Adds the name of an unknown platform to `assumed`.
+    `platforms`: those of the scenario. An unknown platform is _ASSUMED with its own footprint.
     """
-    try:
-        return load_platform(name)
-    except ConfigError:
-        assumed.append(name)
-        return replace(load_platform(_ASSUMED), name=name, footprint=footprint)
+    platform_of: dict[str, Platform] = {}
+    assumed: list[str] = []
+    for name, footprint in trace.footprints.items():
+        try:
+            platform_of[name] = platforms.get(name) or load_platform(name)
+        except ConfigError:
+            assumed.append(name)
+            stand_in = load_platform(_ASSUMED)
+            platform_of[name] = replace(stand_in, name=name, footprint=footprint)
+    return platform_of, assumed
+
+
+def _parts_of(model: mujoco.MjModel, robot: str) -> NDArray[np.int64]:
+    """The indices of all visible geoms of a robot, whose names begin with the robot's name."""
+    names = [model.geom(geom).name for geom in range(model.ngeom)]
+    return np.array([geom for geom, name in enumerate(names) if name.startswith(f"{robot}/")])
 
 
 def _add_marks(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:

@@ -69,10 +69,11 @@ class LiveTimeline:
 
         Requests go only to robots of the event whose daemons run.
         """
-        present = set(self._fleet.robots)
-        robots = tuple(robot for robot in event.robots if robot in present)
+        running = set(self._fleet.robots)
+        with_daemon = tuple(robot for robot in event.robots if robot in running)
         match event.action:
-            case "place" if event.pose is not None:  # always given, for type checkers
+            case "place":
+                assert event.pose is not None  # checked when the scenario was read
                 self._world.place(event.box, event.pose)
             case "remove" if event.box:
                 self._world.remove(event.box)
@@ -80,19 +81,23 @@ class LiveTimeline:
                 self._world.change_fields(event.fields)
             case "join":
                 for robot in event.robots:
-                    if robot not in present:
+                    if robot not in with_daemon:
                         self._fleet.start_daemon(robot)
                 starting.await_robots(self._operator, self._fleet)
-            case "leave" | "kill" | "remove":
-                for robot in robots:
-                    self._fleet.end_daemon(robot, in_order=event.action == "leave")
-                if event.action == "remove":  # also robots whose daemon has ended before
-                    for robot in event.robots:
-                        self._world.take_out(robot)
+            case "leave" | "kill":
+                self._end_daemons(with_daemon, in_order=event.action == "leave")
+            case "remove":
+                self._end_daemons(with_daemon, in_order=False)
+                for robot in event.robots:
+                    self._world.take_out(robot)
             case "stop" | "estop":
-                _check(event.action, self.send_stop(event.action, robots))
+                _check(event.action, self.send_stop(event.action, with_daemon))
             case _:
-                self._request(event, robots)
+                self._request(event, with_daemon)
+
+    def _end_daemons(self, robots: Sequence[str], *, in_order: bool) -> None:
+        for robot in robots:
+            self._fleet.end_daemon(robot, in_order=in_order)
 
     def _request(self, event: ScheduledEvent, robots: tuple[str, ...]) -> None:
         operator = self._operator
@@ -276,25 +281,13 @@ class DemoRun:
         that run the first patterns. `before`, `after`: statuses at the start and at the end.
         `stop_outcome`: of the stop at the end.
         """
-        # 1. The trace and its numbers.
         spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         platforms = {platform.name: platform for platform in spec.platforms().values()}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
-
-        # 2. Problems. An event may end or stop its robots, so only a fault of these robots counts.
-        events = self._timeline.done
-        robots_of_events = {robot for event in events for robot in event.robots}
-        other_robots = [robot for robot in started.robots if robot not in robots_of_events]
-        problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
-        problems += problems_of(other_robots, before, after, numbers.contacts)
-        problems += [f"{e.action} at {e.at:g} s: {e.problem}" for e in events if e.problem]
-        for name in sorted(robots_of_events & after.keys()):
-            if _is_faulted(after[name]):
-                problems.append(f"{name} ended faulted: {after[name].detail}")
+        problems = self._problems(started, before, after, numbers.contacts)
         if stop_outcome.exit_code:
             problems.append(starting.why_not("stop", stop_outcome))
-
         all_moved_at = self._watcher.all_moved_at
         return DemoSummary(
             pattern=self._settings.pattern,
@@ -310,10 +303,35 @@ class DemoRun:
             numbers=numbers,
             problems=tuple(problems),
             scenario=spec.scenario.scenario.name if spec.scenario else "",
-            events=tuple(events),
+            events=tuple(self._timeline.done),
             reports={name: dict(status.report) for name, status in after.items()},
             readings={name: dict(status.readings) for name, status in after.items()},
         )
+
+    def _problems(
+        self,
+        started: starting.Started,
+        before: Mapping[str, Status],
+        after: Mapping[str, Status],
+        contacts: int,
+    ) -> list[str]:
+        """A line for each problem of the run until its end: of the start, of robots, of events.
+
+        An event may stop its robots or end their daemons. So for the robots of events only a fault
+        is a problem.
+        """
+        events = self._timeline.done
+        robots_of_events = {robot for event in events for robot in event.robots}
+        other_robots = [robot for robot in started.robots if robot not in robots_of_events]
+        problems = [f"{name} did not start: {text}" for name, text in started.missing.items()]
+        problems += problems_of(other_robots, before, after, contacts)
+        problems += [f"{e.action} at {e.at:g} s: {e.problem}" for e in events if e.problem]
+        problems += [
+            f"{name} ended faulted: {after[name].detail}"
+            for name in sorted(robots_of_events & after.keys())
+            if _is_faulted(after[name])
+        ]
+        return problems
 
 
 def _split(

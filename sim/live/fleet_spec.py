@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import is_id
@@ -26,6 +26,9 @@ def plain_fleet(
     platform: str,
     arena: str | None,
     layout: str | None,
+    seed: int,
+    lidar_visibility: Literal["body", "real"],
+    radio_range: float | None,
     emulator: str | None,
     tell: Tell,
     **others: Any,
@@ -35,31 +38,35 @@ def plain_fleet(
     The default arena is a square, 1.8 times as wide as the range of the lidar, so that a robot
     detects some robots but not all. For many robots the arena is wider, so that each robot has a
     square with a side of 3 protection thresholds. By default the robots start at random places, at
-    least 0.6 thresholds apart. `folder`: for logs and state. `emulator`: the driver whose protocol
-    is simulated, or None. `others`: further fields of FleetSpec, at least `radio_range`, `seed` and
-    `lidar_visibility`. `tell` is called with notes. ConfigError if a value is wrong or the arena
-    has no room. PluginError if the emulator is unknown or lacks a library.
+    least 0.6 thresholds apart.
+
+    `folder`: for logs and state. `emulator`: the driver whose protocol is simulated, or None.
+    `tell` is called with notes. `others`: further fields of FleetSpec. ConfigError if a value is
+    wrong or the arena has no room. PluginError if the emulator is unknown or lacks a library.
     """
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.world.arena import parse_arena
     from swarmd.sim.world.layouts import parse_layout
 
-    check_emulator(emulator, others["radio_range"])
+    check_emulator(emulator, radio_range)
     loaded, ids = _platform_and_ids(platform, count)
     threshold = float(loaded.protection.get("threshold", 0.5))  # m
     side = round(max(1.8 * loaded.scan.range_max, 3.0 * threshold * count**0.5), 1)
     arena = arena or f"{side:g}x{side:g}"
     layout = layout or f"random:{0.6 * threshold:.2f}"
     # ConfigError if there is no room for the robots.
-    parse_layout(layout, [loaded.footprint] * count, parse_arena(arena), seed=others["seed"])
+    parse_layout(layout, [loaded.footprint] * count, parse_arena(arena), seed=seed)
     if count > 1:
-        _tell_of_peers(loaded, ids[0], others["lidar_visibility"], tell)
+        _tell_of_peers(loaded, ids[0], lidar_visibility, tell)
     return FleetSpec(
         swarm=swarm,
         robots=dict.fromkeys(ids, platform),
         folder=folder,
         arena=arena,
         layout=layout,
+        seed=seed,
+        lidar_visibility=lidar_visibility,
+        radio_range=radio_range,
         emulator=emulator,
         **others,
     )

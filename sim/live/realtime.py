@@ -28,7 +28,7 @@ from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import Radio, neighbors_rate
+from swarmd.sim.world.radio import Radio, RadioSettings, neighbors_rate
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.sensors import ALL_NEEDS, SENSORS, SensorTimes, sensors_due
 from swarmd.sim.world.world import World
@@ -77,30 +77,21 @@ class RealTimeWorld:
         self._commands = np.zeros((n, 3))  # linear, angular, lateral
         self._arrivals = np.full(n, -np.inf)  # s, of the newest command; -inf: no command yet
         self._command_timeouts: Array = np.array(command_timeouts or [COMMAND_TIMEOUT] * n)
-        self._sent_seq = np.full(n, -1)  # of the newest scan
-        # The number of scans after which a scan is stale.
+        self._sent_seq = np.full(n, -1)  # the number of the newest scan; -1: no scan yet
+        # How many newer scans make a scan stale.
         self._stale_scans = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0  # requests of viewers
 
-        # Schedules of sensors and states, in simulated time. `order`: a random order of the rows,
-        # in which lidars, odometry and radios take turns, so that no row is favoured. Other sensors
-        # take turns in the order of the rows.
+        # Schedules of sensors and states, in simulated time. Lidars, odometry and radios take turns
+        # in a random order of the rows, so that no row is favoured. Other sensors take turns in the
+        # order of the rows.
         order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
-        scan_rates = np.array([p.scan.rate for p in world.platforms])
-        self._sensor_times = SensorTimes(
-            Staggered(scan_rates, start, order),
-            Staggered(world.ring_rates, start),  # rings of range sensors
-            [
-                (sensor, Staggered(np.full(n, sensor.rate), start))
-                for sensor in SENSORS
-                if sensor.is_there(world)
-            ],
-        )
+        self._sensor_times = _sensor_times(world, order)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
-        rate = 1.0 if radio is None else neighbors_rate(radio.settings)  # unused without a radio
-        self._neighbors_due = Staggered(np.full(n, rate), start, order)
-        # (n,) the robots that had a fresh command at the last step. If this changes, all robots get
-        # their neighbors at once (`_publish_radio`).
+        radio_settings = RadioSettings() if radio is None else radio.settings
+        radio_rates = np.full(n, neighbors_rate(radio_settings))
+        self._neighbors_due = Staggered(radio_rates, start, order)  # asked only with a radio
+        # Whether each robot (n,) had a fresh command at the last step, for `_publish_radio`.
         self._last_commanded: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
@@ -257,3 +248,18 @@ class RealTimeWorld:
 
 def _triples(rows: Array) -> tuple[Triple, ...]:
     return tuple((a, b, c) for a, b, c in rows.tolist())
+
+
+def _sensor_times(world: World, lidar_order: NDArray[np.int64]) -> SensorTimes:
+    """The schedules of lidars, rings of range sensors and further sensors, from now on.
+
+    `lidar_order` (n,): the rows in the order in which their lidars take turns.
+    """
+    now = world.time
+    scan_rates = np.array([platform.scan.rate for platform in world.platforms])
+    further = [sensor for sensor in SENSORS if sensor.is_there(world)]
+    return SensorTimes(
+        Staggered(scan_rates, now, lidar_order),
+        Staggered(world.ring_rates, now),
+        [(sensor, Staggered(np.full(len(world.ids), sensor.rate), now)) for sensor in further],
+    )

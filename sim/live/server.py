@@ -13,7 +13,7 @@ import gc
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
@@ -97,56 +97,78 @@ def _serve(options: WorldOptions, is_over: Callable[[], bool]) -> None:
     # 1. The world and its recorder.
     swarm = check_id(options.swarm, "swarm")
     scenario = _scenario(options)
-    robots = scenario.robots
     # All rays of a sector of a simulated scan are measured at one time. A ROS message has one
     # `time_increment` from ray to ray, so for ROS the sectors must be small.
     world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
-    meta = {**meta_of(scenario, options.seed), "swarm": swarm}
-    if options.scenario is None:
-        meta |= {"layout": options.layout, "realism": options.realism}
-    trace = None if options.trace is None else Path(options.trace)
-    settings = RecorderSettings(trace, options.trace_rate, options.seconds, meta)
-    recorder = LiveRecorder(world, settings)
+    if options.shared_frame or scenario.fence is not None:
+        world.posed = frozenset(range(len(world.ids)))
+    recorder = LiveRecorder(world, _recorder_settings(options, scenario, swarm))
 
     with ExitStack() as exit_stack:
-        # 2. The link to daemons: the simulated driver, or an emulated ROS robot.
-        link = WorldLink(swarm, robots, options.endpoint)
+        # 2. The link to daemons and viewers.
+        link = WorldLink(swarm, scenario.robots, options.endpoint)
         exit_stack.callback(link.close)
-        driver = DRIVER
-        driver_options: dict[str, Value] = {"endpoint": link.endpoint}
-        command_timeouts = None
-        if needs_radio(scenario.radio):  # messages of patterns pass the world, not Zenoh
-            driver_options["radio"] = True
-        emulated = None
-        if options.emulator is not None:
-            emulated = _make_emulator(options.emulator, options.emulator_endpoint, scenario)
-            exit_stack.callback(emulated.side.close)
-            driver, driver_options = options.emulator, dict(emulated.side.driver_options)
-            command_timeouts = [
-                stops_after(p.drivers.get(driver, {}), f"platform {p.name}: drivers.{driver}")
-                for p in robots.values()
-            ]
-        ready = {"endpoint": link.viewers, "swarm": swarm, "driver": driver}
-        print(json.encode({**ready, "driver_options": driver_options}).decode(), flush=True)
+        side = _driver_side(options, scenario, link, exit_stack)
+        ready = {"endpoint": link.viewers, "swarm": swarm, "driver": side.driver}
+        print(json.encode({**ready, "driver_options": side.options}).decode(), flush=True)
 
         # 3. The loop. Garbage collections skip the objects of the set-up, which stay alive.
         gc.collect()
         gc.freeze()
-        # Without a radio no neighbors are published; daemons then assume that all hear each other.
-        # Range and bearing alone also need a radio here, since they come with the neighbors.
-        radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
-        if options.shared_frame or scenario.fence is not None:
-            world.posed = frozenset(range(len(world.ids)))
+        # Without a radio no neighbors are published: daemons then assume that all hear each other.
+        # Also range and bearing need a radio, since they are published with the neighbors.
+        has_radio = scenario.radio != RadioSettings()
         live = RealTimeWorld(
             world,
             link,
             recorder,
-            radio=radio,
-            emulated=emulated,
-            command_timeouts=command_timeouts,
+            radio=radio_of(scenario, options.seed) if has_radio else None,
+            emulated=side.emulated,
+            command_timeouts=side.command_timeouts,
             seed=options.seed,
         )
         live.run(is_over)
+
+
+def _recorder_settings(options: WorldOptions, scenario: Scenario, swarm: str) -> RecorderSettings:
+    meta = {**meta_of(scenario, options.seed), "swarm": swarm}
+    if options.scenario is None:
+        meta |= {"layout": options.layout, "realism": options.realism}
+    trace = None if options.trace is None else Path(options.trace)
+    return RecorderSettings(trace, options.trace_rate, options.seconds, meta)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _DriverSide:
+    """How daemons reach the bases: the driver of the daemons and its options."""
+
+    driver: str
+    options: Mapping[str, Value]
+    emulated: EmulatorTransport | None = None  # of an emulated ROS robot
+    command_timeouts: Sequence[float] | None = None
+    """By robot, s without a command after which its base stops; None: COMMAND_TIMEOUT for all."""
+
+
+def _driver_side(
+    options: WorldOptions, scenario: Scenario, link: WorldLink, exit_stack: ExitStack
+) -> _DriverSide:
+    """The driver `simulated` at the endpoint of `link`, or the driver that the world emulates.
+
+    `exit_stack` closes the emulator.
+    """
+    if options.emulator is None:
+        driver_options: dict[str, Value] = {"endpoint": link.endpoint}
+        if needs_radio(scenario.radio):  # messages of patterns pass the world, not Zenoh
+            driver_options["radio"] = True
+        return _DriverSide(DRIVER, driver_options)
+    driver = options.emulator
+    emulated = _make_emulator(driver, options.emulator_endpoint, scenario)
+    exit_stack.callback(emulated.side.close)
+    command_timeouts = [
+        stops_after(p.drivers.get(driver, {}), f"platform {p.name}: drivers.{driver}")
+        for p in scenario.robots.values()
+    ]
+    return _DriverSide(driver, dict(emulated.side.driver_options), emulated, command_timeouts)
 
 
 def _make_emulator(name: str, endpoint: str, scenario: Scenario) -> EmulatorTransport:

@@ -71,9 +71,9 @@ def await_robots(
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
     """Whether of each pair of robots both list each other as neighbors, or neither does.
 
-    With `all_hear_all` both must list each other: robots that have just started list no neighbors,
-    and would agree too early. `view`: has a status of each of `robots`. True for more than
-    MAX_NEIGHBORS robots, since a status lists no more neighbors.
+    With `all_hear_all` both must list each other. Without this, robots that have just started,
+    which list no neighbors, would count as known to each other. `view` has a status of each of
+    `robots`. True for more than MAX_NEIGHBORS robots, since a status lists no more neighbors.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True
@@ -97,39 +97,38 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
 def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
     """Start the pattern of a run event on its robots, in at most RUN_ATTEMPTS requests.
 
-    `view`: the members, with the epochs that the first request names. An epoch counts the changes
-    of a robot: a robot refuses a request that names an earlier epoch. Each later request goes to
-    the robots that do not run the pattern yet. ConfigError if all robots refuse the first request.
+    `view`: the members, with their epochs for the first request. (An epoch counts the changes of a
+    robot. A robot refuses a request that names an earlier epoch.) Each later request goes to the
+    robots that do not run the pattern yet. ConfigError if all robots refuse the first request.
     SwarmError if no robot runs the pattern after the last request.
     """
-    waiting = run.robots
-    started_at_once: set[str] = set()
-    started_late: set[str] = set()
-    for attempt in range(RUN_ATTEMPTS):
-        if attempt:
-            # A robot may run the pattern although its acknowledgement was late or lost.
-            view = operator.members()
-            running = {
-                name
-                for name, status in statuses_of(view).items()
-                if status.state is State.RUNNING and status.pattern == run.pattern
-            }
-            started_late |= running.intersection(waiting)
-            waiting = tuple(name for name in waiting if name not in started_late)
-        outcome = operator.request(RunRequest, view.epochs(waiting), **run_fields(run))
-        if attempt:
-            started_late.update(outcome.applied)
-        elif len(outcome.refused) == len(waiting):
-            raise ConfigError(why_not("run", outcome))
-        else:
-            started_at_once.update(outcome.applied)
-        waiting = tuple(name for name in waiting if name not in outcome.applied)
+    outcome = operator.request(RunRequest, view.epochs(run.robots), **run_fields(run))
+    if len(outcome.refused) == len(run.robots):
+        raise ConfigError(why_not("run", outcome))
+    started_at_once, started_late = set(outcome.applied), set[str]()
+    for _ in range(RUN_ATTEMPTS - 1):
+        waiting = set(run.robots) - started_at_once - started_late
         if not waiting:
             break
+        # A robot may run the pattern although its acknowledgement was late or lost.
+        view = operator.members()
+        started_late |= waiting & _running(view, run.pattern)
+        waiting_now = tuple(name for name in run.robots if name in waiting - started_late)
+        outcome = operator.request(RunRequest, view.epochs(waiting_now), **run_fields(run))
+        started_late.update(outcome.applied)
     started = started_at_once | started_late
     if not started:
         raise SwarmError(why_not("run", outcome))
     return Started(tuple(sorted(started)), tuple(sorted(started_late)), _texts(outcome))
+
+
+def _running(view: MembersView, pattern: str) -> set[str]:
+    """The robots whose status shows that they run `pattern`."""
+    return {
+        name
+        for name, status in statuses_of(view).items()
+        if status.state is State.RUNNING and status.pattern == pattern
+    }
 
 
 def joined(parts: Iterable[Started]) -> Started:

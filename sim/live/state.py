@@ -68,7 +68,7 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     - `place`: put the movable `box` at rest at `pose`.
     - `remove`: take the movable `box` out of the arena.
     - `take_out`: take the `robot` out of the arena.
-    - `fields`: replace all fields that have the names of those in `fields`.
+    - `fields`: replace each field of the world by the field of the same name in `fields`.
     """
 
     action: Action

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +49,7 @@ def series_figure(
     events: Sequence[tuple[float, str]] = (),
     smoothing: float = 0.0,
     width: float | None = None,
-    axis: str = "",
+    legend_title: str = "",
 ) -> Figure:
     """A figure of a metric over time, with a panel for each facet.
 
@@ -63,23 +63,24 @@ def series_figure(
     - `events`: times in s of dotted lines, with their labels.
     - `smoothing`: s of the running mean of each run.
     - `width`: in inches, for a paper.
-    - `axis`: the title of the legend.
 
     SwarmError without values.
     """
     # 1. The runs of each panel and variant that have values.
-    facets = {panel: _smoothed(variants, smoothing) for panel, variants in facets.items()}
-    facets = {panel: variants for panel, variants in facets.items() if variants}
-    runs_of_variants = [runs for variants in facets.values() for runs in variants.values()]
+    smoothed_facets = {panel: _smoothed(variants, smoothing) for panel, variants in facets.items()}
+    drawn = {panel: variants for panel, variants in smoothed_facets.items() if variants}
+    runs_of_variants = [runs for variants in drawn.values() for runs in variants.values()]
     all_runs = [run for runs in runs_of_variants for run in runs]
     if not all_runs:
         raise SwarmError(f"{label}: no run has values over time: nothing to draw")
     is_share = is_yes_or_no(all_runs)
 
     # 2. The panels.
-    legend = Legend.of(facets)
-    figure, panels = new_series_figure(list(facets), legend, width)
-    for axes, variants in zip(panels, facets.values(), strict=True):
+    legend = Legend.of(
+        {name: len(runs) for name, runs in variants.items()} for variants in drawn.values()
+    )
+    figure, panels = new_series_figure(list(drawn), legend, width)
+    for axes, variants in zip(panels, drawn.values(), strict=True):
         for name, runs in variants.items():
             bands = shares_of(runs) if is_share else bands_of(runs)
             _paint_variant(axes, bands, legend.style(name), len(variants), legend.text(name))
@@ -95,7 +96,7 @@ def series_figure(
     note = f"; running mean over {smoothing:g} s" if smoothing > 0.0 else ""
     explanation = _explanation(runs_of_variants, len(legend.counts), is_share=is_share) + note
     text = f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]"
-    return finish_series(figure, panels, text, title, explanation, legend, width, axis)
+    return finish_series(figure, panels, text, title, explanation, legend, width, legend_title)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,12 +106,12 @@ class Legend:
     counts: Mapping[str, int]
 
     @staticmethod
-    def of(facets: Mapping[str, Mapping[str, Sequence[object]]]) -> Legend:
-        """The variants of all panels."""
+    def of(runs_by_panel: Iterable[Mapping[str, int]]) -> Legend:
+        """The variants of all panels. `runs_by_panel`: the number of runs of each variant."""
         counts: dict[str, int] = {}
-        for groups in facets.values():
-            for name, runs in groups.items():
-                counts[name] = max(counts.get(name, 0), len(runs))
+        for runs_of in runs_by_panel:
+            for name, runs in runs_of.items():
+                counts[name] = max(counts.get(name, 0), runs)
         return Legend({name: counts[name] for name in in_order(counts)})
 
     def index(self, name: str) -> int:
@@ -161,14 +162,13 @@ def finish_series(
     explanation: str,
     legend: Legend,
     width: float | None,
-    axis: str = "",
+    legend_title: str = "",
 ) -> Figure:
     """Add axis labels, titles and a legend to a figure of panels over time; returns the figure.
 
     `label`: of the vertical axes. `explanation`: how to read lines and bands. `width`: in inches,
-    for a paper, or None. `axis`: the title of the legend.
+    for a paper, or None.
     """
-    first = panels[0]
     for axes in panels:
         if axes.get_subplotspec().is_last_row():  # type: ignore[union-attr]
             axes.set_xlabel("time [s]")
@@ -176,23 +176,28 @@ def finish_series(
             axes.set_ylabel(label)
     # `fit` removes the texts with gid NOTE from a figure for a paper.
     if len(panels) == 1:
-        first.set_title(title, fontsize=11, loc="left", gid=NOTE)
-        first.set_title(explanation, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
+        only = panels[0]
+        only.set_title(title, fontsize=11, loc="left", gid=NOTE)
+        only.set_title(explanation, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
     else:
         figure.suptitle(title, fontsize=11, gid=NOTE)
         figure.supxlabel(explanation, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     if len(legend.counts) > 1:
-        # Each variant once, in the order of the legend; a variant may be absent in some panels.
-        line_of: dict[str, Line2D] = {}
-        for axes in panels:
-            handles, texts = axes.get_legend_handles_labels()
-            line_of |= dict(zip(texts, handles, strict=True))
-        texts = [text for text in map(legend.text, legend.counts) if text in line_of]
-        lines = [line_of[text] for text in texts]
+        lines = _line_by_text(panels, legend)
         style: Any = {"frameon": False, "fontsize": 9, "borderaxespad": 0.2}
         place: Any = "outside right upper" if width is None else "outside upper left"
-        figure.legend(lines, texts, loc=place, title=axis or None, **style)
+        title_or_none = legend_title or None
+        figure.legend([*lines.values()], [*lines], loc=place, title=title_or_none, **style)
     return fit(figure, width)
+
+
+def _line_by_text(panels: Sequence[Axes], legend: Legend) -> dict[str, Line2D]:
+    """A line of each variant that a panel shows, by the variant's text, in order of the legend."""
+    shown: dict[str, Line2D] = {}
+    for axes in panels:
+        handles, texts = axes.get_legend_handles_labels()
+        shown |= dict(zip(texts, handles, strict=True))
+    return {text: shown[text] for text in map(legend.text, legend.counts) if text in shown}
 
 
 def _smoothed(

@@ -49,6 +49,10 @@ KINDS = (*STATISTICS, "runs", "trajectories")
 """The kinds of pictures; the last two are of traces seen from above."""
 CURVE = "curve"
 """A further kind, over a swept number, that is drawn only where it is named."""
+SeriesByPanel = dict[str, dict[str, list[Series]]]
+"""The runs of a metric by panel and label of the variant."""
+Events = tuple[tuple[float, str], ...]
+"""The events of a run: times in s, with their texts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,16 +82,20 @@ def draw_experiment(
 ) -> list[Path]:
     """Draw the pictures of the experiment in `folder`; returns the paths of the files.
 
-    Pictures of all variants together show metrics run by run and over time, times to events as
-    survival curves, and differences from the first variant. A metric with one value in all runs is
-    not drawn. With `look.only` or `seeds`, each variant also has a picture of all runs, and
-    pictures of two runs with their starts and ends: a typical run, nearest to the median, and the
-    worst run. If neither direction of the metric is better, the least typical run is drawn instead
-    of the worst.
+    The kinds of pictures are those of `look.only`. Without `look.only`, they are STATISTICS, or
+    KINDS if `seeds` are chosen.
 
-    - `out`: the folder of the pictures; None: `plots` in the experiment's folder.
-    - `metrics`: in place of the default metrics; the first of them selects the typical run.
-    - `seeds`: the runs to draw; None: all.
+    - STATISTICS: pictures of all variants together: metrics run by run and over time, times to
+      events as survival curves, differences from the first variant. A metric with one value in all
+      runs is not drawn.
+    - `runs`: for each variant a picture of all its runs from above.
+    - `trajectories`: for each variant two runs from above, by their paths and by start and end: a
+      typical run, nearest to the median, and the worst run. A metric of which neither direction is
+      better has no worst run: the run farthest from the median is drawn.
+
+    `out`: the folder of the pictures; None: `plots` in the experiment's folder. `metrics`: in place
+    of the default metrics; the first of them selects the typical run. `seeds`: of the runs to draw;
+    None: all.
 
     A missing or damaged trace gives one warning. ConfigError for an unknown metric, seed, facet or
     folder. SwarmError if no run has finished.
@@ -152,7 +160,8 @@ class _Gallery:
         self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._check_labels()
-        # By variant: the title of its panel, in a paper a letter, and its label in the panel.
+        # By variant, its facet: the panel, and the label in the panel. In a paper the titles of the
+        # panels are letters.
         facets = select.facets_of(self._results.plan, look.facet, self._scenario, look.labels)
         self._facets = _lettered(facets, look)
         self._warned: set[str] = set()  # runs whose trace cannot be drawn
@@ -265,28 +274,37 @@ class _Gallery:
         for metric in self._asked(select.OVER_TIME):
             if not metric.is_time_to_event:
                 continue
-            facets: dict[str, dict[str, Times]] = {}  # by panel and label
-            has_event = False
-            for panel, variants in self._by_panel().items():
-                for variant in variants:
-                    first_run = self._of(variant)[0]  # all runs of a variant have one duration
-                    duration = float(first_run.variant.effective["duration"])
-                    values = self._values(metric, variant)
-                    times = Times(values, np.full(len(values), duration))
-                    facets.setdefault(panel, {})[self._facets[variant].label] = times
-                    has_event = has_event or bool(np.isfinite(values).any())
-            if has_event:
-                name = self._quantity(metric).name  # the text of --label, else the metric's name
-                is_renamed = metric.name in self._look.labels
+            facets = self._times_to_event(metric)
+            all_times = [times for variants in facets.values() for times in variants.values()]
+            if any(np.isfinite(times.times).any() for times in all_times):
                 figure = survival_figure(
                     facets,
-                    event=name if is_renamed else metric.event or f"the event of {name}",
+                    event=self._event_of(metric),
                     title=self._scenario,
                     width=self._look.width,
-                    axis=self._axis,
+                    legend_title=self._axis,
                 )
                 paths.append(self._save(figure, f"survival_{metric.name}"))
         return paths
+
+    def _times_to_event(self, metric: Metric) -> dict[str, dict[str, Times]]:
+        """The times to the event of a metric, by panel and label of the variant."""
+        facets: dict[str, dict[str, Times]] = {}
+        for panel, variants in self._by_panel().items():
+            for variant in variants:
+                first_run = self._of(variant)[0]  # all runs of a variant have one duration
+                duration = float(first_run.variant.effective["duration"])
+                values = self._values(metric, variant)
+                times = Times(values, np.full(len(values), duration))
+                facets.setdefault(panel, {})[self._facets[variant].label] = times
+        return facets
+
+    def _event_of(self, metric: Metric) -> str:
+        """A noun for the event of a metric: the text of --label, else the metric's own noun."""
+        name = self._quantity(metric).name
+        if metric.name in self._look.labels:
+            return name
+        return metric.event or f"the event of {name}"
 
     def overview(self, variant: str) -> list[Path]:
         """All runs of a variant in one picture."""
@@ -320,48 +338,54 @@ class _Gallery:
 
     def over_time(self) -> list[Path]:
         """A picture of each metric over time whose values differ."""
-        # 1. Values over time, by metric, panel and label. Each trace is loaded once.
+        # 1. Values over time by metric, and the events of each run. Each trace is loaded once.
         asked = [metric for metric in self._asked(select.OVER_TIME) if not metric.is_time_to_event]
         metrics = select.metrics_over_time(asked)
-        runs_of: dict[str, dict[str, dict[str, list[Series]]]] = {m.name: {} for m in metrics}
-        events: set[tuple[tuple[float, str], ...]] = set()  # times and texts of each run
+        values_of: dict[str, SeriesByPanel] = {metric.name: {} for metric in metrics}
+        events_of_runs: set[Events] = set()
         runs = self._runs if metrics and self._has_traces else []
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
-                events.add(select.events_of(trace))
-                facet = self._facets[run.variant.name]
+                events_of_runs.add(select.events_of(trace))
                 for metric in metrics:
-                    values = None if metric.series is None else metric.series(trace)
-                    if values is not None and np.isfinite(values).any():
-                        by_label = runs_of[metric.name].setdefault(facet.panel, {})
-                        run_values = trace.t - trace.t[0], values.astype(np.float64)
-                        by_label.setdefault(facet.label, []).append(run_values)
+                    self._add_series(values_of[metric.name], metric, run, trace)
 
         # 2. The pictures. Events are drawn if they are the same in all runs.
-        paths = []
-        for metric in metrics:
-            if _varies(runs_of[metric.name]):
-                quantity = self._quantity(metric, select.stem_of(metric.name))
-                labels = {label for groups in runs_of[metric.name].values() for label in groups}
-                missing_labels = {facet.label for facet in self._facets.values()} - labels
-                # The figure has no legend if only one of several variants has values. The title
-                # then names it.
-                is_alone = len(labels) == 1 and bool(missing_labels)
-                only_label = f", {min(labels)}" if is_alone else ""
-                figure = series_figure(
-                    runs_of[metric.name],
-                    label=quantity.name,
-                    unit=quantity.unit,
-                    axis=self._axis,
-                    title=self._scenario + only_label,
-                    target=self._look.targets.get(metric.name),
-                    events=next(iter(events)) if len(events) == 1 else (),
-                    smoothing=select.smoothing_of(metric.name),
-                    width=self._look.width,
-                )
-                paths.append(self._save(figure, f"over_time_{select.stem_of(metric.name)}"))
-        return paths
+        events = next(iter(events_of_runs)) if len(events_of_runs) == 1 else ()
+        drawn = [metric for metric in metrics if _varies(values_of[metric.name])]
+        return [self._draw_over_time(metric, values_of[metric.name], events) for metric in drawn]
+
+    def _add_series(self, series: SeriesByPanel, metric: Metric, run: Run, trace: Trace) -> None:
+        """Add the values of a metric over the time of a run to `series`, if there are values."""
+        values = None if metric.series is None else metric.series(trace)
+        if values is not None and np.isfinite(values).any():
+            facet = self._facets[run.variant.name]
+            run_values = trace.t - trace.t[0], values.astype(np.float64)
+            series.setdefault(facet.panel, {}).setdefault(facet.label, []).append(run_values)
+
+    def _draw_over_time(self, metric: Metric, series: SeriesByPanel, events: Events) -> Path:
+        """The picture of a metric over time. `events`: times in s, with their texts."""
+        stem = select.stem_of(metric.name)
+        quantity = self._quantity(metric, stem)
+        labels = {label for by_label in series.values() for label in by_label}
+        missing_labels = {facet.label for facet in self._facets.values()} - labels
+        # If only one of several variants has values, the figure has no legend. The title then
+        # names the variant.
+        is_alone = len(labels) == 1 and bool(missing_labels)
+        only_label = f", {min(labels)}" if is_alone else ""
+        figure = series_figure(
+            series,
+            label=quantity.name,
+            unit=quantity.unit,
+            legend_title=self._axis,
+            title=self._scenario + only_label,
+            target=self._look.targets.get(metric.name),
+            events=events,
+            smoothing=select.smoothing_of(metric.name),
+            width=self._look.width,
+        )
+        return self._save(figure, f"over_time_{stem}")
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
         """Draw the first of `runs` that has a trace, as a `word` run ("typical", "worst").

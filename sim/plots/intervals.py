@@ -74,10 +74,11 @@ def intervals_figure(
     """A figure with a panel for each metric and a row for each variant.
 
     A row has a point for every run, and above the points the mean as a diamond with its 95 %
-    interval, of a share Wilson's interval. If an event never happened in some runs, the median of
-    all runs stands in place of the mean. If the variants are numbers, the distances of the rows are
-    the distances of the numbers. One variant with more than three metrics is drawn as a table.
-    `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without panels.
+    interval (Wilson's interval if the mean is a share). If an event never happened in some runs,
+    the median of all runs stands in place of the mean. If the variants are numbers, the distances
+    of the rows are the distances of the numbers. One variant with more than three metrics is drawn
+    as a table. `width`: in inches, for a paper. `axis`: the name of the rows. SwarmError without
+    panels.
     """
     runs = _runs_of(panels)
     if len(runs) == 1 and len(panels) > _MAX_STRIPS:
@@ -145,8 +146,8 @@ def grid_of_panels(
 ) -> tuple[Figure, list[Axes]]:
     """A new figure with a grid of `count` panels; returns the figure and the axes of the panels.
 
-    `labels`: of the rows inside a panel, shown at the left of the grid. `places`: of these rows.
-    `width`: in inches, for a paper, or None. All sizes here are in inches.
+    `labels`: the labels of the rows in each panel, shown at the left of the grid. `places`: the
+    places of these rows. `width`: in inches, for a paper, or None. All sizes here are in inches.
     """
     labels_width = 0.3 + 0.07 * max(map(len, labels))
     columns = min(count, 3)
@@ -248,42 +249,54 @@ def curve_figure(
     the mean. `axis`: the name of the swept number. `width`: in inches, for a paper. SwarmError
     without panels, with fewer than two variants, or if the name of a variant is not a number.
     """
-    # 1. The figure; its sizes are in inches.
     names = [*_runs_of(panels)]
     values = np.array([finite_number(name) for name in names])
     if not np.isfinite(values).all() or len(values) < 2:
         raise SwarmError("a curve needs at least two values of one swept number")
-    columns = min(len(panels), 3)
-    if width is not None:
-        columns = max(1, min(columns, int(width / _NARROWEST)))
-    lines = -(-len(panels) // columns)  # rounded up
-    if width is None:
-        figure = new_figure(3.6 * columns, 2.7 * lines + 0.5)
-    else:
-        figure = new_figure(width, 0.72 * width / columns * lines + 0.1)
-    grid = figure.subplots(lines, columns, squeeze=False)
-
-    # 2. The panels.
+    figure, grid = _grid_of_curves(len(panels), width)
     is_log = rows_of(names).is_log
-    for axes, panel in zip(grid.flat, panels, strict=False):
+    for axes, panel in zip(grid, panels, strict=True):
         _paint_curve(axes, panel, dict(zip(names, values.tolist(), strict=True)))
         if is_log:
             axes.set_xscale("log")
             axes.set_xticks(values, names)
             axes.minorticks_off()
         axes.set_xlabel(axis, fontsize=9)
-
-    # 3. Panels of one quantity get the same vertical axis.
-    for group in _groups(list(grid.flat), panels):
-        low = min(axes.get_ylim()[0] for axes, _ in group)
-        high = max(axes.get_ylim()[1] for axes, _ in group)
-        for axes, panel in group:
-            axes.set_ylim(*((-0.05, 1.05) if panel.is_share else (low, high)))
-    for axes in grid.flat[len(panels) :]:
-        axes.remove()
+    _share_heights(grid, panels)
     figure.suptitle(title, fontsize=11, gid=NOTE)
     figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
+
+
+def _grid_of_curves(count: int, width: float | None) -> tuple[Figure, list[Axes]]:
+    """A new figure with a grid of `count` panels; returns the figure and the axes of the panels.
+
+    `width`: in inches, for a paper, or None. All sizes here are in inches.
+    """
+    columns = min(count, 3)
+    if width is not None:
+        columns = max(1, min(columns, int(width / _NARROWEST)))
+    lines = -(-count // columns)  # rounded up
+    if width is None:  # below the panels is the explanation
+        figure = new_figure(3.6 * columns, 2.7 * lines + 0.5)
+    else:  # in a paper the height of a panel is 0.72 of its width
+        figure = new_figure(width, 0.72 * width / columns * lines + 0.1)
+    grid = figure.subplots(lines, columns, squeeze=False)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return figure, list(grid.flat[:count])
+
+
+def _share_heights(grid: Sequence[Axes], panels: Sequence[Panel]) -> None:
+    """Set the limits of the vertical axes; panels of one quantity get the same limits."""
+    for group in _groups(grid, panels):
+        low = min(axes.get_ylim()[0] for axes, _ in group)
+        high = max(axes.get_ylim()[1] for axes, _ in group)
+        for axes, panel in group:
+            if panel.is_share:
+                axes.set_ylim(-0.05, 1.05)
+            else:
+                axes.set_ylim(low, high)
 
 
 def _paint_curve(axes: Axes, panel: Panel, x_of: Mapping[str, float]) -> None:
@@ -297,27 +310,34 @@ def _paint_curve(axes: Axes, panel: Panel, x_of: Mapping[str, float]) -> None:
     line: list[tuple[float, float]] = []
     for name, x in x_of.items():
         values = np.array(panel.values.get(name, ()), dtype=np.float64)  # None gives NaN
-        summary = summarize(
-            values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event
-        )
-        finite = values[np.isfinite(values)]
-        axes.scatter(np.full(finite.size, x), finite, s=11.0, color=colour, alpha=0.35,
-                     linewidths=0.0, zorder=2.0)  # fmt: skip
-        bounds = _interval_of(summary, panel)
-        if bounds is not None:
-            axes.plot([x, x], [bounds.low, bounds.high], color=colour, linewidth=2.0, zorder=3.0)
-        middle = summary.median if summary.never else summary.mean
+        middle = _paint_runs_at(axes, x, values, panel, colour)
         line.append((x, np.nan if middle is None else middle))
-        if middle is not None:
-            axes.scatter([x], [middle], s=26.0, marker="D", edgecolors=colour, clip_on=False,
-                         zorder=4.0,
-                         color="white" if summary.never else colour)  # fmt: skip
     axes.plot(*np.array(line).T, color=colour, linewidth=1.2, zorder=2.5)
     if panel.target is not None:
         paint_target(axes, panel.target)
     axes.margins(0.08)
     axes.set_title(fill(panel.label, _TITLE), fontsize=9.5, loc="left")
     axes.set_ylabel(_unit_of(panel), fontsize=9)
+
+
+def _paint_runs_at(axes: Axes, x: float, values: Array, panel: Panel, colour: str) -> float | None:
+    """Paint the runs (n,) of a variant as points at `x`, with interval and mean or median.
+
+    Returns the mean or median; None without a value.
+    """
+    summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
+    finite = _finite(values)
+    axes.scatter(np.full(finite.size, x), finite, s=11.0, color=colour, alpha=0.35,
+                 linewidths=0.0, zorder=2.0)  # fmt: skip
+    bounds = _interval_of(summary, panel)
+    if bounds is not None:
+        axes.plot([x, x], [bounds.low, bounds.high], color=colour, linewidth=2.0, zorder=3.0)
+    is_median = bool(summary.never)
+    middle = summary.median if is_median else summary.mean
+    if middle is not None:
+        axes.scatter([x], [middle], s=26.0, marker="D", edgecolors=colour, clip_on=False,
+                     zorder=4.0, color="white" if is_median else colour)  # fmt: skip
+    return middle
 
 
 def _interval_of(found: Summary, panel: Panel) -> Interval | None:
@@ -374,36 +394,37 @@ def _table_row(panel: Panel) -> list[str]:
 
 
 def _paint_strip(axes: Axes, values: Array, row: float, panel: Panel, colour: str) -> None:
-    """Paint a row: the runs of one variant (n,) as points, above them mean and interval.
+    """Paint a row: the runs of one variant (n,) as points, above the points mean and interval.
 
-    `row`: the vertical place. A hollow diamond is the median, in place of the mean if an event
+    `row`: the vertical place. A hollow diamond is the median, which replaces the mean if an event
     never happened in some runs. A text gives the number of runs without a value.
     """
-    # Rows count downwards (`prepare_rows`), so `row` minus a number is above the row. For texts: x
-    # as a share of the width of the axes, y in rows.
-    share_by_row = axes.get_yaxis_transform()
+    # Rows count downwards (`prepare_rows`): a smaller place is higher.
+    points_row, interval_row = row + 0.13, row - 0.22
+    text_row = row - 0.3
+    place_by_row = axes.get_yaxis_transform()  # of texts: x as a share of the width, y in rows
     summary = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
     never = f"{summary.never} of {values.size} never" if summary.never else ""
     if summary.n == 0:
-        axes.text(0.5, row, never or "no value", transform=share_by_row, ha="center", va="center",
+        axes.text(0.5, row, never or "no value", transform=place_by_row, ha="center", va="center",
                   fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
         return
     finite = _finite(values)
-    axes.scatter(finite, row + 0.13 + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
+    axes.scatter(finite, points_row + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
     bounds = _interval_of(summary, panel)
     if bounds is not None:
-        axes.plot(
-            [bounds.low, bounds.high], [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0
-        )
-    middle = summary.median if summary.never else summary.mean
-    if middle is not None:
-        face, edge = ("white", colour) if summary.never else (colour, "white")
-        axes.scatter([middle], [row - 0.22], s=34.0, marker="D", color=face, edgecolors=edge,
-                     linewidths=1.2 if summary.never else 0.7, zorder=4.0)  # fmt: skip
+        axes.plot([bounds.low, bounds.high], [interval_row] * 2, color=colour, linewidth=2.4,
+                  zorder=3.0)  # fmt: skip
+    if summary.never and summary.median is not None:
+        axes.scatter([summary.median], [interval_row], s=34.0, marker="D", color="white",
+                     edgecolors=colour, linewidths=1.2, zorder=4.0)  # fmt: skip
+    elif not summary.never and summary.mean is not None:
+        axes.scatter([summary.mean], [interval_row], s=34.0, marker="D", color=colour,
+                     edgecolors="white", linewidths=0.7, zorder=4.0)  # fmt: skip
     if summary.n < values.size:
         without = never or f"{values.size - summary.n} without"
-        axes.text(1.0, row - 0.3, without, transform=share_by_row,
+        axes.text(1.0, text_row, without, transform=place_by_row,
                   ha="right", va="bottom", fontsize=7.5, color=GUIDE_COLOUR)  # fmt: skip
 
 
@@ -448,11 +469,8 @@ def differences_figure(
     """
     if not panels:
         raise SwarmError("no metric has differences: nothing to draw")
-    # All variants are placed on one scale, but the first has no row.
     names = list(dict.fromkeys(name for panel in panels for name in panel.of))
-    all_rows = rows_of(_variants_of(names))
-    _, *places = all_rows.places
-    rows = PanelRows([place - places[0] for place in places], all_rows.is_log)
+    rows = _rows_of_further(_variants_of(names))
     figure, grid = grid_of_panels(len(panels), names, width, rows)
     for axes, panel in zip(grid, panels, strict=True):
         _paint_differences(axes, panel, names, rows)
@@ -463,6 +481,14 @@ def differences_figure(
     note = f"difference of means with its 95 % interval, {method}; filled: the interval excludes 0"
     figure.supxlabel(note, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
+
+
+def _rows_of_further(variants: Sequence[str]) -> PanelRows:
+    """The rows of all variants but the first, which is placed on the scale but has no row."""
+    all_rows = rows_of(variants)
+    _, first_place, *further_places = all_rows.places
+    places = [place - first_place for place in (first_place, *further_places)]
+    return PanelRows(places, all_rows.is_log)
 
 
 def _variants_of(names: Sequence[str]) -> list[str]:

@@ -214,17 +214,11 @@ def paint_bodies(
     """
     from matplotlib.collections import LineCollection, PolyCollection
 
-    robots = np.arange(len(trace.ids))
-    instants = np.full(len(robots), instant)
-    if instant == 0:
-        instants = np.isfinite(trace.pose).all(axis=2).argmax(axis=0)
-    is_present = presence(trace)[instants, robots]
+    is_present, poses = _presence_and_poses(trace, instant)
     is_small = len(trace.ids) > _MAX_LARGE
-    for rows, linestyle, alpha in (
-        (np.flatnonzero(is_present), "-", 1.0),
-        (np.flatnonzero(~is_present), ":", 0.45),
-    ):
-        bodies = [(trace.footprint(row), trace.pose[instants[row], row]) for row in rows.tolist()]
+    present, absent = np.flatnonzero(is_present), np.flatnonzero(~is_present)
+    for rows, linestyle, alpha in ((present, "-", 1.0), (absent, ":", 0.45)):
+        bodies = [(trace.footprint(row), poses[row]) for row in rows.tolist()]
         robot_colours = [colours[row] for row in rows.tolist()]
         style: dict[str, Any] = {
             "linewidths": 0.3 if is_small else 0.9,
@@ -243,6 +237,19 @@ def paint_bodies(
             noses = [_nose(shape, pose) for shape, pose in bodies]
             line_colours = [_ink(c) for c in robot_colours] if is_filled else robot_colours
             axes.add_collection(LineCollection(noses, colors=line_colours, **style), autolim=False)
+
+
+def _presence_and_poses(trace: Trace, instant: int) -> tuple[NDArray[np.bool_], Array]:
+    """Whether the daemon of each robot (n,) is present at an instant, and the poses (n, 3).
+
+    At instant 0, each robot is taken at the first instant with a pose.
+    """
+    robots = np.arange(len(trace.ids))
+    instants = np.full(len(robots), instant)
+    if instant == 0:
+        has_pose = np.isfinite(trace.pose).all(axis=2)
+        instants = has_pose.argmax(axis=0)
+    return presence(trace)[instants, robots], trace.pose[instants, robots]
 
 
 def _ink(colour: str) -> str:
@@ -285,16 +292,8 @@ def paint_fields(
     if not fields:
         return
     arena = arena_of(trace)
-
-    # 1. The colours of the floor.
-    length, width = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
-    pixels = floor_pixels(fields, (length, width))
-    if pixels is not None:
-        floor_sides = (-length / 2.0, length / 2.0, -width / 2.0, width / 2.0)
-        axes.imshow(pixels, extent=floor_sides, alpha=0.45, zorder=0.4, interpolation="nearest",
-                    aspect="equal")  # fmt: skip
-
-    # 2. The fields, sampled on a grid.
+    size = (extent.width, extent.height) if arena is None else (arena.length, arena.width)
+    _paint_floor(axes, fields, size)
     x, y = _cells(trace, extent)
     is_clear = None if arena is None else LineOfSight(arena).is_clear
     scalar_fields = [field for field in fields if not isinstance(field, FloorField)]
@@ -302,22 +301,33 @@ def paint_fields(
     sampled = sample(scalar_fields, points.reshape(-1, 2), is_clear=is_clear)
     for index, (name, values) in enumerate(sampled.items()):
         grid = values.reshape(len(y), len(x))
-        if np.ptp(grid) <= 0.0:
-            continue
-        if index == 0:
+        is_uniform = np.ptp(grid) <= 0.0
+        if index == 0 and not is_uniform:
             sides = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
             axes.imshow(grid, extent=sides, origin="lower", cmap=_MAP, alpha=0.45, zorder=0.5,
                         interpolation="bilinear", aspect="equal")  # fmt: skip
-        lines = axes.contour(
-            x, y, grid, levels=_LEVELS, colors="0.45", linewidths=0.5, zorder=0.6,
-            linestyles=("solid", "dashed", "dotted")[index % 3],
-        )  # fmt: skip
-        if not is_small:
-            labels = axes.clabel(
-                lines, fontsize=7, fmt=lambda level, name=name: f"{name} {level:g}"
-            )
-            for text in labels or ():
-                text.set_clip_on(True)
+        if not is_uniform:
+            style = ("solid", "dashed", "dotted")[index % 3]
+            _paint_contours(axes, x, y, grid, style, "" if is_small else name)
+
+
+def _paint_floor(axes: Axes, fields: Sequence[Field], size: tuple[float, float]) -> None:
+    """Paint the colours of floor fields, if any, on an area of `size` (length, width) in m."""
+    length, width = size
+    pixels = floor_pixels(fields, size)
+    if pixels is not None:
+        sides = (-length / 2.0, length / 2.0, -width / 2.0, width / 2.0)
+        axes.imshow(pixels, extent=sides, alpha=0.45, zorder=0.4, interpolation="nearest",
+                    aspect="equal")  # fmt: skip
+
+
+def _paint_contours(axes: Axes, x: Array, y: Array, grid: Array, style: str, name: str) -> None:
+    """Paint the contour lines of a field, with its name and their values; "": without texts."""
+    lines = axes.contour(x, y, grid, levels=_LEVELS, colors="0.45", linewidths=0.5, zorder=0.6,
+                         linestyles=style)  # fmt: skip
+    if name:
+        for text in axes.clabel(lines, fontsize=7, fmt=lambda level: f"{name} {level:g}") or ():
+            text.set_clip_on(True)
 
 
 def _cells(trace: Trace, extent: Extent) -> tuple[np.ndarray, np.ndarray]:

@@ -44,42 +44,24 @@ def start_and_end_figure(
     colour each. Smaller clusters are grey, single robots white. If robots report opinions, colours
     show opinions instead.
 
-    `link`: in m. None: twice the largest protection threshold of the robots' platforms
-    (`cluster_link`), as in metrics; all robots have one colour if the trace has no threshold.
-    `width`: in inches, for a paper. SwarmError if the trace has no instant or no robot.
+    `link`: in m. None: as in metrics, twice the largest protection threshold of the robots'
+    platforms (`cluster_link`); all robots have one colour if the trace has no threshold. `width`:
+    in inches, for a paper. SwarmError if the trace has no instant or no robot.
     """
     scene.check_drawable(trace)
     link_m = cluster_link(trace) if link is None else link
     opinions = opinions_of(trace)
-
-    # 1. Two maps, side by side, or one below the other if the maps are wide. Sizes are in inches.
     extent = scene.extent_of(trace)
-    map_width, map_height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
-    rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
-    # Beside the maps is the y axis, above each map its title, above and below all maps are texts.
-    if width is None:  # each map has its size, and 0.2 of space beside it
-        size = columns * (map_width + 0.2) + 0.7, rows * (map_height + 0.4) + 1.1
-    else:  # a paper, with smaller texts: the maps share the width that the y axis leaves
-        scale = (width - 0.55) / (columns * map_width)
-        size = width, rows * (map_height * scale + 0.25) + 0.6
-    figure = new_figure(*size, is_map=True)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-
-    # 2. Start and end, each as a trace of one instant.
+    figure, start_and_end = _two_maps(extent, len(trace.ids), width)
+    # Start and end, each as a trace of one instant.
     instants = ((first(trace), "start"), (last(trace), f"end, {trace.duration:.0f} s"))
-    for axes, (part, name) in zip(grid.flat, instants, strict=True):
+    for axes, (part, name) in zip(start_and_end, instants, strict=True):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, link_m)
         scene.prepare(axes, extent)
         scene.paint_fields(axes, trace, extent, fields)
         _paint_instant(axes, part, None if opinions else link_m)
         scene.paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
         axes.set_title(f"{name}: {grouping.label}", fontsize=10, pad=4.0)
-
-    # 3. Texts.
-    for axes in grid[-1]:
-        axes.set_xlabel("x [m]")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y [m]")
     if title:
         figure.suptitle(title, fontsize=11, gid=NOTE)
     if opinions:
@@ -87,6 +69,33 @@ def start_and_end_figure(
     else:
         figure.supxlabel(_note(trace, link_m), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
+
+
+def _two_maps(extent: scene.Extent, robots: int, width: float | None) -> tuple[Figure, list[Axes]]:
+    """A new figure with two maps, side by side, or one below the other if the maps are wide.
+
+    `robots`: their number; a map of many robots is larger. `width`: in inches, for a paper.
+    Returns the figure and the axes of the two maps. All sizes here are in inches.
+    """
+    map_width, map_height = extent.panel(5.5 if robots <= 100 else 7.0)
+    rows, columns = (2, 1) if map_width > 1.6 * map_height else (1, 2)
+    # The y axis stands beside the maps, a title above each map, texts above and below all maps.
+    if width is None:
+        y_axis, gap = 0.7, 0.2
+        map_title, texts = 0.4, 1.1
+        size = columns * (map_width + gap) + y_axis, rows * (map_height + map_title) + texts
+    else:  # a paper, with smaller texts: the y axis leaves the rest of the width to the maps
+        y_axis = 0.55
+        map_title, texts = 0.25, 0.6
+        scale = (width - y_axis) / (columns * map_width)
+        size = width, rows * (map_height * scale + map_title) + texts
+    figure = new_figure(*size, is_map=True)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes in grid[-1]:
+        axes.set_xlabel("x [m]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("y [m]")
+    return figure, list(grid.flat)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ def survival_curve(times: Times) -> Curve:
     censored = times.ends[~is_known]
     estimate = ecdf(CensoredData(uncensored=times.times[is_known], right=censored)).sf
     with np.errstate(all="ignore"), warnings.catch_warnings():
-        # log(0) where no run has had the event, or each run.
+        # A share of 1 or 0 (no run has had the event, or each run) gives the logarithm of 0.
         warnings.simplefilter("ignore", RuntimeWarning)
         interval = estimate.confidence_interval(LEVEL, method="log-log")
     t = np.concatenate(([0.0], estimate.quantiles))
@@ -78,35 +78,32 @@ def survival_figure(
     event: str,
     title: str = "",
     width: float | None = None,
-    axis: str = "",
+    legend_title: str = "",
 ) -> Figure:
     """A figure of survival curves, with a panel for each facet and a line for each variant.
 
     A small stroke marks the end of a run without the event. With up to three variants, bands show
     the 95 % interval. The axis of time ends with the last event or the last run without the event.
-    `event`: a noun. `width`: in inches, for a paper. `axis`: the title of the legend. SwarmError
-    without a run.
+    `facets`: by panel, the times of each variant. `event`: a noun, such as `gathering`. `width`: in
+    inches, for a paper. SwarmError without a run.
     """
     # 1. The variants of each panel that have runs.
-    facets = {
+    with_runs = {
         panel: {name: times for name, times in variants.items() if times.times.size}
         for panel, variants in facets.items()
     }
-    facets = {panel: variants for panel, variants in facets.items() if variants}
-    if not facets:
+    drawn = {panel: variants for panel, variants in with_runs.items() if variants}
+    if not drawn:
         raise SwarmError(f"{event}: no run: nothing to draw")
-    # The legend shows the number of runs, which is the length of each list.
-    runs_of = {
-        panel: {name: [*times.times] for name, times in variants.items()}
-        for panel, variants in facets.items()
-    }
-    legend = Legend.of(runs_of)
+    legend = Legend.of(
+        {name: times.times.size for name, times in variants.items()} for variants in drawn.values()
+    )
 
     # 2. The curves.
     has_band = len(legend.counts) <= _MAX_BANDS
-    figure, panels = new_series_figure(list(facets), legend, width)
+    figure, panels = new_series_figure(list(drawn), legend, width)
     last_time = 0.0
-    for axes, variants in zip(panels, facets.values(), strict=True):
+    for axes, variants in zip(panels, drawn.values(), strict=True):
         for name, times in variants.items():
             curve = survival_curve(times)
             _paint(axes, curve, legend.style(name), legend.text(name), has_band=has_band)
@@ -117,7 +114,7 @@ def survival_figure(
     band = ", band: its 95 % interval" if has_band else ""
     explanation = f"Kaplan-Meier{band}; stroke: a run ended without it"
     text = f"share of runs without {event}"
-    return finish_series(figure, panels, text, title, explanation, legend, width, axis)
+    return finish_series(figure, panels, text, title, explanation, legend, width, legend_title)
 
 
 def _paint(axes: Axes, curve: Curve, look: tuple[str, str], label: str, *, has_band: bool) -> None:

@@ -148,8 +148,8 @@ def tidy(axes: Axes) -> None:
 def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
     """Write the figure to a file atomically, and make missing folders; returns the path.
 
-    `width`: None: the picture is cropped or enlarged to the contents of the figure. A number: the
-    figure is for a paper, so its size stays, and a PNG has the resolution of print. Equal figures
+    `width`: in inches: the figure is for a paper, so its size stays, and a PNG has the resolution
+    of print. None: the picture is cropped or enlarged to the contents of the figure. Equal figures
     give equal bytes. ConfigError if the suffix names no format. SwarmError if the file cannot be
     written.
     """
@@ -159,11 +159,13 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
         raise ConfigError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
     kind = path.suffix[1:]
     date_key = {"svg": "Date", "pdf": "CreationDate"}.get(kind)  # left out, for equal bytes
+    options: Any = {
+        "svg.hashsalt": "swarmd",  # a fixed salt of the ids in an SVG, for equal bytes
+        "svg.fonttype": "none",  # text as text, not as paths
+        "pdf.fonttype": 42,  # TrueType: journals refuse matplotlib's default, Type 3
+    }
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # A fixed salt of the ids in an SVG, for equal bytes; text as text in an SVG, and as
-        # TrueType (42) in a PDF, since journals refuse matplotlib's default, Type 3.
-        options: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
         with whole_file(path) as partial, rc_context(options):
             figure.savefig(
                 partial,

@@ -48,44 +48,54 @@ def trajectories_figure(
     robots are then not named. SwarmError if matplotlib is not installed, or if the trace has no
     instant or no robot.
     """
-    # 1. The figure; its sizes are in inches.
     scene.check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
     extent = scene.extent_of(trace)
-    map_width, map_height = extent.panel(6.3 if is_named else 8.0)
     entries = (_names(trace) if is_named and width is None else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
-    if width is None:
-        # The legend has a sample and 0.07 for each character; 0.7 and 0.5 are for the two axes.
-        legend_width = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
-        title_height = 0.25 * (1 + title.count("\n"))
-        size = map_width + 0.7 + legend_width, map_height + 0.5 + title_height
-    else:  # a paper: of the width, 0.6 is for the y axis, and 0.6 for a colour bar
-        scale = (width - (0.6 if is_named else 1.2)) / map_width
-        size = width, map_height * scale + 0.75
+    longest_label = max(map(len, labels))
+    size = _figure_size(extent, title.count("\n"), longest_label, width, is_named=is_named)
     figure = new_figure(*size, is_map=True)
-
-    # 2. The map.
     axes = figure.add_subplot()
     scene.prepare(axes, extent)
     scene.paint_fields(axes, trace, extent, fields)
-    paths = paint_run(axes, trace, is_small=width is not None)  # None if robots have colours
+    paths_by_time = paint_run(axes, trace, is_small=width is not None)
     title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
     axes.set_title(title, fontsize=11, gid=NOTE)
     axes.set_xlabel(", ".join(word for word in ("x [m]", scene.cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
 
-    # 3. The legend: beside the map, or below it in a paper and for many robots.
     style: Any = {"frameon": False, "fontsize": 9}
-    if paths is None and width is not None:
-        figure.legend(handles, labels, loc="outside lower center", ncols=3, **style)
-    elif paths is None:
+    if is_named and width is None:  # beside the map
         axes.legend(handles, labels, loc="center left", bbox_to_anchor=(1.01, 0.5), **style)
-    else:  # paths of many robots, coloured by time
-        figure.legend(handles, labels, loc="outside lower center", ncols=_COLUMNS, **style)
-        bar = figure.colorbar(paths, ax=axes, label="time [s]", shrink=0.7, aspect=35)
+    else:  # below the map
+        columns = 3 if is_named else _COLUMNS
+        figure.legend(handles, labels, loc="outside lower center", ncols=columns, **style)
+    if not is_named:
+        bar = figure.colorbar(paths_by_time, ax=axes, label="time [s]", shrink=0.7, aspect=35)
         bar.ax.tick_params(labelsize=9)
     return fit(figure, width)
+
+
+def _figure_size(
+    extent: scene.Extent, title_breaks: int, longest_label: int, width: float | None, *,
+    is_named: bool,
+) -> tuple[float, float]:  # fmt: skip
+    """The width and the height in inches of a figure of one run.
+
+    `title_breaks`: line breaks in the title. `longest_label`: characters of the longest label in
+    the legend. `width`: in inches, for a paper.
+    """
+    map_width, map_height = extent.panel(6.3 if is_named else 8.0)
+    if width is not None:  # a paper: the axes, and beside the map of many robots a colour bar
+        y_axis, x_axis_and_legend = 0.6, 0.75
+        colour_bar = 0.0 if is_named else 0.6
+        scale = (width - (y_axis + colour_bar)) / map_width
+        return width, map_height * scale + x_axis_and_legend
+    x_axis, y_axis = 0.5, 0.7
+    legend_width = 0.8 + 0.07 * longest_label if is_named else 1.0
+    title_height = 0.25 * (1 + title_breaks)
+    return map_width + y_axis + legend_width, map_height + x_axis + title_height
 
 
 def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:
@@ -203,8 +213,6 @@ def _place(trace: Trace, time: float, rows: list[int]) -> tuple[float, float]:
 
 
 MAX_RUNS = 25
-_SIDE = 2.3  # inches of a run's longer side
-_SIDES = ((2, 4.0), (6, 3.0))  # up to so many runs it is larger
 _LEGEND = "; outlines: starts; red: contacts"
 
 Load = Callable[[], Trace | None]
@@ -221,44 +229,52 @@ def overview_figure(
 ) -> Figure:
     """A figure of small pictures of up to MAX_RUNS runs seen from above, all at one scale.
 
-    `runs`: the name of each run, and a function that loads its trace, or gives None. A run without
-    a trace has an empty frame with a note. The pictures are drawn as by `trajectories_figure`,
+    `runs`: the name of each run, and a function that loads its trace (None: the run has no trace,
+    and gets an empty frame with a note). The pictures are drawn as by `trajectories_figure`,
     without legends. `note`: a text below the figure. `width`: in inches, for a paper. SwarmError
     without a run.
     """
     if not runs:
         raise SwarmError("there is no run: nothing to draw")
     drawn = runs[:MAX_RUNS]
-
-    # 1. A grid that is about square; sizes are in inches.
-    columns = min(5, math.ceil(math.sqrt(len(drawn))))
-    rows = -(-len(drawn) // columns)  # rounded up
     extent = _common_extent(drawn)
-    # Few runs have larger pictures.
-    side = next((inches for most, inches in _SIDES if len(drawn) <= most), _SIDE)
-    map_width, map_height = extent.panel(side) if extent else (side, side)
-    # Each map has 0.1 beside it, and 0.3 (in a paper 0.25) above it for its name.
-    size = columns * (map_width + 0.1), rows * (map_height + 0.3) + 0.6
-    if width is not None:
-        scaled_height = map_height * (width / columns - 0.1) / map_width
-        size = width, rows * (scaled_height + 0.25) + 0.1
-    figure = new_figure(*size, is_map=True)
-    grid = figure.subplots(rows, columns, squeeze=False)
-
-    # 2. The pictures.
-    for axes, (name, load) in zip(grid.flat, drawn, strict=False):
+    figure, grid = _grid_of_maps(len(drawn), extent, width)
+    for axes, (name, load) in zip(grid, drawn, strict=True):
         axes.set_title(name, fontsize=8, pad=3.0)
         _paint_small(axes, load(), extent, fields)
-    for axes in grid.flat[len(drawn) :]:
-        axes.remove()
-
-    # 3. The texts.
     cut = "" if len(drawn) == len(runs) else f"the first {len(drawn)} of {len(runs)} runs"
     scale = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
     below = "; ".join(text for text in (note, cut, scale) if text)
     figure.suptitle(title or f"{len(drawn)} runs", fontsize=11, gid=NOTE)
     figure.supxlabel(below, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
     return fit(figure, width)
+
+
+def _grid_of_maps(
+    count: int, extent: scene.Extent | None, width: float | None
+) -> tuple[Figure, list[Axes]]:
+    """A new figure with a grid of `count` maps that is about square; returns figure and axes.
+
+    `extent`: the part of the world that each map shows; None: no run has a trace. `width`: in
+    inches, for a paper. All sizes here are in inches.
+    """
+    columns = min(5, math.ceil(math.sqrt(count)))
+    rows = -(-count // columns)  # rounded up
+    longer_side = 4.0 if count <= 2 else 3.0 if count <= 6 else 2.3  # of a map
+    map_width, map_height = extent.panel(longer_side) if extent else (longer_side, longer_side)
+    gap = 0.1  # beside a map
+    if width is None:
+        name_height, texts_height = 0.3, 0.6
+        size = columns * (map_width + gap), rows * (map_height + name_height) + texts_height
+    else:  # a paper, with smaller names and no texts
+        name_height, margin = 0.25, 0.1
+        scaled_height = map_height * (width / columns - gap) / map_width
+        size = width, rows * (scaled_height + name_height) + margin
+    figure = new_figure(*size, is_map=True)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[count:]:
+        axes.remove()
+    return figure, list(grid.flat[:count])
 
 
 def _common_extent(runs: Sequence[tuple[str, Load]]) -> scene.Extent | None:

@@ -1,7 +1,8 @@
 """The player of one run in a report: modules of the page of a swarm, and the run as data.
 
-The modules are JavaScript of `swarmd/view/page`. The run is sampled. Poses are 16-bit numbers. A
-sample of a robot's values has the values that changed since the previous sample.
+The modules are JavaScript of `swarmd/view/page`. The data of the run are samples at equal periods.
+A pose is stored as 16-bit numbers. A value of a robot, such as its state, is stored in a sample if
+the value has changed since the previous sample.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import json
 import math
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
@@ -59,7 +61,7 @@ def player_of(source: Source) -> Player:
     duration, robots = playback.duration, len(source.robots)
     playback.seek(0.0)
 
-    # 1. Poses (count, bodies, 3) of robots, then of movable boxes; NaN while not in the arena.
+    # Poses (count, bodies, 3) of robots, then of movable boxes; NaN while not in the arena.
     shapes = _box_shapes(source, duration)
     bodies = robots + len(shapes)
     count = max(2, min(round(MAX_RATE * duration) + 1, MAX_POSES // max(bodies, 1)))
@@ -69,22 +71,16 @@ def player_of(source: Source) -> Player:
         playback.seek(k * period)
         _, robot_poses = source.frame()  # rows: index of the robot, x, y, yaw
         poses[k, robot_poses[:, 0].astype(int)] = robot_poses[:, 1:]
-        # A source gives boxes without names: each box gets a free index with the same outline.
-        free_indices = list(range(len(shapes)))
-        for shape, pose in source.boxes():
-            index = next((i for i in free_indices if np.array_equal(shapes[i], shape)), None)
-            if index is not None:
-                free_indices.remove(index)
-                poses[k, robots + index] = pose
+        _enter_boxes(poses[k, robots:], shapes, source)
     packed, centre, unit = _packed(poses)
 
-    # 2. Values of robots and links between them.
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
+    # The first message that the page gets from a server: robots, arena and runs. The page lets only
+    # the role operator move the time of a run.
+    hello = {**hello_of(source, "operator"), "runs": [playback.run]}
     data = {
-        # The first message that the page gets from a server: robots, arena and runs. Only the role
-        # operator may move the time of a run.
-        "hello": {**hello_of(source, "operator"), "runs": [playback.run]},
+        "hello": hello,
         "period": period,
         "count": count,
         "centre": centre,
@@ -98,12 +94,26 @@ def player_of(source: Source) -> Player:
     return Player(json.dumps(data, separators=(",", ":"), allow_nan=False), period)
 
 
+def _enter_boxes(poses: Array, shapes: Sequence[Array], source: Source) -> None:
+    """Write the present poses of the movable boxes into `poses` (boxes, 3), by their outlines.
+
+    A source gives boxes without names, so a box takes the first free row with its outline. A box
+    without such a row is left out.
+    """
+    free_rows = list(range(len(shapes)))
+    for shape, pose in source.boxes():
+        row = next((row for row in free_rows if np.array_equal(shapes[row], shape)), None)
+        if row is not None:
+            free_rows.remove(row)
+            poses[row] = pose
+
+
 def script() -> str:
     """The JavaScript of the player as one script, so that a report needs no other file.
 
-    Each module of the page becomes a function, whose result, an object with the exports of the
-    module, is kept in `modules`. The text of player.js follows. An import there, or in a later
-    module, becomes an assignment from `modules`.
+    The script has an object `modules`. Each module of the page becomes a function that runs once,
+    and its exports go into `modules`. The text of player.js follows. An import of a module becomes
+    an assignment from `modules`.
     """
     page = files("swarmd.view") / "page"
     sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]
@@ -161,8 +171,9 @@ def _packed(poses: Array) -> tuple[str, list[float], float]:
 def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]:
     """Sample the values of robots, such as state and report, and the links between robots.
 
-    Returns the time in s between samples; for each sample the values that have changed since the
-    sample before, by robot; and for each sample the linked pairs, empty for many robots.
+    Returns the period in s, the values and the links. The values of a sample are those that have
+    changed since the previous sample, by robot. The links of a sample are pairs of robots; empty
+    for more than _MAX_LINKED robots.
     """
     assert source.playback is not None
     robots = max(len(source.robots), 1)

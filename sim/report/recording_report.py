@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,7 +87,6 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     that was not recorded is zero; any other value is NaN, False or empty. `path`: the file, for
     ConfigError if no robot has recorded odometry.
     """
-    # 1. Instants and empty arrays.
     tracks = {
         name: track for name, track in timeline.tracks.items() if track.topics["odometry"].times
     }
@@ -99,10 +98,8 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays: dict[str, Any] = blank_decisions(shape)
     arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
     arrays["safe"] = np.zeros((*shape, 3))
-    # Reports, readings and reported texts (NAMED): an array for each key that a status has.
+    # Values of statuses, by kind (a report, a reading or a reported text) and by key.
     named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
-
-    # 2. The pose, the decision and the statuses of each robot.
     for row, (name, track) in enumerate(tracks.items()):
         for k, now in enumerate(t.tolist()):
             pose, decision = timeline.pose(name, now), track.decision(now)
@@ -110,10 +107,8 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
                 arrays["pose"][k, row] = pose
             if decision is not None:
                 _enter(arrays, (k, row), decision)
+        _unwrap_yaw(arrays["pose"][:, row])
         _enter_statuses(named, track, t, row, shape)
-        yaw = arrays["pose"][:, row, 2]
-        is_known = np.isfinite(yaw)
-        yaw[is_known] = np.unwrap(yaw[is_known])
     arrays |= {kind: dict(sorted(values.items())) for kind, values in named.items()}
     platforms = [track.platform for track in tracks.values()]
     return Trace(
@@ -127,6 +122,12 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
         meta={"recording": True},
         **arrays,
     )
+
+
+def _unwrap_yaw(poses: Array) -> None:
+    """Make the known yaws of a robot's poses (instants, 3) continuous, without jumps by a turn."""
+    is_known = np.isfinite(poses[:, 2])
+    poses[is_known, 2] = np.unwrap(poses[is_known, 2])
 
 
 def _enter(arrays: Mapping[str, Any], place: tuple[int, int], decision: Any) -> None:
@@ -209,24 +210,25 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
         is_zero = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
-        # The instants at which `is_stopped` changes: by turns the first instant of a stop, and the
-        # first instant after this stop.
-        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_stopped, [False])).astype(int)))
-        for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
-            seconds = float(trace.t[last] - trace.t[first])
+        for first, end in _true_spans(is_stopped):
+            start, seconds = float(trace.t[first]), float(trace.t[end - 1] - trace.t[first])
             if seconds >= LEAST_STOP:
-                reasons = [str(word) for word in reason[first : last + 1] if word] or [""]
-                # `fromkeys` keeps the order: of equally frequent reasons the earliest.
-                most_frequent = max(dict.fromkeys(reasons), key=reasons.count).replace("_", " ")
-                start = float(trace.t[first])
-                cells = (
-                    f"{start:.1f} s",
-                    name,
-                    f"{seconds:.1f} s",
-                    most_frequent or str(state[first]),
-                )
-                stops.append((start, cells))
+                why = _most_frequent(reason[first:end]) or str(state[first])
+                stops.append((start, (f"{start:.1f} s", name, f"{seconds:.1f} s", why)))
     return [cells for _, cells in sorted(stops)]
+
+
+def _true_spans(is_true: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+    """The spans in which `is_true` (instants,) holds: first instant, first instant after."""
+    padded = np.concatenate(([False], is_true, [False])).astype(int)
+    changes = np.flatnonzero(np.diff(padded)).tolist()  # by turns the begin and the end of a span
+    yield from zip(changes[::2], changes[1::2], strict=True)
+
+
+def _most_frequent(reasons: Iterable[str]) -> str:
+    """The most frequent of the reasons in words, the earliest of equals; empty without a reason."""
+    given = [str(reason) for reason in reasons if reason]
+    return max(dict.fromkeys(given), key=given.count, default="").replace("_", " ")
 
 
 def _events(timeline: Timeline) -> list[tuple[str, ...]]:

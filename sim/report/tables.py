@@ -94,21 +94,22 @@ def contacts_table(results: Results) -> str:
 
     Contacts are listed from traces. Runs without a trace are only counted.
     """
-    rows, count = [], 0
     runs_with_contacts = {
         row["run"]
         for row in results.rows
         if any((row.get(metric) or 0.0) > 0.0 for metric in _CONTACTS)
     }
+    if not runs_with_contacts:
+        return ""
+    rows = []
     for run in results.runs:
         if run.id not in runs_with_contacts:
             continue
         try:
             trace = results.traces[run.id]
-        except SwarmError:  # not kept
+        except SwarmError:  # the trace was not kept
             continue
         for contact in contact_list(trace):
-            count += 1
             sides = ((contact.a, contact.is_a_moving), (contact.b, contact.is_b_moving))
             moving = ", ".join(name for name, is_moving in sides if is_moving)
             cells = (
@@ -118,10 +119,9 @@ def contacts_table(results: Results) -> str:
                 moving or "-",
             )
             rows.append((*map(escape, cells), f"{contact.closing_speed:.3f} m/s"))
-    if not runs_with_contacts:
-        return ""
     text = f"{len(runs_with_contacts)} of {len(results.runs)} runs had contacts"
-    text += f"; the first {MAX_CONTACTS} of {count} are listed" if count > MAX_CONTACTS else ""
+    if len(rows) > MAX_CONTACTS:
+        text += f"; the first {MAX_CONTACTS} of {len(rows)} are listed"
     head = ("RUN", "TIME", "BETWEEN", "MOVING", "CLOSING SPEED")
     return f"<p>{text}.</p>\n{table(head, rows[:MAX_CONTACTS], 'contacts')}"
 

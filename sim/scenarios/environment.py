@@ -33,11 +33,36 @@ def arena_of(
 ) -> Arena:
     """The arena of the file's section `arena`, with the items of the section `items`.
 
-    `layers`: the file and its overrides, for the origin of a faulty key. ConfigError for duplicate
-    names, for places outside the walls, and for a reading of `items` with the name of a reading of
-    `fields`.
+    `layers`: the file and its overrides, of which an error names the source of the faulty key.
+    ConfigError for duplicate names, for places outside the walls, and for a reading of `items` with
+    the name of a reading of `fields`.
     """
     _check_readings(layers, items, fields)
+    _check_places(layers, section, items)
+    boxes = tuple(
+        Box(
+            *(box.at or (0.0, 0.0)),
+            *box.size,
+            math.radians(box.yaw_deg),
+            box.name,
+            box.mass,
+            is_placed=box.at is not None,
+        )
+        for box in section.boxes
+    )
+    # A ConfigError of `Arena` is about its boxes, such as duplicate names.
+    with blamed(layers, "arena", "boxes", prefix="arena.boxes: "):
+        return Arena(
+            *section.size,
+            boxes=boxes,
+            poles=tuple(Pole(*pole.at, pole.radius) for pole in section.poles),
+            segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
+            items=tuple(item for kind in items for item in kind.things),
+        )
+
+
+def _check_places(layers: Layered, section: ArenaSection, items: Sequence[ItemKind]) -> None:
+    """Raise ConfigError for a place outside the walls, and for a wall without length."""
     for index, kind in enumerate(items):
         areas = [disc[:2] for disc in (kind.source, kind.nest) if disc is not None]
         for place in (*areas, *kind.at):
@@ -54,25 +79,6 @@ def arena_of(
         if wall.start == wall.end:
             text = f"{dotted(keys)} begins and ends at {list(wall.start)}; expected two points"
             raise layers.error(keys, text)
-    # `blamed` adds the file that gives these keys to an error in them.
-    with blamed(layers, "arena", "boxes", prefix="arena.boxes: "):
-        return Arena(
-            *section.size,
-            boxes=tuple(
-                Box(
-                    *(box.at or (0.0, 0.0)),
-                    *box.size,
-                    math.radians(box.yaw_deg),
-                    box.name,
-                    box.mass,
-                    is_placed=box.at is not None,
-                )
-                for box in section.boxes
-            ),
-            poles=tuple(Pole(*pole.at, pole.radius) for pole in section.poles),
-            segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
-            items=tuple(item for kind in items for item in kind.things),
-        )
 
 
 def _check_readings(layers: Layered, items: Sequence[ItemKind], fields: Sequence[Field]) -> None:

@@ -56,10 +56,25 @@ class Groups:
 def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
     """The robots of all groups; ConfigError for invalid ids, groups and platforms.
 
-    A robot's platform also provides `neighbors`, and what robots read of `fields` and items.
+    The platform of a robot also has the sensors that the simulation adds (`_equipped`).
     """
-    # 1. The ids of the robots, each in one group.
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
+    group_of = _group_of(layers, groups)
+    platforms = _platforms(layers, file)
+    equipped = {
+        name: _equipped(platform, file, fields) for name, (platform, _) in platforms.items()
+    }
+    # In order of names, so that the order of the ids in the file has no effect on results.
+    robots = {
+        robot: equipped[platform_name(file.groups[group].platform)]
+        for robot, group in sorted(group_of.items())
+    }
+    platform_files = {name: data for name, (_, data) in platforms.items()}
+    return Groups(robots, groups, group_of, platform_files)
+
+
+def _group_of(layers: Layered, groups: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
+    """The group of each robot; ConfigError for invalid ids, and for a robot in two groups."""
     group_of: dict[str, str] = {}
     for name, ids in groups.items():
         for robot in ids:
@@ -77,21 +92,15 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
     if ALL in groups and len(groups) > 1:
         text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
         raise layers.error(("groups", ALL), text)
-    # 2. The platforms, with the sensors that the simulation adds.
-    platforms = _platforms(layers, file)
-    equipped = {}
-    for name, (platform, _) in platforms.items():
-        with_radio = replace(platform, provides=platform.provides | {"neighbors"})
-        if file.radio.range_and_bearing:
-            with_radio = with_bearings(with_radio)
-        equipped[name] = with_items(with_readings(with_radio, fields), file.items)
-    # In order of names: with the ids in another order the runs have the same results.
-    robots = {
-        robot: equipped[platform_name(file.groups[group].platform)]
-        for robot, group in sorted(group_of.items())
-    }
-    platform_files = {name: data for name, (_, data) in platforms.items()}
-    return Groups(robots, groups, group_of, platform_files)
+    return group_of
+
+
+def _equipped(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
+    """The platform with the sensors that the simulation adds for radio, fields and items."""
+    with_radio = replace(platform, provides=platform.provides | {"neighbors"})
+    if file.radio.range_and_bearing:
+        with_radio = with_bearings(with_radio)
+    return with_items(with_readings(with_radio, fields), file.items)
 
 
 def platform_name(text: str) -> str:

@@ -18,9 +18,9 @@ DURATION = "duration"
 def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
-    The value `null`, or no text after the =, removes the key's value. `form`: a format into which
-    the value's text is inserted before YAML reads it; with "[{}]" the text gives the items of a
-    list. The value of `duration` may have a unit, such as `3min`.
+    The value `null`, or no text after the =, removes the key's value. `form`: what YAML reads, with
+    `{}` for the text of the value: "[{}]" reads the text `1, 2` as the list [1, 2]. The value of
+    `duration` may have a unit, such as `3min`.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):

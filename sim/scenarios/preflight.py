@@ -54,9 +54,9 @@ def check_patterns(
 ) -> None:
     """Raise ConfigError for the first pattern that is unknown or that a robot would refuse.
 
-    Loads each pattern of the schedule once, with the parameters of each robot. `configured`: the
-    configured parameters of a robot and pattern (`configured_parameters`). `plugin_dir`: a folder
-    of further patterns.
+    Loads each pattern of the schedule once for each platform and set of parameters. `configured`:
+    the configured parameters of a robot and pattern (`configured_parameters`). `plugin_dir`: a
+    folder of further patterns.
     """
     # 1. The names of patterns in the file.
     with blamed(layers, "plugin_dir"):
@@ -86,15 +86,22 @@ def check_patterns(
         load = Load(
             generation=1, pattern=pattern, layers=parameters, robot=robot, platform=platform, seed=0
         )
-        try:
-            event = executor.handle(load)
-        except SystemExit:  # sys.exit in a pattern would end this process without a message
-            event = LoadRefused(
-                load.generation, f"{preflight.pattern} calls sys.exit; leave that out"
-            )
-        if isinstance(event, LoadRefused):
-            keys = _faulty_keys(layers, preflight, groups, event.parameter)
-            raise layers.error(keys, f"{dotted(keys)}: {event.text}")
+        refusal = _refusal_of_load(executor, load)
+        if refusal is not None:
+            keys = _faulty_keys(layers, preflight, groups, refusal.parameter)
+            raise layers.error(keys, f"{dotted(keys)}: {refusal.text}")
+
+
+def _refusal_of_load(executor: PatternExecutor, load: Load) -> LoadRefused | None:
+    """Load a pattern as a robot does; returns the refusal of the robot, None without a refusal.
+
+    A pattern that calls sys.exit is refused: here the call would end this process.
+    """
+    try:
+        event = executor.handle(load)
+    except SystemExit:
+        return LoadRefused(load.generation, f"{load.pattern} calls sys.exit; leave that out")
+    return event if isinstance(event, LoadRefused) else None
 
 
 def _low_battery(file: ScenarioFile, groups: Groups) -> Iterator[Preflight]:
@@ -138,9 +145,9 @@ def check_compatibility(
 ) -> tuple[Accepts, tuple[str, ...]]:
     """The exceptions that robots accept of their peers, and notes on pairs of platforms.
 
-    Two findings of a robot about a peer hold the robot at zero speed, unless the scenario accepts
-    them: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster than
-    the robot's protection assumes. A note is a line for a pair that is compatible only by an
+    Two findings of a robot about a peer hold the robot at zero speed, unless an exception accepts
+    the finding: `unseen`, the robot's lidar does not detect the peer; `faster`, the peer is faster
+    than the robot's protection assumes. A note is a line for a pair that is compatible only by an
     exception. ConfigError if protection would hold robots.
     """
     # 1. The exceptions of the file.
@@ -159,14 +166,15 @@ def check_compatibility(
     notes, held = [], []
     # `platform`: the platform of the robot that reports the finding about a peer.
     for platform, finding in _pairs(groups.robots.values(), accepts):
-        is_unseen = finding.kind == "unseen"
-        if is_unseen and finding.holds and file.radio.range_and_bearing:
+        is_sensed = finding.kind == "unseen" and file.radio.range_and_bearing
+        if finding.holds and is_sensed:
             text = finding.text.partition(";")[0]  # without the advice to accept the peer
             notes.append(f"{platform}: {text}; told by range and bearing")
         elif finding.holds:
             held.append((platform, finding))
-        elif not has_whole_bodies or finding.kind == "faster":
+        elif finding.kind == "faster" or not has_whole_bodies:
             notes.append(f"{platform}: {finding.text}")
+        # No note for lidars that see whole bodies: the setting `lidar_visibility` tells that.
     if held:
         raise _refusal(layers, held)
     return accepts, tuple(notes)

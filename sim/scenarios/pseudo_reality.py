@@ -48,8 +48,8 @@ BOUNDS: Bounds = MappingProxyType(
 def bounds_of(value: bool | Mapping[str, Any], realism: Realism, radio: RadioSettings) -> Bounds:
     """The bounds of the scenario's key `pseudo_reality`; True gives BOUNDS.
 
-    ConfigError for an unknown key, and if all lower or all upper bounds together are no valid
-    `realism` and `radio`.
+    ConfigError for an unknown key, and for bounds at which `realism` and `radio` are not valid: all
+    lower bounds are tried together, then all upper bounds.
     """
     bounds: Bounds = BOUNDS if value is True else {}
     if isinstance(value, Mapping):

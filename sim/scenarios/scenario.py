@@ -45,7 +45,7 @@ class ScheduledEvent:
     - stop, estop, reset, join, leave, kill: on `robots`.
     - place: on the box `box`, at `pose` (x, y in m, yaw in rad).
     - remove: on the box `box`, or on `robots` without a box.
-    - fields: `fields` take the place of all fields with their names.
+    - fields: the fields in `fields` replace the fields of the same names.
     """
 
     at: float

@@ -141,22 +141,14 @@ def _overridden(
     """The checked scenario of data and overrides.
 
     `sources`: name and data of each file, strongest first. `overrides`: values by dotted key; an
-    error in a value begins with `override_source`. `default_name`: the name of a scenario that
-    gives none.
+    error in a value begins with `override_source`. `default_name`: the name of a scenario whose
+    data have no name.
     """
-    # 1. The data of the file, after the overrides. `without_stale` drops start keys that do not fit
-    # the layout of a stronger source.
-    home, data = sources[0][0], Layered(*sources).data
-    if overrides:
-        sources = ((override_source, nested(overrides, data, override_source)), *sources)
-    layers = Layered(*without_stale(sources), home=home)
-    if "groups" not in layers.data:
-        wanted = "groups: {tb3: {platform: burger, count: 5}}"
-        raise layers.error(("groups",), f"groups is missing; expected a value such as {wanted}")
+    layers = _layers_of(sources, overrides, override_source)
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
-    # 2. The world, the robots and the events, each checked against the parts before it.
+    # The world, the robots and the events, each checked against the parts before it.
     fields = fields_of(layers, file.fields)
     arena = arena_of(layers, file.arena, file.items, fields)
     with blamed(layers, "radio"):
@@ -174,18 +166,7 @@ def _overridden(
     realism = realism_of(file.realism, realism_source)
     with blamed(layers, "pseudo_reality", prefix="pseudo_reality: "):
         pseudo_reality = bounds_of(file.pseudo_reality, realism, file.radio)
-    # 3. The complete configuration in plain values, which needs no further file.
     name = file.name or default_name
-    plain: Data = json.decode(json.encode(file))
-    for group in plain["groups"].values():
-        group["platform"] = platform_name(group["platform"])
-    effective = {
-        **plain,
-        "name": name,
-        "platforms": deepcopy(dict(groups.platform_files)),
-        "fields": json.decode(json.encode(fields)),
-        "plugin_dir": None if plugin_dir is None else str(plugin_dir),
-    }
     return Scenario(
         name=name,
         description=file.description,
@@ -210,8 +191,42 @@ def _overridden(
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
         pseudo_reality=pseudo_reality,
-        effective=effective,
+        effective={
+            **_plain(file, groups),
+            "name": name,
+            "fields": json.decode(json.encode(fields)),
+            "plugin_dir": None if plugin_dir is None else str(plugin_dir),
+        },
     )
+
+
+def _layers_of(
+    sources: tuple[tuple[str, Data], ...],
+    overrides: Mapping[str, Any] | None,
+    override_source: str,
+) -> Layered:
+    """The data of files (strongest first) and of overrides, which are stronger than the files.
+
+    Start keys that do not fit the layout of a stronger source are dropped (`without_stale`).
+    ConfigError if there are no groups.
+    """
+    strongest_file, _ = sources[0]
+    if overrides:
+        data = Layered(*sources).data
+        sources = ((override_source, nested(overrides, data, override_source)), *sources)
+    layers = Layered(*without_stale(sources), home=strongest_file)
+    if "groups" not in layers.data:
+        wanted = "groups: {tb3: {platform: burger, count: 5}}"
+        raise layers.error(("groups",), f"groups is missing; expected a value such as {wanted}")
+    return layers
+
+
+def _plain(file: ScenarioFile, groups: Groups) -> Data:
+    """The file in plain values, which need no further file: platforms have their whole content."""
+    plain: Data = json.decode(json.encode(file))
+    for group in plain["groups"].values():
+        group["platform"] = platform_name(group["platform"])
+    return {**plain, "platforms": deepcopy(dict(groups.platform_files))}
 
 
 def _check_fence(layers: Layered, file: ScenarioFile, groups: Groups) -> None:

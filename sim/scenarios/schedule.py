@@ -30,28 +30,24 @@ _BESIDES = {
 
 
 def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
-    """The event of that index; ConfigError if it is invalid by itself.
+    """The event at `index` in the file; ConfigError if the event is invalid by itself.
 
-    The action of an event is its key beside `at`. Robots have actions (`run`, `stop` ...), movable
-    boxes have `place` and `remove`, and `fields` is an action by itself. `remove` may name a box, a
-    robot or a group; a movable box of this name comes first. An unknown name is read as the name of
-    a box, whose check raises the error.
+    The action of an event is its key beside `at`. Actions of robots are `run`, `stop` and others,
+    actions of movable boxes are `place` and `remove`, and `fields` changes the fields. `remove` may
+    also name a robot or a group (`_removes_box`).
     """
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; expected before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
-    # 1. Events of fields and boxes.
     if action == "fields":
         return _field_event(layers, file, section, (*keys, action))
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
-    removes_robot = action == "remove" and bool(groups.named(section.remove or ""))
-    removes_box = action == "remove" and (section.remove in movable or not removes_robot)
-    if action == "place" or removes_box:
+    if action == "place" or (action == "remove" and _removes_box(section, movable, groups)):
         return _box_event(layers, file, section, (*keys, action), movable)
-    # 2. Events of robots, which the key `targets` or the action itself names.
-    target_key = action if action in OF_ROBOTS or removes_robot else "targets"
+    # An event of robots: its action names the robots (`stop: all`), or else the key `targets`.
+    target_key = action if action in (*OF_ROBOTS, "remove") else "targets"
     with blamed(layers, *keys, "until", prefix=f"events[{index}].until: "):
         if section.until is not None:
             parse_conditions(section.until)
@@ -65,6 +61,15 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
         seconds=section.seconds,
         until=tuple(section.until or ()),
     )
+
+
+def _removes_box(section: EventSection, movable: Sequence[str], groups: Groups) -> bool:
+    """Whether `remove` means a box, not robots. `movable`: the names of the movable boxes.
+
+    A movable box has precedence over a robot or group of the same name. An unknown name counts as
+    that of a box, so that `_box_event` raises the error.
+    """
+    return section.remove in movable or not groups.named(section.remove or "")
 
 
 def targets_of(section: EventSection, action: Action) -> Sequence[str]:

@@ -79,8 +79,9 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Robots of one platform: `count` robots named `<prefix>-01` and on, or the ids in `robots`.
 
-    The robots run `pattern` from the start. Robots that join later need a run event. `parameters`
-    apply whenever `pattern` runs. `touch` grants touch zones to patterns, as in a daemon's file.
+    The robots run `pattern` from the start, but robots that join later run no pattern without a
+    `run` event. `parameters` apply whenever `pattern` runs. `touch` grants touch zones to patterns,
+    as in a daemon's file.
     """
 
     platform: str = "waffle_pi"
@@ -125,13 +126,15 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The whole file.
 
-    `platforms` overrides values of a platform's own file, or describes a new platform. `start`
-    applies to all groups together that have no `start` of their own. `parameters`, by pattern,
-    apply to all robots; the parameters of a group prevail. `accepts_unseen`, `accepts_faster`,
-    `fence` and `on_low_battery` are as in swarm.yaml; the frame of the world is `world`.
-    `plugin_dir` is relative to the file. `pseudo_reality` has bounds of keys of `realism` and
-    `radio`, within which each seed draws values: `{realism.lidar.dropout: [0, 0.1]}`, or true for
-    the bounds of `pseudo_reality.BOUNDS`.
+    - `platforms` overrides values of a platform's own file, or describes a new platform.
+    - `start` places the robots of all groups that have no `start` of their own, as one group.
+    - `parameters`, by pattern, apply to all robots; the parameters of a group prevail.
+    - `accepts_unseen`, `accepts_faster`, `fence` and `on_low_battery` are as in swarm.yaml. The
+      frame of a fence is `world`.
+    - `plugin_dir` is relative to the file.
+    - `pseudo_reality` has bounds of keys of `realism` and `radio`, such as
+      `{realism.lidar.dropout: [0, 0.1]}`. Each seed draws values within the bounds. True: the
+      bounds of `pseudo_reality.BOUNDS`.
     """
 
     name: str | None = None

@@ -155,15 +155,12 @@ class _ShownRun:
         self.link = cluster_link(trace)  # m, within which two robots are in one cluster
         self.marks = self._marks()
 
-        # Ideal lidars, which give the scans; None if a platform of the trace is not known on this
-        # machine.
+        self._platforms = _known_platforms(run)
+        # Ideal lidars, which give the scans.
         self._sensors: RangeSensors | None = None
-        with suppress(ConfigError):
-            names = set(trace.platforms)
-            loaded = {name: run.platforms.get(name) or load_platform(name) for name in names}
-            self._platforms = [loaded[name] for name in trace.platforms]
-            if arena is not None and self._platforms:
-                visibility = trace.meta.get("lidar_visibility", "body")
+        if arena is not None and self._platforms:
+            visibility = trace.meta.get("lidar_visibility", "body")
+            with suppress(ConfigError):
                 self._sensors = RangeSensors(self._platforms, arena, visibility)
 
     def places(self, now: float) -> Array:
@@ -271,13 +268,15 @@ class _ShownRun:
     def _row(self, at: int, i: int) -> dict[str, Any]:
         """The values of robot `i` at instant `at`, as the page takes them (see `Source.rows`).
 
-        `near` is the gap to the nearest obstacle in m, and `rows` has the strongest speed limit of
-        protection. Values that the trace does not have are left out or blank.
+        `near`: the gap to the nearest obstacle in m. `rows`: the strongest speed limit of
+        protection. A value that the trace lacks is left out, empty or None.
         """
         trace = self._trace
         is_present = bool(self._present[at, i])
         state = "running" if trace.state is None else str(trace.state[at, i])
         reason = "" if trace.reason is None else str(trace.reason[at, i])
+        bound, requested = _finite(trace.bound, at, i), _finite(trace.requested, at, i)
+        gap = _finite(trace.gap, at, i)
         row: dict[str, Any] = {
             "presence": "alive" if is_present else "absent",
             "state": state if is_present else "",
@@ -287,21 +286,25 @@ class _ShownRun:
             "pattern": self._names[self._patterns[at, i]] if state == "running" else "",
             "limits": self._limits,
             "safe": _rounded(trace.safe[at, i]),
-            "protection": "",
-            "rows": [],
+            "protection": self._protection_word(at, i, state),
+            "rows": [] if bound is None else [_rounded(bound)],
         }
-        if trace.requested is not None and np.isfinite(trace.requested[at, i]).all():
-            row["requested"] = _rounded(trace.requested[at, i])
-        if trace.active is not None and state == "running":
-            row["protection"] = "active" if trace.active[at, i] else "clear"
-        if trace.recovering is not None and trace.recovering[at, i]:
-            row["protection"] = "recovering"
-        row["near"] = None
-        if trace.gap is not None and np.isfinite(trace.gap[at, i]):
-            row["near"] = round(float(trace.gap[at, i]), 3)
-        if trace.bound is not None and np.isfinite(trace.bound[at, i]).all():
-            row["rows"] = [_rounded(trace.bound[at, i])]
+        if requested is not None:
+            row["requested"] = _rounded(requested)
+        row["near"] = None if gap is None else round(float(gap), 3)
         return row
+
+    def _protection_word(self, at: int, i: int, state: str) -> str:
+        """What protection did: `recovering`, `active` or `clear`; empty if unknown, or not running.
+
+        Protection that recovers leads the robot around an obstacle.
+        """
+        active, recovering = self._trace.active, self._trace.recovering
+        if recovering is not None and recovering[at, i]:
+            return "recovering"
+        if active is None or state != "running":
+            return ""
+        return "active" if active[at, i] else "clear"
 
     def _touched(self, now: float) -> dict[str, str]:
         time = now + self._start + 1e-9
@@ -312,6 +315,23 @@ class _ShownRun:
                 if contact.kind == "robot":
                     partners[contact.b] = contact.a
         return partners
+
+
+def _known_platforms(run: RecordedRun) -> list[Platform]:
+    """The platform of each robot; empty if a platform of the run is not known on this machine."""
+    names = run.trace.platforms
+    try:
+        loaded = {name: run.platforms.get(name) or load_platform(name) for name in set(names)}
+    except ConfigError:
+        return []
+    return [loaded[name] for name in names]
+
+
+def _finite(values: Array | None, at: int, i: int) -> Any:
+    """The value of robot `i` at instant `at`; None if the trace has no finite value."""
+    if values is None or not np.isfinite(values[at, i]).all():
+        return None
+    return values[at, i]
 
 
 def _partner(contact: TraceContact, robot: str) -> str:
@@ -361,8 +381,9 @@ def source_of(place: Path, seed: int | None = None, variant: str | None = None) 
 def runs_of(place: Path, seed: int | None = None, variant: str | None = None) -> Runs:
     """The recorded runs of an experiment's folder, of a demo's folder, or of a trace file.
 
-    `Runs.first` names the first run with this `seed` and `variant`; None: any. ConfigError if
-    there is no trace, or no such run. `Runs.load` raises ConfigError for a damaged trace.
+    `Runs.first` names the first run with this `seed` and `variant`. `seed` None: any seed;
+    `variant` None: any variant. ConfigError if there is no trace, or no such run. `Runs.load`
+    raises ConfigError for a damaged trace.
     """
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)

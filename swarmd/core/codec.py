@@ -1,9 +1,11 @@
 """Bytes on the wire: one version byte, then MessagePack, within a size limit.
 
-Of a payload of another version only a stable subset is read: the `..Header` structs of messages.py.
+Of a payload of another version, this program reads only the fields of the `..Header` structs of
+messages.py, which are the same in all versions.
 
 Bytes from the network are decoded into typed structs, whose bounds also refuse NaN and infinity.
-Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports this module.
+Decoding raises nothing but `CodecError`. This module imports no numpy, since swarmctl imports this
+module.
 """
 
 from __future__ import annotations

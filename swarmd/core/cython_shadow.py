@@ -1,9 +1,10 @@
 """Stand-ins for the names that a kernel takes from Cython, for use under CPython.
 
 Cython's own pure-Python stand-in (`Cython.Shadow`) would make Cython a dependency of each
-installation. As in C, the attributes of an extension type begin at zero, no undeclared attribute
-exists, and C functions return NaN where Python functions raise. A kernel must not rely on further
-behaviour of C: under CPython a division by zero raises, and a negative index counts from the end.
+installation. The stand-ins behave as C in three points: the attributes of an extension type begin
+at zero, no undeclared attribute exists, and C functions return NaN where Python functions raise. In
+all other points a kernel must not rely on C: under CPython a division by zero raises, and a
+negative index counts from the end.
 """
 
 from __future__ import annotations

@@ -121,8 +121,8 @@ class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
 class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
     """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`.
 
-    `is_program`: the sender is a Zenoh program, not a robot. `size`: bytes of the encoded value; 0
-    if the maker of this input does not know it: the robot then encodes the value to measure it.
+    `is_program`: the sender is a Zenoh program, not a robot. `size`: bytes of the encoded value; 0:
+    not known, so that the robot encodes the value to measure its size.
     """
 
     sender: Name

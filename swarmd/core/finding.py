@@ -17,10 +17,11 @@ class Level(StrEnum):
 
 
 class Finding(Struct, frozen=True):
-    """The result of a check: `text` about `subject`, and the next step `remedy` if not `is_well`.
+    """The result of a check: a `text` about a `subject`.
 
-    `is_measured` False: the check could measure nothing, so neither health nor a fault is known.
-    `is_minor`: a result that is not well is a warning, not a fault.
+    `is_well` False: the `subject` has a fault, and `remedy` is the next step. `is_minor`: the fault
+    is only a warning. `is_measured` False: the check could not measure, so neither health nor a
+    fault is known.
     """
 
     subject: str

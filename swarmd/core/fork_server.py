@@ -48,8 +48,9 @@ class ForkedProcess:
     def poll(self) -> int | None:
         """The exit code; None while the process runs.
 
-        After the end of the server, multiprocessing returns 255 for its forks. The kernel has then
-        killed this fork, too (`--die-with-parent`), so that the result is that of SIGKILL.
+        If the server has ended, the kernel has killed its forks with SIGKILL (`--die-with-parent`).
+        multiprocessing then returns 255 for each fork, in place of which this method returns the
+        code of SIGKILL.
         """
         code = self._process.exitcode
         return -signal.SIGKILL if code == _SERVER_IS_GONE else code
@@ -104,11 +105,13 @@ def fork_main(
 ) -> ForkedProcess:
     """Run `main()` of a module in a fork of the started server.
 
-    `ps` and `pgrep -x` show the fork as `name`, with the command line of the server. The fork has a
-    session of its own, and the current folder and environment of the caller. Modules that the
-    server imported may have read the server's environment instead. The fork gets `arguments`, then
-    `--die-with-parent` with the id of the server. Its standard input is empty; its output is
-    appended to the files `stdout` (None: dropped) and `stderr`.
+    - `name`: the name of the fork in `ps` and `pgrep -x`. The command line there is the server's.
+    - `arguments`: the arguments of `main()`, before `--die-with-parent` with the id of the server.
+    - `stdout`, `stderr`: the files to which the output is appended; None: the output is dropped.
+      The standard input is empty.
+
+    The fork has a session of its own, and the current folder and environment of the caller. But
+    modules that the server imported may have read the environment of the server.
     """
     stdout_path, stderr_path = (os.path.abspath(path or os.devnull) for path in (stdout, stderr))
     for path in (stdout_path, stderr_path):

@@ -1,9 +1,9 @@
 """The goal of a swarm: which robots are to run which pattern. A record that spreads by gossip.
 
-The greater goal counts on every robot: the goal of the later generation; in one generation the goal
-with the greater issuer, then with the greater bytes. In a secured swarm the operator signs the
-goal. Order and digest of a goal depend on its content only, neither on the signature nor on the
-encoding in which the goal was received.
+On every robot the greatest goal counts. Goals are ordered by generation, then by the issuer's name,
+then by their bytes. In a secured swarm the operator signs the goal. Order and digest of a goal
+depend on its content only, neither on the signature nor on the encoding in which the goal was
+received.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
 class Goal(Record, frozen=True, kw_only=True):
     """The run that an operator wants of the targeted robots.
 
-    - `id`: of the request that set the goal.
+    - `id`: the id of the request that set the goal.
     - `pattern`: None: the robots stand.
-    - `seconds`, `conditions`: end a run, as `seconds` and `until` of `RunRequest`.
-    - `on_join`: the action of a robot that receives the goal from a peer. `offer` shows the goal;
-      `run` runs the pattern while the goal is younger than `valid` seconds.
-    - `lease`: seconds without a message of the operator after which the run ends.
+    - `seconds`, `conditions`: the ends of the run, as `seconds` and `until` of `RunRequest`.
+    - `on_join`: what a robot does that receives the goal from a peer. `offer`: the robot shows the
+      goal to operators. `run`: the robot runs the pattern if the goal is younger than `valid` s.
+    - `lease`: s without a message of the operator after which the run ends.
     - `undoes`: the id of a goal that this goal revokes: no robot carries out the revoked goal.
-    - `signature`: of the bytes of the goal without the signature.
+    - `signature`: the signature of the goal's bytes without this field.
     """
 
     id: Name
@@ -72,12 +72,13 @@ class GoalState(StrEnum):
 class GoalRecord(Struct, frozen=True, kw_only=True):
     """The record of a robot on disk: its goals, the end of its run, and its labels.
 
-    - `held`: the greatest goal seen, also if it is for other robots; `before`: the goal that it
-      replaced; `own`: the greatest goal whose targets include this robot.
-    - `ended`: why the run of the own goal ended; empty if it did not end.
-    - `may_join`: neither a stop nor a reset came after the own goal.
+    - `held`: the greatest goal seen, also if it is for other robots.
+    - `before`: the goal that `held` replaced.
+    - `own`: the greatest goal whose targets include this robot.
+    - `ended`: why the run of `own` ended; empty if the run has not ended.
+    - `may_join`: neither a stop nor a reset came after `own`.
     - `stood`: when the robot was last stopped, emergency-stopped or reset, in s on `clock`.
-    - `ran`: the run of the own goal is on, or was on when the daemon ended; no stop came since.
+    - `ran`: the run of `own` is on, or was on when the daemon ended, and no stop came since.
     - `labels`: None: the labels of the swarm file.
     """
 

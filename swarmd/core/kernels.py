@@ -4,11 +4,16 @@ A kernel's file is the only source of its arithmetic. `setup.py` compiles the ke
 LIBRARIES into one library beside them. Kernels that call each other's functions of C are in one
 row: a call with nine arrays takes 8 us from one library to another.
 
-CPython interprets the files in four cases: there is no library; the environment has
-SWARMD_COMPILED=0; a library was compiled from other sources than the present files, so that callers
-might use functions that the library lacks; `_views.abi3.so` is absent or was compiled by another
-version of Cython. All libraries import `_views.abi3.so`, which contains Cython's code for memory
-views. setup.py runs this file alone, so this file imports no other module of swarmd.
+CPython interprets the files if
+
+- there is no library,
+- the environment has SWARMD_COMPILED=0,
+- a library was compiled from other sources than the present files: callers might use functions that
+  the library lacks,
+- `_views.abi3.so` is absent or was compiled by another version of Cython. All libraries import this
+  file, which contains Cython's code for memory views.
+
+setup.py runs this file alone, so this file imports no other module of swarmd.
 
 Reasons and measurements:
 
@@ -101,10 +106,10 @@ _STALE = "older than its source (run make kernels)"
 
 
 def load_kernel(name: str) -> Any:
-    """The kernel of the module `name`: the compiled library, else the interpreted module.
+    """The kernel of the module `name`: from the compiled library, or else the interpreted module.
 
-    Logs a line for a library that is older than its sources. An import of the module by name always
-    gives the interpreted module.
+    Logs a line for a library that was compiled from other sources. (`import` of the same name
+    always gives the interpreted module.)
     """
     return _compiled(name) or import_module(name)
 

@@ -1,9 +1,12 @@
 """Key expressions: `swarm/<swarm>/<robot>/<plane>/<name>`, built and parsed only here.
 
-A key of the planes `control`, `shared` and `message` has one more chunk at its end. On `control`
-and `shared` this chunk is the asker. In a secured swarm the asker must be the name of the link's
-identity; a link drops any other asker (`network/access.py`). On `message` the chunk `<name>` is a
-pattern, the last chunk is its channel, and `<robot>` is the sender: a robot or a Zenoh program.
+A key of the planes `control`, `shared` and `message` has one more chunk at its end.
+
+- `control`, `shared`: the last chunk is the asker. In a secured swarm this must be the name of the
+  link's identity: a link drops any other asker (`network/access.py`).
+- `message`: the last chunk is a channel of the pattern `<name>`. `<robot>` is the sender, a robot
+  or a Zenoh program.
+
 `swarm/<swarm>/<name>` is the liveliness token of a robot or program.
 
 Ids are `[a-z0-9][a-z0-9_-]{0,62}`, so that no name can widen a key expression. A sample whose key

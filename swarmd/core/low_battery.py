@@ -21,11 +21,12 @@ _Share = Annotated[float, Meta(gt=0.0, le=1.0)]
 class LowBatterySettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What a running robot does when its battery is low: its run ends, and a pattern may follow.
 
-    - `below`: the battery is low below this charge, a share of a full battery.
-    - `recovered`: the battery is low until it has this charge; None: `below` plus 0.1. With a value
-      near `below` a charge that varies ends several runs.
-    - `pattern`: the robot then runs this pattern with `params`; None: the robot stands.
-    - `seconds`: the longest time of that run.
+    - `below`: the battery is low once its charge, a share of a full battery, is below this value.
+    - `recovered`: a low battery stays low until it has this charge; None: `below` plus 0.1. If
+      `recovered` is near `below`, a charge that varies is low several times, and ends several runs.
+    - `pattern`: the pattern that a robot with a low battery runs, with `params`; None: the robot
+      stands.
+    - `seconds`: the longest time of the run of `pattern`.
     """
 
     below: _Share

@@ -151,8 +151,8 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
 class Reply(Struct, frozen=True, kw_only=True):
     """A robot's answer (acknowledgement) to a request. `refusal` is set unless `code` is applied.
 
-    `is_moving`, in the answer to a stop: the robot commands zero, but the base is not known to rest
-    so far (odometry does not show it at rest).
+    `is_moving`: in the answer to a stop, the robot commands zero, but odometry does not show so far
+    that the base rests.
     """
 
     id: Name
@@ -169,9 +169,9 @@ class LimitingObstacle(Struct, frozen=True, gc=False):
 
     - `bearing`: in rad from the axle. `gap`: in m from the footprint.
     - `cap`: the limit in m/s of the outline's speed towards the obstacle.
-    - `age`: s from the time at which the obstacle was seen until the decision; None if the
-      protection mode does not use this age.
-    - `age_cost`: m/s by which `cap` would be higher with an `age` of 0.
+    - `age`: s from the measurement of the obstacle until the decision; None if the protection mode
+      does not use this age.
+    - `age_cost`: by how many m/s the `age` lowers `cap`.
     """
 
     bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
@@ -226,8 +226,8 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
       turns, scans are matched to the odometry).
     - `delay`: the mean age of the rays of a scan on arrival, in s; None: unknown, for the reason in
       `text`.
-    - `spread`: the standard deviation in s, of single scans (`stamps`) or of the estimate
-      (`turns`).
+    - `spread`: a standard deviation in s: by the method `stamps` of the delays of single scans, by
+      `turns` of the estimate.
     - `age`: s since the last sample.
     """
 
@@ -252,9 +252,9 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
 class SweepFigure(Struct, frozen=True, kw_only=True):
     """The order in which a sensor measures its rays, measured in `samples` pairs of scans.
 
-    - `direction`: `ccw` or `cw`: the rays follow one another in this sense, from the bearing
-      `start_deg` on, one revolution in `duration` s. `at once`: all rays have the same time. Empty:
-      unknown, for the reason in `text`.
+    - `direction`: `ccw` or `cw`: the sensor measures ray after ray counter-clockwise or clockwise.
+      `at once`: all rays have the same time. Empty: unknown, for the reason in `text`.
+    - `start_deg`: the bearing of the first ray. `duration`: of one revolution in s.
     """
 
     direction: Word = ""
@@ -279,8 +279,9 @@ class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
     - `declared`: the latency in the platform's file.
-    - `added`: the measured delay beyond `declared`. Protection assumes the sum of both as the delay
-      of a scan. The robot is held while `added` exceeds `bound`.
+    - `added`: the measured delay beyond `declared`. Protection assumes `declared` plus `added` as
+      the delay of a scan.
+    - `bound`: the robot is held while `added` exceeds this bound.
     - `sweep`: None if the platform declares the sweep.
     """
 
@@ -306,8 +307,8 @@ class NarrowestPassage(Struct, frozen=True):
 class WallsStandSummary(Struct, frozen=True):
     """The assumption that walls which have stood do not begin to move (`walls_stand`).
 
-    Such a wall is straight for `length` m, and has stood for `seconds`. `is_used`: False after
-    walls were found to move.
+    The assumption is for walls that are straight for `length` m and have stood for `seconds`.
+    `is_used`: False once protection has seen such a wall move.
     """
 
     length: Metres
@@ -373,9 +374,9 @@ class Health(Struct, frozen=True, kw_only=True):
 
     - `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
     - `storage`: why a restart would lose latches; empty if latches are on disk.
-    - `usage`: of the daemon. `pattern_usage`: of its pattern host. Both are None in the first
-      second.
-    - `sandbox`: of the pattern host; None until the first host has started.
+    - `usage`, `pattern_usage`: the usage of the daemon and of its pattern host. None: unknown, in
+      the first second.
+    - `sandbox`: the sandbox of the pattern host; None until the first host has started.
     """
 
     scan_rate: Rate = 0.0
@@ -410,11 +411,12 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
 class Body(Struct, frozen=True, kw_only=True):
     """The body of a robot, as the robot reports it to peers.
 
-    - `surface_speed`: of the fastest surface of the robot near an obstacle, in m/s.
-    - `radius`: of a circle around the axle that contains the robot, in m.
-    - `scan_plane`: the height of its range sensor above the floor, in m.
-    - `lowest`, `highest`: a horizontal plane between these heights in m meets the body. A height
-      that the platform does not declare is None.
+    - `surface_speed`: the highest speed of any surface of the robot near an obstacle, in m/s.
+    - `radius`: the radius of a circle around the axle that contains the robot, in m.
+    - `scan_plane`: the height of the robot's range sensor above the floor, in m.
+    - `lowest`, `highest`: each horizontal plane between these heights in m meets the body.
+
+    A height that the platform does not declare is None.
     """
 
     platform: Word
@@ -428,8 +430,8 @@ class Body(Struct, frozen=True, kw_only=True):
 class PeerFinding(Struct, frozen=True, kw_only=True):
     """A property of the peer `robot` that contradicts an assumption of this robot's protection.
 
-    - `kind`: unseen (the lidar misses the peer), faster (than assumed), or unknown (the peer does
-      not report enough of its body).
+    - `kind`: `unseen`: the lidar does not detect the peer. `faster`: the peer is faster than this
+      robot assumes. `unknown`: the peer does not report enough of its body.
     - `text`: the finding in one line.
     - `holds`: this robot stands because of the finding.
     """
@@ -461,14 +463,16 @@ class Status(Struct, frozen=True, kw_only=True):
     - `stale_readings`: the sensors without a fresh value.
     - `version`: of the daemon's package. `kernels`: which code decides (`describe_kernels`).
     - `body`: the body that the robot's beacons report.
-    - `peers`: the peers that the robot may not see, or that are faster than the robot assumes.
+    - `peers`: a finding for each peer that the robot may not see, or that is faster than the robot
+      assumes.
     - `passage`: the narrowest widths through which protection lets the robot drive; None if the
       protection mode has no such width.
     - `walls_stand`: None for a robot that does not assume standing walls.
     - `fence`: None without a fence. `battery`: None without the settings `on_low_battery`.
     - `findings`: the violated assumptions for which the robot drives slower, each with its
       evidence.
-    - `not_following`: how the base fails to follow its commands, or follows late.
+    - `not_following`: how the base fails to follow its commands, or follows late; empty if the base
+      follows.
     - `goal`: None before the robot has seen a goal. `keys`: None in an insecure swarm.
     - `programs`: the Zenoh programs whose liveliness tokens the robot sees.
     - `words`: what each word of an operator means to the robot, as its platform's file says.

@@ -24,8 +24,9 @@ def die_with_parent(parent: int) -> None:
     """End this process at once when its parent ends, even by kill -9.
 
     `parent`: the id of the expected parent; if the parent has already ended, this process exits
-    now. The kernel sends the signal when the *thread* that spawned this process ends, so spawn from
-    a thread that stays. Without prctl(2), as on macOS, the process notices the end by its pipe.
+    now. The kernel sends the signal when the *thread* that spawned this process ends, so the parent
+    must spawn from a thread that stays. Without prctl(2), as on macOS, no signal is sent: the
+    process notices the end of its parent by a pipe.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "prctl") and libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
@@ -110,10 +111,10 @@ SHORT_SLICE = 100_000
 def ask_for_slices(slice: int | None) -> None:
     """Request scheduler time slices of `slice` ns; None: the default. Children inherit them.
 
-    A process with short slices gets the processor sooner when it wakes, but no larger share.
-    Without short slices, and with a computing process on each core, the scheduler of Linux 6.6 and
-    later delays the daemon by milliseconds before it reads the answer to a step. A kernel before
-    6.12 ignores the request.
+    A process with short slices gets the processor sooner when it wakes, but no larger share. The
+    daemon needs this: if each core has a computing process, the scheduler of Linux 6.6 and later
+    otherwise delays the daemon by milliseconds before the daemon reads the answer to a step. A
+    kernel before 6.12 ignores the request.
     """
     number = _SET_SCHEDULER.get(os.uname().machine)
     if number is not None and os.sched_getscheduler(0) == os.SCHED_OTHER:

@@ -52,8 +52,9 @@ ZERO = Twist()
 class TouchZone(Struct, frozen=True, array_like=True):
     """Directions and speed in which a robot may close on an obstacle, to push or to dock.
 
-    The outline may touch an obstacle whose direction, along the shortest line from the outline, is
-    within `bearing` +- `half_width` in rad. `speed` in m/s is the limit in these directions.
+    The direction of an obstacle is that of the shortest line from the outline to the obstacle. The
+    outline may touch an obstacle in a direction within `bearing` +- `half_width` in rad. `speed` in
+    m/s is the limit of the speed towards such an obstacle.
     """
 
     bearing: float
@@ -81,13 +82,13 @@ class Scan(Struct, frozen=True, eq=False):
       vary from scan to scan.
     - `bearings`: (n,) float64 in rad, 0 ahead, counter-clockwise positive.
     - `stamp`: s at which the oldest ray was measured, on the sensor's own clock.
-    - `ages`: (n,) s by which each ray is older than the newest ray. None: unknown (raw scan), or
-      all rays have the same time (conditioned scan).
+    - `ages`: (n,) s by which each ray is older than the newest ray. None in a raw scan: unknown.
+      None in a conditioned scan: all rays have the same time.
     - `newest_age`: age in s of the newest ray of a conditioned scan on arrival, by the platform's
       `latency`; None for a raw scan.
 
-    While the order of the rays is unknown, `newest_age` is the mean age of the rays, and each of
-    the `ages` is half of the duration of the scan: the most by which a ray is older than the mean.
+    While the order of the rays is unknown, `newest_age` is the mean age of the rays. All `ages` are
+    then half of the duration of the scan, since no ray is older than the mean by more.
     """
 
     seq: int
@@ -191,10 +192,11 @@ class PeerPlace(Struct, frozen=True, array_like=True):
 class Neighbor(Struct, frozen=True, array_like=True, gc=False):
     """A robot nearby that is heard or sensed.
 
-    `age`: s since the robot was last heard or sensed, to within 0.5 s. `distance` in m, `bearing`
-    and `heading` in rad are relative to the own robot; None: not sensed. `in_reach`: the robot is
-    within the range or link quality of the settings (`NeighborSettings`). Patterns get only
-    neighbors in reach; protection uses every sensed robot.
+    - `age`: s since the robot was last heard or sensed, to within 0.5 s.
+    - `distance` in m, `bearing`, `heading` in rad: relative to the own robot; None: not sensed.
+    - `in_reach`: the robot is within the range or link quality of the settings
+      (`NeighborSettings`). Patterns get only neighbors in reach. Protection uses every sensed
+      robot.
     """
 
     id: str
@@ -300,17 +302,19 @@ class ScanSpec:
     - `cone`: the full width of a beam in rad; a range is that of the nearest object in the beam.
     - `rate`: in Hz. `range_min`, `range_max`: in m.
     - `offset`: (x, y) of the sensor in the base frame in m.
-    - `max_gap`: rad. A wider sector without known rays makes a scan invalid, which holds the robot.
+    - `max_gap`: the widest sector in rad without known rays. A wider sector makes a scan invalid,
+      which holds the robot.
     - `zero`: the meaning of a range of exactly 0: no_return, too_close, unknown, or lds (the rule
       of the LDS family in `sensing/ray_memory.py`).
-    - `is_noisy`: two identical scans reveal a frozen sensor.
-    - `near`: a return nearer than `range_min` is reported, or lost as if nothing were there.
+    - `is_noisy`: the sensor has noise, so that two identical scans reveal a frozen sensor.
+    - `near`: a return nearer than `range_min` is `reported`, or `lost` as if nothing were there.
     - `latency`: mean age of the rays in s when a scan arrives.
     - `sweep`: None if all rays are measured at once, or if the robot measures the sweep.
     - `measures_sweep`: the robot measures the sweep. The ray ages of the driver then give only the
       duration of a scan, or show that all rays have the same time.
-    - `segments`: the number of segments of a turn that the driver hands over as they are measured,
-      the last with the whole turn; 0: whole turns alone. Needs `sweep`.
+    - `segments`: into how many segments the driver divides a turn, each handed over as soon as it
+      is measured, the last one with the whole turn. 0: the driver hands over whole turns only. More
+      than 0 needs `sweep`.
     """
 
     bearings: Array
@@ -338,8 +342,8 @@ class ScanSpec:
         """The longest delay of scans in s beyond `latency` with which protection works.
 
         A longer delay holds the robot. Protection is computed for scans up to `stale_after` s old.
-        Until the next scan has come, the last scan ages by up to one and a half scan periods. The
-        rest of `stale_after`, but at least 0.05 s, is left for the delay.
+        A scan is used until the next scan comes, which takes up to one and a half periods. The rest
+        of `stale_after`, but at least 0.05 s, is left for the delay.
         """
         return max(self.stale_after - 1.5 / self.rate, 0.05)
 
@@ -353,8 +357,8 @@ class ScanSpec:
 class Heights:
     """Heights above the floor in m.
 
-    `scan_plane`: of the sensor's rays. `lowest`, `highest`: a horizontal plane between these
-    heights meets an opaque part of the robot from every side; wheels do not count.
+    `scan_plane`: of the sensor's rays. `lowest`, `highest`: rays in a horizontal plane between
+    these heights meet an opaque part of the robot (wheels do not count) from every side.
     """
 
     scan_plane: float
@@ -367,17 +371,18 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     - `footprint`: (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    - `protection`: the settings of the arbiter: `mode`, `avoidance`, `preset` (the name of the
-      preset of the potential field in force) with the values of this preset, and the settings of
-      `barrier` and `stop_zone` under these names (None: not given).
+    - `protection`: the settings of the arbiter: `mode` and `avoidance`, the settings of the modes
+      `barrier` and `stop_zone` (None: not given), and `preset`, the name of a preset of the
+      potential field. The values of this preset stand beside `preset`, under their own names.
     - `patterns`: parameters by pattern name. `drivers`: options by driver name.
     - `heights`: None if unknown.
     - `body`: values for the simulated robot (mass, wheel base ...).
-    - `ranges`: a ring of further range sensors, for obstacles that `scan` misses; None without.
+    - `ranges`: a ring of further range sensors, for obstacles that `scan` misses; None without a
+      ring.
     - `sensors`: by quantity, such as `ground`: the places of its sensors, (k, 3) x, y in m and
-      bearing in rad in the base frame (NaN: all directions). For `detections` (k, 5), with the
+      bearing in rad in the base frame (NaN: all directions). For `detections` (k, 5): also the
       field of view in rad and the range in m.
-    - `words`: by driver: what each word of an operator means to the robot, such as `stop`.
+    - `words`: by driver, what each word of an operator, such as `stop`, means to the robot.
     """
 
     name: str

@@ -1,9 +1,14 @@
 """The verbs of the plane `control`: requests and questions of operators, with a row for each verb.
 
-The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether the
-robot refuses a request that quotes another epoch (count of the robot's changes) than its present
-epoch, and the line of the audit log. A new verb needs a struct and a row here, a method `on_<verb>`
-of its handler, a file of `cli/`, and a line in `VERBS` of `cli/swarmctl.py`.
+A row of the table `VERBS` decides
+
+1. which service of a daemon answers the verb,
+2. which roles may use the verb,
+3. whether a robot refuses a request that quotes an earlier epoch (count of the robot's changes),
+4. the line of the audit log.
+
+A new verb needs a struct and a row here, a method `on_<verb>` of its handler, a file of `cli/`, and
+a line in `VERBS` of `cli/swarmctl.py`.
 
 Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
 """
@@ -74,8 +79,8 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     - `at`: by robot, the start time in s on the robot's own clock (CLOCK_BOOTTIME). The pattern is
       loaded before. A robot without an entry starts once the pattern is loaded. The robot refuses a
       request that arrives more than MAX_LATE after its start time.
-    - `age`: s since the operator issued the request, plus the longest round trip of the operator's
-      last query of the robots.
+    - `age`: an upper bound of the s since the operator issued the request: it includes the longest
+      round trip of the operator's last query of the robots.
     """
 
     pattern: Name
@@ -136,11 +141,13 @@ class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
 
 
 class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
-    """Replace a pattern's code; a present run of the pattern ends, unless a flag is set.
+    """Replace a pattern's code. The flags decide about a present run of the pattern.
 
-    `is_rerun`: the run ends, and a new run with the new code follows. `keeps_running`, which only a
-    push without `is_rerun` sets: the run continues with the old code. `age`: s since the operator
-    issued the request, an upper bound.
+    - No flag: the run ends.
+    - `is_rerun`: the run ends, and a new run with the new code follows.
+    - `keeps_running`: the run continues with the old code. Set by a push without `is_rerun`.
+
+    `age`: s since the operator issued the request, an upper bound.
     """
 
     pattern: Name
@@ -152,10 +159,11 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     """A piece of a pushed pattern; after the last piece the robot tries and adopts the pattern.
 
-    `content`, `signature`: the manifest (`core/pattern_manifest.py`) and its signature. `offset`:
-    bytes of the pattern before the piece `data`. `is_rerun`: a run of the pattern ends, and a new
-    run with the new code follows. Without `is_rerun` nothing moves or stops, so the robot does not
-    compare its epoch. `age`: s since the operator issued the request, an upper bound.
+    - `content`, `signature`: the manifest (`core/pattern_manifest.py`) and its signature.
+    - `offset`: bytes of the pattern before the piece `data`.
+    - `is_rerun`: a present run of the pattern ends, and a new run with the new code follows. False:
+      nothing moves or stops, so the robot does not compare its epoch.
+    - `age`: s since the operator issued the request, an upper bound.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
@@ -181,10 +189,11 @@ class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
 class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
     """Take a signed roster, and the new certificate of the robot's name if there is one.
 
-    `secret`: the swarm's secret of that generation; empty for a robot that the roster lacks.
-    `certificates`: by robot, in PEM, for the robot's present key. The request may end a run, and
-    never starts motion. So the epoch is not compared: a robot takes the request even if the robot
-    has changed since the operator saw its epoch.
+    `secret`: the swarm's secret at the generation of the roster; empty for a robot that the roster
+    lacks. `certificates`: by robot, in PEM, for the robot's present key.
+
+    The epoch is not compared: a robot takes the request even if the robot has changed since the
+    operator's last query. The request never starts motion, but may end a run.
     """
 
     roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
@@ -205,9 +214,10 @@ class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop, which a robot holds as a latch until a reset.
 
-    `scope` swarm: the latch spreads to other robots. `is_relayed`: another robot relayed the
-    request; the robot refuses such a copy if this latch was reset here before. `age`: s since the
-    operator issued the request: a goal that was set after the request is not revoked.
+    - `scope`: `swarm`: the latch spreads to other robots.
+    - `is_relayed`: another robot relayed the request. A robot on which this latch was reset before
+      refuses a relayed request.
+    - `age`: s since the operator issued the request. Goals that were set later stay valid.
     """
 
     targets: Epochs | None = None
@@ -385,9 +395,9 @@ class AuditQuery(Struct, frozen=True, kw_only=True):
 class AuditReply(Struct, frozen=True, kw_only=True):
     """Entries, oldest first, and the age of each in s.
 
-    The age of an entry from before the last boot follows from the wall clock; such an age is None
-    if that clock was not set then, or is not set now. `has_more`: older entries match, too.
-    `fault`: why entries cannot be written at present.
+    The age of an entry from before the last boot follows from the wall clock. The age is None if
+    the wall clock was not set when the entry was written, or is not set now. `has_more`: older
+    entries match, too. `fault`: why entries cannot be written at present.
     """
 
     robot: Name
@@ -521,7 +531,7 @@ class DoctorReply(Struct, frozen=True, kw_only=True):
       of the roster. Both are None without keys.
     - `heard`: the number of alive robots whose datagrams come by each way, such as `multicast`.
     - `storage`: why a restart would lose latches; empty without a fault.
-    - `sandbox`: of the pattern host.
+    - `sandbox`: the sandbox of the pattern host.
     """
 
     robot: Name

@@ -136,8 +136,8 @@ class Authority:
         """Write the next generation of the roster, with a new secret for datagrams.
 
         ConfigError for an added name that is on the roster, and for a removed name that the roster
-        lacks. ConfigError also for an added name with a revoked certificate that has not ended:
-        this certificate would be valid again.
+        lacks. ConfigError also for an added name whose earlier certificate was revoked and has not
+        ended: the roster would make this certificate valid again.
         """
         with self._locked():
             self._state, self.roster = self._read_state()
@@ -188,21 +188,13 @@ class Authority:
     def _next_roster(self, roles: Mapping[str, Role | None], secret: bytes) -> Roster:
         """The roster of the next generation with these names and roles.
 
-        The roster has digests of the secret, and of the datagram keys of each operator and viewer.
-        A robot with the new roster may hand over the secret to another robot, and these keys to
-        their operator or viewer. The receiver compares them with the digests.
+        `secret`: of the swarm, for this generation. A robot with the new roster may hand over the
+        secret to another robot, and to an operator or viewer their datagram keys. The receiver
+        compares them with digests, which the roster contains.
         """
         old, generation = self.roster, self.roster.generation + 1
         operators = [name for name, role in roles.items() if role is Role.OPERATOR]
         viewers = tuple(name for name, role in roles.items() if role is Role.VIEWER)
-        # `answers` (keys that a robot and a reader share) do not change with the roster, and are no
-        # part of the digest.
-        reader_keys = {
-            name: datagram_keys.reader_keys(
-                generation, secret, name, is_operator=name in operators, answers={}
-            )
-            for name in (*operators, *viewers)
-        }
         return Roster(
             swarm=old.swarm,
             generation=generation,
@@ -213,7 +205,10 @@ class Authority:
             },
             viewers=viewers,
             secret_digest=digest_of(secret),
-            readers={name: datagram_keys.reader_digest(keys) for name, keys in reader_keys.items()},
+            readers={
+                name: _reader_digest(generation, secret, name, is_operator=name in operators)
+                for name in (*operators, *viewers)
+            },
         )
 
     def issue(self, name: str, *, days: float | None = None, is_recorded: bool = True) -> Issued:
@@ -407,3 +402,13 @@ def _builder(
 
 def _now() -> datetime.datetime:
     return datetime.datetime.now(datetime.UTC)
+
+
+def _reader_digest(generation: int, secret: bytes, name: str, *, is_operator: bool) -> bytes:
+    """The digest of the datagram keys of an operator or viewer at a generation of the roster.
+
+    `answers`, the keys that a reader shares with robots, are no part of the digest: they do not
+    change with the roster.
+    """
+    keys = datagram_keys.reader_keys(generation, secret, name, is_operator=is_operator, answers={})
+    return datagram_keys.reader_digest(keys)

@@ -1,10 +1,12 @@
 """Signatures of goals, manifests of pushed patterns and rosters: ECDSA with P-256 and SHA-256.
 
-FIPS 186-5. A signature has 64 bytes, `r || s`, big endian. The same private key also signs TLS
-handshakes (operator) or certificates (authority). So the signed bytes begin with the purpose, and a
-signature of one kind is not valid as a signature of another kind. ECDSA accepts with each signature
-(r, s) also (r, n - s), where n is the order of the curve. `verify` accepts only the signature with
-the smaller s: without the private key no second signature of the same content can be made.
+FIPS 186-5. A signature has 64 bytes, `r || s`, big endian.
+
+The private key of an operator also signs TLS handshakes, that of the authority also certificates.
+So the signed bytes begin with the purpose: a signature for one purpose is not valid for another.
+
+If (r, s) is a signature, so is (r, n - s), where n is the order of the curve. `verify` accepts only
+the signature with the smaller s, so that nobody can make a second signature without the key.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The symmetric keys that sign datagrams, and their derivation from the swarm's secrets. Pure.
 
-Beacons and messages are too frequent for asymmetric signatures. So datagrams are signed with
-symmetric keys, one key for each class of receivers: robots, operators, viewers. A receiver verifies
-with the key of its class. A receiver could also forge a signature with this key, but only towards
-receivers of the same class.
+Beacons and messages are too frequent for asymmetric signatures, so datagrams are signed with
+symmetric keys. Who can verify with a symmetric key can also forge with it. So each class of
+receivers (robots, operators, viewers) has its own key: a receiver can forge only towards receivers
+of its class.
 
-1. A robot signs each datagram for all with three keys: for robots, for operators, for viewers.
-2. An operator or viewer signs with the key of its own name.
+1. A datagram of a robot to all receivers has three signatures, by the keys of the three classes.
+2. An operator or viewer signs with the key of its own name, which robots can derive.
 3. A robot signs its answer to an operator or viewer with the key that the two share.
 
 Keys are derived by keyed BLAKE2b (RFC 7693) from the swarm's secret and from a secret of each

@@ -136,8 +136,8 @@ def choose_identity(
 ) -> Identity | None:
     """The identity in `folder`; `folder` None: the installed identity for the swarm.
 
-    None if no identity is installed, or with `insecure`. ConfigError in one line if the identity
-    cannot be read, or belongs to another swarm.
+    None if no identity is installed, or with `insecure`. ConfigError in one line if `insecure` and
+    `folder` are both given, if the identity cannot be read, or if it belongs to another swarm.
     """
     if insecure and folder is not None:
         raise ConfigError("identity and insecure exclude each other; give one of them")

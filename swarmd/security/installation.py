@@ -56,12 +56,12 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
 
     The block gets the new identity; an error in the block restores the old identity. The new
     identity is written beside `folder` and checked before the old identity is moved. If `folder` is
-    a symbolic link, the link itself is replaced. ConfigError if certificate and key do not match,
-    OSError if a file cannot be written.
+    a symbolic link, the new folder replaces the link, and the target of the link stays. ConfigError
+    if certificate and key do not match, OSError if a file cannot be written.
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
-    is_swap_begun = False  # True: `folder` may be the new identity, `backup` the old identity
+    is_backup_made = False  # True: the old identity, if any, is in `backup`
     try:
         # 1. Restore the identity of an installation that was interrupted; remove other remains.
         folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -81,15 +81,15 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
         # 3. Put the new identity in place of the old identity.
         if os.path.lexists(folder):
             folder.rename(backup)
-        is_swap_begun = True
+        is_backup_made = True
         draft.rename(folder)
         sync_folder(folder.parent)
         yield load_identity(folder)
     except BaseException:  # also a KeyboardInterrupt restores the old identity
         remove_whole(draft)
-        if is_swap_begun:
+        if is_backup_made:
             remove_whole(folder)
-            with suppress(FileNotFoundError):
+            with suppress(FileNotFoundError):  # there was no old identity
                 backup.rename(folder)
         raise
     remove_whole(backup)

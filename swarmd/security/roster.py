@@ -42,10 +42,10 @@ class Role(StrEnum):
 class Roster(Struct, frozen=True, kw_only=True):
     """The names of a swarm with their roles.
 
-    `operators`: by name, the public key that verifies the operator's goals and pushed patterns.
-    `secret_digest`: SHA-256 of the secret from which the datagram keys derive. `readers`: by
-    operator and viewer, the `reader_digest` of its datagram keys. A robot may hand these keys over;
-    the digest shows whether the robot has changed them.
+    - `operators`: by name, the public key that verifies the operator's goals and pushed patterns.
+    - `secret_digest`: SHA-256 of the swarm's secret, from which the datagram keys derive.
+    - `readers`: by operator and viewer, the digest of the name's datagram keys (`reader_digest`).
+      Any robot may hand these keys over; the digest shows whether the robot has changed them.
     """
 
     swarm: Id

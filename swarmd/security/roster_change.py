@@ -77,32 +77,36 @@ def take_roster(
 ) -> TakenRoster:
     """Check a roster and a renewed certificate, and write them into the identity's folder.
 
-    `certificate`: PEM; empty: the present certificate stays. `giver`: the robot that handed the
-    roster over, as its link has proved. An operator or viewer takes from this robot only the pair
-    key that it shares with this robot. If the disk cannot be written, the returned identity has the
-    roster all the same, and `TakenRoster.fault` says why. CodecError if the authority has not
-    signed the roster, or the roster is of another swarm, or older. ConfigError if the certificate
-    does not match. Takes about 20 ms and writes to disk.
+    - `certificate`: PEM; empty: the present certificate stays.
+    - `giver`: the robot that handed the roster over, as its link has proved; empty: no robot. Of
+      the pair keys in `shared`, an operator or viewer takes only the key shared with `giver`.
+
+    If the disk cannot be written, the returned identity has the roster all the same, and
+    `TakenRoster.fault` says why. CodecError if the authority has not signed the roster, or the
+    roster is of another swarm, or older. ConfigError if the certificate does not match. Takes about
+    20 ms and writes to disk.
     """
     # 1. Check the roster.
     roster, signed = _checked_roster(identity, shared)
     is_newer = roster.generation > identity.roster.generation
     keys = _keys_of(identity, roster, shared, giver) if is_newer else identity.datagram_keys
+    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
     changes = [f"generation {roster.generation} of the roster"]  # for the user
     fault = ""
-    is_renewed = False
-    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
 
     # 2. Take the certificate, unless it ends before the present certificate.
+    is_renewed = False
     if certificate and certificate != identity.certificate.read_bytes():
         try:
             renewed = take_certificate(identity, certificate)
-            if renewed is None:
-                changes.append("its certificate ends later than the certificate that was sent")
-            else:
-                taken, is_renewed = replace(taken, info=renewed.info), True
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
+        else:
+            is_renewed = renewed is not None
+            if renewed is not None:
+                taken = replace(taken, info=renewed.info)
+            else:
+                changes.append("its certificate ends later than the certificate that was sent")
 
     # 3. Write the roster, unless another process of this identity has written it already.
     try:
@@ -129,9 +133,9 @@ def read_shared(data: bytes) -> SharedRoster:
 def share_roster(identity: Identity, asker: str) -> bytes | None:
     """The encoded `SharedRoster` that the robot `identity` hands to `asker`.
 
-    `asker`: the name that the asker's link has proved. A robot gets roster and secret of the swarm.
-    An operator or viewer gets the roster, its own datagram keys, and the key that it shares with
-    this robot. None if the roster lacks the asker, or lacks this robot.
+    `asker`: the name that the asker's link has proved. An asker that is a robot gets roster and
+    secret of the swarm. An operator or viewer gets the roster, the asker's datagram keys, and the
+    key that the asker shares with this robot. None if the roster lacks the asker, or this robot.
     """
     keys, role = identity.datagram_keys, identity.roster.role_of(asker)
     if role is None or is_revoked(identity):
@@ -151,10 +155,10 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
 
 
 def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
-    """Add keys that robots share with this identity, and write them; each robot sent its own key.
+    """Add the keys that robots share with an operator or viewer to its identity, and write them.
 
-    `answers`: the keys by robot. Keys that cannot be written to disk are pulled again after a
-    restart.
+    `answers`: by robot, the key that this robot sent. Keys that cannot be written to disk are
+    pulled again after a restart.
     """
     keys = _with_answers(identity.datagram_keys, identity.roster, answers)
     try:
@@ -194,10 +198,10 @@ def _checked_roster(identity: Identity, shared: SharedRoster) -> tuple[Roster, b
 def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
     """The keys with which this identity signs and checks datagrams, for the generation of `roster`.
 
-    `shared`: what came with the roster: the secret of the swarm for a robot, or the keys for an
-    operator or viewer. `giver`: the robot that sent `shared`, as its link has proved; empty: no
-    robot. Without keys if the roster lacks this identity's name, or has the name in another role.
-    CodecError if secret or keys of `shared` have another digest than the roster says.
+    `shared` has the secret of the swarm for a robot, or the keys for an operator or viewer.
+    `giver`: the robot that sent `shared`, as its link has proved; empty: no robot. All keys are
+    empty if the roster lacks this identity's name, or has the name in another role. CodecError if
+    secret or keys of `shared` have another digest than the roster says.
     """
     role, present = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:

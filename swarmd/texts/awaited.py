@@ -74,8 +74,9 @@ def meeting(view: MembersView, names: Iterable[str], awaited: Awaited) -> tuple[
 def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str, str]:
     """The robots in `names` that do not meet the conditions, each with its present state in words.
 
-    With `count`: empty once `count` robots meet the conditions. Before that, a first entry, whose
-    name is empty, says how many robots meet them, such as "2 of 5 robots".
+    If `awaited` has a `count`, the result is empty once `count` robots meet the conditions. Before
+    that, an entry with an empty name comes first: it says how many robots meet the conditions, such
+    as "2 of 5 robots".
     """
     names = tuple(names)
     texts = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}

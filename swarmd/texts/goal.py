@@ -84,9 +84,10 @@ def content_of(goal: Goal) -> dict[str, Any]:
 def set_apart(view: MembersView, present: Goal, before: Goal) -> tuple[list[str], list[str]]:
     """The targets of goal `before`, and the robots that only goal `present` targets.
 
-    For `undo`: the first list runs `before`, the second list is stopped. Both have only the robots
-    that must answer (`MembersView.expected`). The second list is empty if `present` has no pattern,
-    since its robots stand already. A robot of unknown labels is matched by its name alone.
+    For `undo`, by which the first robots run `before`, and the second robots stop. Both lists have
+    only the robots that must answer (`MembersView.expected`). The second list is empty if `present`
+    has no pattern, since the robots of `present` then stand already. A robot whose labels are not
+    known is matched by its name alone.
     """
     labels = {
         name: member.status.labels

@@ -78,7 +78,6 @@ _LASTING_HOLDS = {
 
 def why(member: SeenMember) -> str:
     """One sentence: the state of a robot; if the robot stands, the reason and what to do."""
-    # 1. A robot without a present status.
     status = member.status
     if member.contact is Contact.UNREACHABLE:  # only the peer `member.by` hears the robot
         return f"alive by {member.by}'s word, {seconds(member.age)} ago; not reachable from here"
@@ -90,44 +89,52 @@ def why(member: SeenMember) -> str:
     if status is None:
         heard = f"heard {seconds(member.age)} ago"
         return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"
-
-    # 2. A robot that moves: it has no reason to stand.
-    reason = status.reason
-    if reason is None:
-        manoeuvre = " around an obstacle" if status.decision.is_recovering else ""
-        if status.decision.avoiding:
-            manoeuvre = f", {status.decision.avoiding}"
-        pattern = status.pattern or "no pattern"
-        return f"{status.state} {pattern}, moving{manoeuvre}{_limit(status.decision)}"
-
-    # 3. A run that ended because a hold lasted: in the past tense, since the hold may be over.
-    detail = f" ({status.detail})" if status.detail else ""
-    if status.state is not State.RUNNING and reason in _LASTING_HOLDS:
+    if status.reason is None:
+        return _text_if_moving(status)
+    if status.state is State.RUNNING:
+        return f"running {status.pattern}, not moving: {_text_if_standing(member.robot, status)}"
+    if status.reason in _LASTING_HOLDS:
+        # The hold lasted, so the run ended. In the past tense, since the hold may be over.
         start = _START.format(robot=member.robot)
         past_hold = (
-            f"{status.state}: {_LASTING_HOLDS[reason]}{detail}; when that is solved, {start}"
+            f"{_LASTING_HOLDS[status.reason]}{_detail(status)}; when that is solved, {start}"
         )
-        return past_hold + _lost(status)
+        return f"{status.state}: {past_hold}{_lost(status)}"
+    return f"{status.state}: {_text_if_standing(member.robot, status)}{_lost(status)}"
 
-    # 4. A robot that stands: the sentence of its reason, with its fields filled in. A sentence uses
-    #    some of the fields, such as `late`: the delay of scans beyond the declared delay.
+
+def _text_if_moving(status: Status) -> str:
+    """The sentence for a robot that has no reason to stand."""
+    manoeuvre = " around an obstacle" if status.decision.is_recovering else ""
+    if status.decision.avoiding:
+        manoeuvre = f", {status.decision.avoiding}"
+    pattern = status.pattern or "no pattern"
+    return f"{status.state} {pattern}, moving{manoeuvre}{_limit(status.decision)}"
+
+
+def _text_if_standing(robot: str, status: Status) -> str:
+    """Why a robot stands: the sentence of its reason, in which its fields are filled in."""
+    reason = status.reason
+    assert reason is not None
+    if reason is Reason.PROTECTION and status.decision.avoiding:
+        return f"{status.decision.avoiding}{_limit(status.decision)}"
     issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
-    sentence = SENTENCES[reason].format(
-        robot=member.robot,
-        detail=detail,
+    return SENTENCES[reason].format(
+        robot=robot,
+        detail=_detail(status),
         latches=f" by {', '.join(issuers)}" if issuers else "",
         age=f" ({seconds(age)})" if age is not None else "",
+        # By how much scans are later than the platform declares.
         late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
         driver=f" ({status.health.driver})" if status.health.driver else "",
         gap=_gap(status.decision),
         peer=_peer(status),
     )
-    if reason is Reason.PROTECTION and status.decision.avoiding:
-        sentence = f"{status.decision.avoiding}{_limit(status.decision)}"
-    if status.state is State.RUNNING:
-        return f"running {status.pattern}, not moving: {sentence}"
-    return f"{status.state}: {sentence}{_lost(status)}"
+
+
+def _detail(status: Status) -> str:
+    return f" ({status.detail})" if status.detail else ""
 
 
 def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
@@ -149,8 +156,8 @@ def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
     """Each limiting obstacle as `an obstacle at -30 deg, 0.21 m`, with its tightest row.
 
-    A row is an obstacle point that constrains the command; the tightest comes first. Rows within 10
-    deg of one another count as one obstacle.
+    `rows`: obstacle points that constrain the command, the tightest first. Rows within 10 deg of an
+    earlier row belong to its obstacle.
     """
     seen: list[LimitingObstacle] = []
     for row in rows:

@@ -36,9 +36,9 @@ HEADERS = {
 class Access:
     """The tokens of operators and of viewers, which a page must quote.
 
-    With `is_read_only` no page may send commands. Without tokens each page may: `check_bind` lets
-    such a server listen on loopback only. ConfigError for tokens that protect nothing, such as
-    equal tokens of operators and viewers.
+    With `is_read_only` no page may send commands. Without tokens each page may send commands, so
+    `check_bind` lets such a server listen on loopback only. ConfigError for a token that is too
+    short, for viewers' token without operators' token, and for equal tokens.
     """
 
     operator: str = ""
@@ -83,12 +83,12 @@ class Access:
     def allows(self, headers: Headers) -> bool:
         """False for a request that may come from a script of another site.
 
-        A browser runs scripts of all sites, and their requests reach loopback.
+        A browser runs scripts of all sites, and their requests reach loopback. A request is refused
 
-        1. Refused is a request whose origin differs from the host in the request.
-        2. By DNS rebinding a site lets its own host name point to loopback, so that origin and host
-           agree. So without a token only requests to `localhost`, or to a loopback address, are
-           allowed.
+        1. if origin and host in the request differ,
+        2. if this server has no token, and the host in the request is neither `localhost` nor a
+           loopback address: a site can let its own host name point to loopback (DNS rebinding), so
+           that origin and host agree.
         """
         try:
             origin, host = headers.get("Origin"), headers.get("Host", "")

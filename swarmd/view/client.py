@@ -111,8 +111,9 @@ class Client:
         """Send the answers that are due, and a past moment, to a page that looks back.
 
         The moment is sent once, as the text and the frame that the page got at that time. The frame
-        has its old number. A command quotes the number of the frame that the page shows. So the
-        server refuses a command of a page that looks back by MAX_LATENESS s or more, except a stop.
+        keeps its old number, and a command quotes the number of the shown frame. So the server
+        knows how far the page looks back. From MAX_LATENESS s on, the server refuses all commands
+        except stops.
         """
         if self._is_sending:
             return

@@ -6,13 +6,14 @@ import asyncio
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from typing import Any, Literal
 
 from swarmd.client.changes import change_labels, reset, set_params
 from swarmd.client.hand_over import in_thread
 from swarmd.client.operator_pool import RequestLimit
 from swarmd.client.runs import Run, carry_out
-from swarmd.client.session import Session
+from swarmd.client.session import Session, TargetedView
 from swarmd.client.stops import send_stop
 from swarmd.client.targets import Targets
 from swarmd.core.errors import NetworkError, SwarmError
@@ -23,6 +24,8 @@ from swarmd.texts.labels import read_changes
 from swarmd.view.source import CommandProgress
 
 Tell = Callable[[CommandProgress], None]
+Sender = Callable[[TargetedView, ExitStack], Outcome]
+"""Sends a request to its targets. The exit stack closes what the request opens."""
 
 MAX_STOPS = 16
 """Stops under way at a time; more wait. An emergency stop never waits."""
@@ -37,8 +40,8 @@ class LiveCommander:
     1. An emergency stop is repeated until all robots have acknowledged it, another emergency stop
        begins, or `end_estop` is called.
     2. Requests that wait for answers delay neither a stop nor the end of the program.
-    3. A cancelled task of `act` (such as when the page closes) sends no further request, except a
-       stop.
+    3. When a page closes, its tasks of `act` are cancelled. A cancelled task sends no further
+       request, but a stop under way goes on.
     """
 
     def __init__(
@@ -137,39 +140,44 @@ class LiveCommander:
         `fields`: the texts that the user typed. `cancelled` ends the wait for robots. Returns the
         final answer for the page; ConfigError for a mistake in a text.
         """
-        # 1. Parse the texts, before anything is sent.
-        params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
-        run: Run | None = None
-        if verb == "run":
-            run = Run(pattern=str(fields.get("pattern")), params=params)
-            run.check()
-        added: tuple[str, ...] = ()
-        removed: tuple[str, ...] = ()
-        if verb == "label":
-            added, removed = read_changes(str(fields.get("labels") or "").split())
+        send = self._sender(verb, names, fields)  # parses the texts before anything is sent
         with self._limit.request(), self._make() as operator, ExitStack() as opened:
-            # 2. Query the robots; those that do not answer count as missing.
-            operator.expect(names)
+            operator.expect(names)  # a robot that does not answer counts as missing
             session = Session(operator, is_cancelled=cancelled.is_set)
             try:
                 targeted = session.target(Targets(names), needs_status=verb in ("reset", "label"))
             except NetworkError as error:
                 return CommandProgress(f"{verb}: {error}", missing=list(names), is_final=True)
-            # 3. Send the request.
-            if verb == "reset":
-                outcome = reset(targeted, reason=self._reason)
-            elif verb == "param":
-                outcome = set_params(targeted, params)
-            elif verb == "label":
-                outcome = change_labels(targeted, added, removed)
-            else:
-                assert run is not None
-                # If the page names all robots, the goal names none: it then also targets robots
-                # that join later.
-                is_for_all = targeted.view.expected <= set(names)
-                goal_names = () if is_for_all else names
-                outcome = carry_out(run, targeted, goal_names, opened).outcome
+            outcome = send(targeted, opened)
         return _answer(verb, outcome)
+
+    def _sender(self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]) -> Sender:
+        """Parse the texts of a request; returns a function that sends the request."""
+        params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
+        match verb:
+            case "run":
+                run = Run(pattern=str(fields.get("pattern")), params=params)
+                run.check()
+                return partial(_send_run, run, names)
+            case "param":
+                return lambda targeted, _: set_params(targeted, params)
+            case "label":
+                added, removed = read_changes(str(fields.get("labels") or "").split())
+                return lambda targeted, _: change_labels(targeted, added, removed)
+            case _:
+                return lambda targeted, _: reset(targeted, reason=self._reason)
+
+
+def _send_run(
+    run: Run, names: tuple[str, ...], targeted: TargetedView, opened: ExitStack
+) -> Outcome:
+    """Run a pattern. `names`: the robots that the page names.
+
+    If the page names all robots, the goal names none: the goal then also targets robots that join
+    later.
+    """
+    is_for_all = targeted.view.expected <= set(names)
+    return carry_out(run, targeted, () if is_for_all else names, opened).outcome
 
 
 async def _unless_cancelled(

@@ -126,16 +126,20 @@ class Controls:
             self.mode, self.text = Mode.FILTER, self.filter
         elif key == "escape":
             self.filter = ""
-        # 4. A run or a reset of the selected robots, or else of the robot at the cursor.
+        # 4. A run or a reset.
         elif key in ("r", "x"):
-            selected = self.selected & set(known)
-            at_cursor = {self.cursor} if self.cursor else set()
-            self.targets = tuple(sorted(selected or at_cursor))
-            if self.targets:
-                self.mode, self.text = Mode.RUN if key == "r" else Mode.RESET, ""
-            else:
-                self.note = "no robot is selected"
+            self._begin(Mode.RUN if key == "r" else Mode.RESET, known)
         return None
+
+    def _begin(self, mode: Mode, known: Sequence[str]) -> None:
+        """Begin a run or reset of the selected robots, or else of the robot at the cursor."""
+        selected = self.selected & set(known)
+        at_cursor = {self.cursor} if self.cursor else set()
+        self.targets = tuple(sorted(selected or at_cursor))
+        if self.targets:
+            self.mode, self.text = mode, ""
+        else:
+            self.note = "no robot is selected"
 
     def _on_text(self, key: str) -> Command | None:
         if key == "escape":

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 import numpy as np
@@ -83,10 +83,9 @@ class FoxgloveServer:
         Only channels that a client reads are filled: transforms (poses), the scene (outlines and
         names), scans as point clouds, and every _STATUS_EVERY periods the statuses as JSON.
         """
-        # 1. Robots with their poses, and the rows (values of the last status) by robot.
         is_status_due = self._count % _STATUS_EVERY == 0
         needs_rows = is_status_due or self._scene.is_read or self._places.is_read
-        rows = self._source.rows() if needs_rows else {}
+        rows = self._source.rows() if needs_rows else {}  # by robot, values of the last status
         robots = self._source.robots
         for robot in robots:
             if robot.name not in self._statuses:
@@ -96,30 +95,46 @@ class FoxgloveServer:
         _, frame = self._source.frame()  # rows of robot index, x, y (m), yaw (rad)
         placed = [(robots[int(row[0])], row[1:]) for row in frame if int(row[0]) < len(robots)]
         stamp = messages.Timestamp.now()
-        # 2. Transforms. The transform of an absent robot has the stamp of the robot's last message,
-        #    so that Foxglove does not show it as present.
         if self._places.is_read:
-            now = time.time()
-            stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}
-            transforms = [
-                _transform(robot, pose, stamps.get(robot.name, stamp)) for robot, pose in placed
-            ]
-            frames = messages.FrameTransforms(transforms=transforms)
-            self._socket.send(self._places, frames.encode())
-        # 3. The scene, scans, statuses and events.
+            self._publish_places(placed, rows, stamp)
         if self._scene.is_read:
             entities = [_entity(robot, rows.get(robot.name, {}), stamp) for robot, _ in placed]
             self._socket.send(self._scene, messages.SceneUpdate(entities=entities).encode())
+        self._publish_scans(stamp)
+        if is_status_due:
+            self._publish_statuses(rows)
+        self._publish_events()
+        self._count += 1
+
+    def _publish_places(
+        self,
+        placed: Sequence[tuple[ShownRobot, Array]],
+        rows: Mapping[str, Mapping[str, Any]],
+        stamp: messages.Timestamp,
+    ) -> None:
+        """Send the poses (x, y, yaw) of robots as transforms.
+
+        The transform of an absent robot has the stamp of the robot's last message, so that Foxglove
+        does not show the robot as present.
+        """
+        now = time.time()
+        old_stamps = {name: _heard(row, now) for name, row in rows.items() if _is_absent(row)}
+        transforms = [
+            _transform(robot, pose, old_stamps.get(robot.name, stamp)) for robot, pose in placed
+        ]
+        frames = messages.FrameTransforms(transforms=transforms)
+        self._socket.send(self._places, frames.encode())
+
+    def _publish_scans(self, stamp: messages.Timestamp) -> None:
         for name, channel in self._scans.items():
             points = self._source.scan(name) if channel.is_read else None
             if points is not None:
                 self._socket.send(channel, _cloud(name, points, stamp).encode())
-        if is_status_due:
-            for name, channel in self._statuses.items():
-                if channel.is_read and name in rows:
-                    self._socket.send(channel, json_of(rows[name]).encode())
-        self._publish_events()
-        self._count += 1
+
+    def _publish_statuses(self, rows: Mapping[str, Mapping[str, Any]]) -> None:
+        for name, channel in self._statuses.items():
+            if channel.is_read and name in rows:
+                self._socket.send(channel, json_of(rows[name]).encode())
 
     def _publish_events(self) -> None:
         if not self._events.is_read:

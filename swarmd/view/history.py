@@ -6,7 +6,7 @@ import math
 import time
 import zlib
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -175,7 +175,6 @@ def measured(
     values: dict[str, float] = {}
     if link is not None and len(places):
         values["clusters"] = float(_clusters(places[:, 1:3], link))
-    # The mean speed of the robots that have both places.
     common, rows_now, rows_before = np.intersect1d(places[:, 0], before[:, 0], return_indices=True)
     if len(common) and seconds > 0.0:
         moved = places[rows_now, 1:3] - before[rows_before, 1:3]
@@ -186,20 +185,29 @@ def measured(
         # `clear`: protection passes the command unchanged.
         active_count = sum(row.get("protection", "") not in ("", "clear") for row in running)
         values["active"] = active_count / len(running)
-    # Reports and readings of all robots; at most MAX_KEYS names.
+    values |= _reported(rows.values())
+    return {name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def _reported(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
+    """The plotted value of each report and reading by name; at most MAX_KEYS names.
+
+    The value is the mean of numbers. If a robot reports a word, numbers of other robots are left
+    out, and the value is the share of the most frequent word.
+    """
     by_name: dict[str, list[Any]] = {}
-    for row in rows.values():
+    for row in rows:
         for kind in ("report", "readings"):
             for key, value in row.get(kind, {}).items():
                 by_name.setdefault(f"{kind}:{key}", []).append(value)
-    for name, robot_values in [*by_name.items()][:MAX_KEYS]:
-        # If any robot reports a word, the words count, and numbers of others are left out.
-        words = [value for value in robot_values if isinstance(value, str | bool)]
+    plotted: dict[str, float] = {}
+    for name, values in [*by_name.items()][:MAX_KEYS]:
+        words = [value for value in values if isinstance(value, str | bool)]
         if words:
-            values[name] = max(Counter(words).values()) / len(words)
+            plotted[name] = max(Counter(words).values()) / len(words)
         else:
-            values[name] = sum(robot_values) / len(robot_values)
-    return {name: value for name, value in values.items() if math.isfinite(value)}
+            plotted[name] = sum(values) / len(values)
+    return plotted
 
 
 def _packed(source: Source, rows: Mapping[str, Mapping[str, Any]]) -> bytes:

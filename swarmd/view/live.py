@@ -63,22 +63,20 @@ class LiveSource:
         """Prepare the source, without robots so far."""
         self.swarm = operator.settings.swarm
         self._operator = operator
-        # Patterns that may be run, with their descriptions; a thread calls `describe`.
-        self.patterns = patterns
-        self.descriptions: Mapping[str, Mapping[str, Any]] = {}
-        self._describe = describe
+        self.patterns = patterns  # that may be run
+        self.descriptions: Mapping[str, Mapping[str, Any]] = {}  # by pattern
+        self._describe = describe  # a thread calls it
         self._described: set[str] = set()  # platforms for which `describe` was called
         self._descriptions = 0  # count of finished descriptions; part of `revision`
-        # Events: lines of single robots, and marks, which join equal lines of several robots for
-        # the page. None: a line has come since the marks were made.
+        # Events: a line is of one robot. A mark joins equal lines of several robots for the page.
         self._feed = EventFeed(SPAN)
         self._lines: deque[EventLine] = deque(maxlen=MAX_LINES)
+        # None: a line has come since the last marks were made.
         self._marks: Sequence[tuple[float, str, Sequence[str]]] | None = None
-        # The robots in the order of their indices.
-        self._robots: list[ShownRobot] = []
+        self._robots: list[ShownRobot] = []  # in the order of their indices
         self._index: dict[str, int] = {}  # by name
         self._revision = 0  # rises when a robot or its platform is added
-        # What robots published last, by name; threads of Zenoh write it. Scans and tracks with
+        # The last messages of robots, by name, which threads of Zenoh write. A scan and tracks have
         # their time of arrival in s.
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
@@ -156,15 +154,8 @@ class LiveSource:
             motions = dict(self._motions)
         view = self.view
         members = view.members
-        # 1. New robots and platforms.
         self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
-        platforms = {status.platform for status, _ in statuses.values() if is_id(status.platform)}
-        new_platforms = platforms - self._described
-        if self._describe is not None and new_platforms:
-            self._described |= new_platforms
-            arguments = (self._describe, sorted(new_platforms))
-            threading.Thread(target=self._take_patterns, args=arguments, daemon=True).start()
-        # 2. A row for each robot.
+        self._describe_new({status.platform for status, _ in statuses.values()})
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
@@ -172,30 +163,43 @@ class LiveSource:
             if status_and_age is None:
                 rows[name] = _unanswered(member)
                 continue
-            status, age = status_and_age
-            row = rows[name] = row_of(status)
-            # Commands and nearest obstacles (key `rows`), published more often than the status.
-            motion = motions.get(name)
-            if motion is not None:
-                row |= {
-                    "requested": list(motion.requested),
-                    "safe": list(motion.safe),
-                    "rows": limits_of(motion.rows),
-                }
-            row["tracks"] = self._tracks_of(name)
-            platform = self._platform(status.platform)
-            if platform is not None:
-                limits = platform.limits
-                row["limits"] = [limits.linear, limits.angular, limits.lateral]
-            row["age"] = age
-            # When the state began, on this machine's clock: `status.since` is a duration in s. The
-            # server sends only changed rows: `at` is rounded, so that it stays equal from call to
-            # call. The server sends `age`, which changes, apart from the rows.
-            row["at"] = round(time.monotonic() - age - status.since)
-            row["labels"] = list(status.labels)
+            rows[name] = self._row(name, *status_and_age, motions.get(name))
             if member is not None and member.presence is not Presence.ALIVE:
-                row |= {"presence": member.presence.value, "why": GONE[member.presence]}
+                rows[name] |= {"presence": member.presence.value, "why": GONE[member.presence]}
         return rows
+
+    def _describe_new(self, platforms: Iterable[str]) -> None:
+        """Start a thread that describes the patterns on those of `platforms` that are new."""
+        new_platforms = set(filter(is_id, platforms)) - self._described
+        if self._describe is not None and new_platforms:
+            self._described |= new_platforms
+            arguments = (self._describe, sorted(new_platforms))
+            threading.Thread(target=self._take_patterns, args=arguments, daemon=True).start()
+
+    def _row(self, name: str, status: Status, age: float, motion: Motion | None) -> dict[str, Any]:
+        """The row of a robot whose last status is `age` s old.
+
+        `motion`: commands and nearest obstacles, published more often than the status; or None.
+        """
+        row = row_of(status)
+        if motion is not None:
+            row |= {
+                "requested": list(motion.requested),
+                "safe": list(motion.safe),
+                "rows": limits_of(motion.rows),
+            }
+        row["tracks"] = self._tracks_of(name)
+        platform = self._platform(status.platform)
+        if platform is not None:
+            limits = platform.limits
+            row["limits"] = [limits.linear, limits.angular, limits.lateral]
+        row["age"] = age
+        # When the state began, in s on this machine's clock (`since`: s from then to the status).
+        # Rounded to the same number at each call, since the server sends a row if it has changed.
+        # `age`, which changes at each call, is sent apart from the rows.
+        row["at"] = round(time.monotonic() - age - status.since)
+        row["labels"] = list(status.labels)
+        return row
 
     def scan(self, name: str) -> Array | None:
         """The returns of a watched robot's scan in its base frame; None once it is old."""

@@ -14,9 +14,9 @@ MIN_SPEED, MAX_SPEED = 0.01, 100.0
 class Playback:
     """The control of a page that plays a recorded run: time, speed and choice; shared by all pages.
 
-    `run`: the run of `runs` that plays. `duration`: its length in s. `choose`, a function of the
-    owner, reads another run, which may take a second, and then calls `load`. If the run cannot be
-    read, `choose` raises SwarmError, and the former run stays.
+    `run`: the name of the run that plays. `duration`: the length of this run in s. `choose`: a
+    function of the owner that reads the run with a name, which may take a second, and then calls
+    `load`. If the run cannot be read, `choose` raises SwarmError, and the former run stays.
     """
 
     def __init__(

@@ -43,41 +43,41 @@ def render(scene: Scene, width: int, height: int) -> Group:
 def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
     """The screen as text: at most `height` lines of at most `width` characters.
 
-    From top to bottom: title, table of robots with the map beside or below it, answers and prompt.
-    The map is left out if it would be smaller than MIN_MAP (width, height). A table that is too
-    long shows the robots around the cursor; without a cursor first the robots that do not run. The
-    hidden robots are counted.
+    From top to bottom: title, table of robots with a map, answers and prompt. A map smaller than
+    MIN_MAP (width, height) is left out. A table that is too long shows the robots that `chosen`
+    returns, and the number of hidden robots.
     """
     title = _line(scene.title, "bold")
     bottom = [_line(text, style) for text, style in scene.below]
     bottom.append(_line(scene.footer, scene.footer_style))
-    min_map_width, min_map_height = MIN_MAP
-    # 1. The room for table and map: lines, columns beside the table, lines below the table (a
-    #    header, and a line for each robot).
-    body_height = max(height - 1 - len(bottom), 2)
-    width_beside = width - TABLE_WIDTH - MARGIN
-    height_below = body_height - len(scene.order) - 1
-    # 2. The table, with the map beside it, below it, or without a map.
-    if width_beside >= min_map_width and body_height >= min_map_height + FRAME:
-        # Long names widen the table, from the columns that the map can spare.
-        name_width = _name_width(scene, width_beside - min_map_width)
-        table_width = TABLE_WIDTH - NAME_WIDTH + name_width
-        map_width = width - table_width - MARGIN
-        map_lines = map_of(scene, *map_size(scene.area, map_width, body_height - FRAME))
-        body = _side_by_side(table_of(scene, body_height, name_width), map_lines)
-    else:
-        body = table_of(scene, body_height, _name_width(scene, width - TABLE_WIDTH))
-        if height_below >= min_map_height + FRAME:
-            size = map_size(scene.area, width - MARGIN, height_below - FRAME)
-            body += map_of(scene, *size)
-    # 3. A low screen has less of the table, then less of the answers; the prompt, the last line,
-    #    always stays.
+    body = _table_and_map(scene, width, max(height - 1 - len(bottom), 2))
+    # A low screen has less of the table, then less of the answers; the prompt, the last line,
+    # always stays.
     top_height = max(height - len(bottom), 0)
     bottom_height = max(height, 1)
     lines = [title, *body][:top_height] + bottom[-bottom_height:]
     for line in lines:
         line.truncate(width, overflow="ellipsis")
     return lines
+
+
+def _table_and_map(scene: Scene, width: int, height: int) -> list[Text]:
+    """The table in at most `height` lines, with a map beside or below, if there is room for one."""
+    min_map_width, min_map_height = MIN_MAP
+    width_beside = width - TABLE_WIDTH - MARGIN
+    if width_beside >= min_map_width and height >= min_map_height + FRAME:
+        # Long names widen the table, from the columns that the map can spare.
+        name_width = _name_width(scene, width_beside - min_map_width)
+        table_width = TABLE_WIDTH - NAME_WIDTH + name_width
+        map_width = width - table_width - MARGIN
+        map_lines = map_of(scene, *map_size(scene.area, map_width, height - FRAME))
+        return _side_by_side(table_of(scene, height, name_width), map_lines)
+    table = table_of(scene, height, _name_width(scene, width - TABLE_WIDTH))
+    header = 1
+    height_below = height - header - len(scene.order)
+    if height_below < min_map_height + FRAME:
+        return table
+    return table + map_of(scene, *map_size(scene.area, width - MARGIN, height_below - FRAME))
 
 
 def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Text]:

@@ -160,25 +160,23 @@ class TerminalView:
         Also keeps the cursor on a robot when the order of the shown robots changes.
         """
         view, statuses = self._source.view, self._source.statuses()
-        # 1. All known robots. A silent robot has a note in place of its last status.
-        known = sorted(view.members.keys() | statuses.keys() | view.roster)
-        notes: dict[str, str] = {}
-        for name in known:
-            note = _note(view.members.get(name), statuses.get(name))
-            if note:
-                notes[name] = note
-        present = {name: status for name, (status, _) in statuses.items() if name not in notes}
-        # 2. The robots whose text matches the filter.
-        search_texts = {name: notes.get(name) or _searched(present[name]) for name in known}
         controls = self._controls
-        shown_before, self._known = self._robots, known
-        self._robots = controls.shown(search_texts)
-        controls.follow(self._robots, shown_before)  # if the robot at the cursor is gone
-        # 3. Their poses on the map, each by the odometry of its robot: there is no shared frame.
-        poses, area = self._where()
-        shown_poses = {
-            name: poses[name] for name in self._robots if name in poses and name in present
+        # 1. All known robots. A silent robot has a note in place of its last status.
+        self._known = sorted(view.members.keys() | statuses.keys() | view.roster)
+        all_notes = {
+            name: _note(view.members.get(name), statuses.get(name)) for name in self._known
         }
+        notes = {name: note for name, note in all_notes.items() if note}
+        present = {name: status for name, (status, _) in statuses.items() if name not in notes}
+        # 2. The shown robots, whose text matches the filter.
+        search_texts = {name: notes.get(name) or _searched(present[name]) for name in self._known}
+        shown_before = self._robots
+        self._robots = controls.shown(search_texts)
+        controls.follow(self._robots, shown_before)
+        # 3. The poses of shown robots, each by the odometry of its robot: no frame is shared.
+        poses, area = self._where()
+        has_pose = poses.keys() & present.keys()
+        shown_poses = {name: poses[name] for name in self._robots if name in has_pose}
         needs_attention = controls.mode is not Mode.LOOK or bool(controls.note)
         return Scene(
             title=self._title(view, present, notes),

@@ -32,6 +32,8 @@ MAX_DECODED = 4
 """Messages of a topic that stay decoded: the last ones before and after the present time."""
 MAX_STEP = 1.0
 """Seconds between two poses up to which the poses between them are interpolated."""
+TimedMessage = tuple[int, str, str, bytes]
+"""The time in ns, the topic `/robot/...`, the type and the content of a message."""
 _TOPICS = frozenset(
     ("odometry", "pose", "scan", "scan/geometry", "decision", "status", "readings", "event")
 )
@@ -175,27 +177,37 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     files is a merged file.
     """
     first_file = read_file(paths[0])
-    is_merged = first_file.about.get("kind") == "merged"
-    if is_merged and len(paths) > 1:
+    if first_file.about.get("kind") != "merged":
+        notes: list[str] = []
+        abouts, placed_messages = _placed(paths, notes)
+        return _timeline(paths[0], {}, abouts, placed_messages, notes)
+    if len(paths) > 1:
         raise ConfigError(f"{paths[0]}: merged already; expected it alone")
-    # 1. All messages: (time in ns, topic `/robot/...`, message type, content).
-    notes: list[str] = []
-    abouts: Mapping[str, Mapping[str, str]] = first_file.robots  # texts on each robot
-    messages_of_all: Iterable[tuple[int, str, str, bytes]]
-    if is_merged:
-        if first_file.fault:
-            notes.append(f"{paths[0]}: {first_file.fault}; what is whole is shown")
-        messages_of_all = (
-            (message.at, message.topic, message.kind, message.payload)
-            for message in first_file.messages
-        )
-    else:
-        abouts, messages_of_all = _placed(paths, notes)
+    fault = first_file.fault
+    notes = [f"{paths[0]}: {fault}; what is whole is shown"] if fault else []
+    merged_messages = (
+        (message.at, message.topic, message.kind, message.payload)
+        for message in first_file.messages
+    )
+    return _timeline(paths[0], first_file.about, first_file.robots, merged_messages, notes)
+
+
+def _timeline(
+    first_path: Path,
+    about_merged: Mapping[str, str],
+    abouts: Mapping[str, Mapping[str, str]],
+    messages_of_all: Iterable[TimedMessage],
+    notes: list[str],
+) -> Timeline:
+    """The messages of all robots as tracks; ConfigError without a message.
+
+    `about_merged`: texts on a merged file, else empty. `abouts`: texts on each robot.
+    """
     timed = sorted(messages_of_all, key=lambda message: message[0])
     if not timed:
-        raise ConfigError(f"{paths[0]}: no messages in this recording")
-    # 2. A track for each robot. Times count from the first odometry, since from then on a robot has
-    #    a place; messages before it have negative times.
+        raise ConfigError(f"{first_path}: no messages in this recording")
+    # Times count from the first odometry, from which on a robot has a place. Earlier messages have
+    # negative times.
     odometry_times = (at for at, topic, *_ in timed if topic.endswith("/odometry"))
     start = next(odometry_times, timed[0][0])
     tracks: dict[str, Track] = {}
@@ -206,15 +218,13 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
             tracks[robot] = Track(about, _platform(about, f"the recording of {robot}"))
         tracks[robot].add(1e-9 * (at - start), robot_topic, kind, payload)
     tracks = dict(sorted(tracks.items()))
-    merged_about = first_file.about if is_merged else {}
-    is_shared = _is_shared(tracks.values())  # all robots recorded poses in one frame
-    return Timeline(tracks, merged_about, notes, is_shared)
+    return Timeline(tracks, about_merged, notes, is_shared=_is_shared(tracks.values()))
 
 
 def _placed(
     paths: Sequence[Path], notes: list[str]
-) -> tuple[Mapping[str, Mapping[str, str]], list[tuple[int, str, str, bytes]]]:
-    """Texts by robot, and all messages: time in ns, topic with robot, type and bytes."""
+) -> tuple[Mapping[str, Mapping[str, str]], list[TimedMessage]]:
+    """The texts on each robot, and the messages of all robots. Adds lines on faults to `notes`."""
     found = survey(paths)
     notes += [fault.replace("is merged", "is shown") for fault in found.faults]
     placed = place(found) if found.sources else []
