@@ -96,24 +96,20 @@ def _carry_out(
     of each robot, and a robot refuses any other epoch. The robots are therefore queried again after
     each step. Returns an outcome per request.
     """
-    outcomes: list[Outcome] = []
     if plan.is_empty:
-        return outcomes
-    # The goal request quotes the epochs of the first query, so that a robot that somebody stopped
-    # or changed since then refuses the goal. Only the changes of labels by this plan do not count:
-    # the reply to a label request has the raised epoch, which replaces the epoch of that robot.
-    run_epochs = view.epochs(plan.targets)
+        return []
 
     def queried_again() -> MembersView:
         return operator.members(timeout=options.timeout)
 
-    if plan.labels:
-        for labels, robots in _grouped(plan.labels, tuple).items():
-            outcome = operator.request(LabelRequest, view.epochs(robots), labels=labels)
-            for robot, reply in outcome.replies.items():
-                if robot in run_epochs and reply.epoch:
-                    run_epochs[robot] = reply.epoch
-            outcomes.append(outcome)
+    # From the first query: a robot that somebody stopped or changed since then refuses the goal.
+    run_epochs = view.epochs(plan.targets)
+    outcomes = _send_labels(operator, view, plan)
+    for outcome in outcomes:
+        # The new labels also raise epochs, and are no reason to refuse the goal.
+        raised = {name: reply.epoch for name, reply in outcome.replies.items() if reply.epoch}
+        run_epochs |= {name: epoch for name, epoch in raised.items() if name in run_epochs}
+    if outcomes:
         view = queried_again()
     if plan.goal is not None:
         outcomes.append(send_goal(operator, run_epochs, next_goal(operator, view, **plan.goal)))
@@ -122,14 +118,29 @@ def _carry_out(
         # `timeout` None: the usual time for replies, as for the requests before.
         outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
         view = queried_again()
-    # Parameters are compared anew, since a run that has just begun may have them already. Robots
-    # with equal changes share a request.
+    return outcomes + _send_params(operator, view)
+
+
+def _send_labels(operator: Operator, view: MembersView, plan: Plan) -> list[Outcome]:
+    """Send the new labels of `plan`; robots with equal labels share a request."""
+    return [
+        operator.request(LabelRequest, view.epochs(robots), labels=labels)
+        for labels, robots in _grouped(plan.labels, tuple).items()
+    ]
+
+
+def _send_params(operator: Operator, view: MembersView) -> list[Outcome]:
+    """Send the parameters that still differ; robots with equal changes share a request.
+
+    `view`: a query after all other changes, since a run that has just begun may have the parameters
+    already.
+    """
     params_by_robot = _plan(operator, view).params
     by_params = _grouped(params_by_robot, lambda params: tuple(sorted(params.items())))
-    for items, robots in by_params.items():
-        epochs = view.epochs(robots)
-        outcomes.append(operator.request(ParamRequest, epochs, params=dict(items)))
-    return outcomes
+    return [
+        operator.request(ParamRequest, view.epochs(robots), params=dict(items))
+        for items, robots in by_params.items()
+    ]
 
 
 def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:

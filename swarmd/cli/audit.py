@@ -88,27 +88,39 @@ def _read(
     newest_page = AuditQuery(since=since, count=min(count, AUDIT_PAGE))
     replies = ask_robots(options, operator, names, AUDIT, newest_page)
     for robot, reply in replies.items():
-        robot_lines = _lines(reply)
-        # A reply has at most AUDIT_PAGE entries: query older pages until the count is reached, or
-        # the robot has no older entries.
-        while len(robot_lines) < count:
-            if not reply.has_more or not reply.entries:
-                break
-            first_number = reply.entries[0].seq  # entries have serial numbers, oldest first
-            page_size = min(count - len(robot_lines), AUDIT_PAGE)
-            query = AuditQuery(before=first_number, since=since, count=page_size)
-            older_replies = ask_robots(options, operator, (robot,), AUDIT, query)
-            if robot not in older_replies:
-                faults[robot] = f"did not tell its entries before number {first_number}; ask again"
-                break
-            reply = older_replies[robot]
-            robot_lines = _lines(reply) + robot_lines
-        if reply.fault:
-            faults[robot] = reply.fault
+        robot_lines, fault = _with_older(options, operator, robot, reply, since, count)
         lines += robot_lines
+        if fault:
+            faults[robot] = fault
     # Entries of unknown time come first: of an earlier boot, in which the clock was not set.
     lines.sort(key=lambda line: (line.at or 0.0, line.robot, line.entry.seq))
     return lines, faults, set(replies)
+
+
+def _with_older(
+    options: CommonOptions,
+    operator: Operator,
+    robot: str,
+    newest: AuditReply,
+    since: float | None,
+    count: int,
+) -> tuple[list[_Line], str]:
+    """The last `count` entries of a robot, at most, oldest first; and a fault, empty without.
+
+    `newest`: the newest page. A reply has at most AUDIT_PAGE entries, so older pages are queried.
+    """
+    reply, lines = newest, _lines(newest)
+    while len(lines) < count and reply.has_more and reply.entries:
+        first_number = reply.entries[0].seq  # entries have serial numbers, oldest first
+        page_size = min(count - len(lines), AUDIT_PAGE)
+        query = AuditQuery(before=first_number, since=since, count=page_size)
+        older_replies = ask_robots(options, operator, (robot,), AUDIT, query)
+        if robot not in older_replies:
+            missing = f"did not tell its entries before number {first_number}; ask again"
+            return lines, reply.fault or missing
+        reply = older_replies[robot]
+        lines = _lines(reply) + lines
+    return lines, reply.fault
 
 
 def _lines(reply: AuditReply) -> list[_Line]:

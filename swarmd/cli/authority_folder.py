@@ -40,9 +40,9 @@ def authority_folder(swarm: str) -> Path:
 def open_authority(swarm: str | None) -> Authority:
     """The authority (signing folder) of a swarm; asks for the passphrase if the folder has one.
 
-    `swarm` None: the swarm of the option before the verb, of $SWARM, of the context in use or of
-    the file of --config; without any of these, the only folder. ConfigError without a folder, or
-    with several folders and no name.
+    `swarm` None: the swarm that the other options of the line, $SWARM, the context in use or the
+    file of --config name. If none of these names a swarm, and there is only one folder: this
+    folder. ConfigError without a folder, or with several folders and no name.
     """
     from swarmd.security.authority import Authority, is_encrypted
 

@@ -80,7 +80,6 @@ def calibrate(
     within the range of the lidar must stand: moving objects make the figures less exact. Ctrl-C
     stops the robot.
     """
-    # 1. All that can be refused before anything moves.
     if floor is not None and math.isnan(floor):
         raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
     _check_file(write)
@@ -88,25 +87,30 @@ def calibrate(
         view = known_members(options, operator)
         check_known(robot, view.members)
         member = view.members[robot]
-        status = member.status
-        if member.presence is not Presence.ALIVE or status is None:
-            raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
-        if status.state not in (State.IDLE, State.STOPPED):
-            activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
-            raise Failure(
-                f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED
-            )
-        # 2. Warn of moving robots, and ask whether the floor is free.
+        is_alive = member.presence is Presence.ALIVE
+        status = _resting_status(robot, member.status if is_alive else None)
         side_m = _floor(status) if floor is None else floor
         statuses = {name: other_member.status for name, other_member in view.members.items()}
         if moving := running_beside(statuses, robot):
             names = ", ".join(moving)
             warn(f"running: {names}; robots that move in sight make figures less exact")
         _confirm(robot, status.platform, side_m, yes)
-        # 3. Drive, and use the figures.
         report, status = _measure(operator, robot, {"floor": side_m, "repeats": repeats})
         _end_findings(operator, robot, status, report)
         _show(options, robot, status, report, write)
+
+
+def _resting_status(robot: str, status: Status | None) -> Status:
+    """The status of a robot that may be calibrated; Failure unless the robot answers and rests.
+
+    `status`: the last status; None if the robot is not alive or has sent none.
+    """
+    if status is None:
+        raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
+    if status.state not in (State.IDLE, State.STOPPED):
+        activity = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
+        raise Failure(f"{robot} {activity}; nothing was sent; it must be idle or stopped", REFUSED)
+    return status
 
 
 def running_beside(statuses: Mapping[str, Status | None], robot: str) -> list[str]:
@@ -172,9 +176,8 @@ def _measure(
     for signal_number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(signal_number, signal.default_int_handler)
     epochs = operator.members(timeout=_QUERY_TIME, needs_status=False).epochs((robot,))
-    may_run = True  # the robot may run the pattern
+    may_run = True  # until a reply or status shows that the robot does not run the pattern
     try:
-        # 1. Start the pattern.
         outcome = operator.request(
             RunRequest, epochs, pattern=PATTERN, params=params, seconds=LONGEST
         )
@@ -183,17 +186,21 @@ def _measure(
             may_run = reply is None  # the request may have arrived without its reply
             answer = "did not answer" if reply is None else f"{reply.code}: {reply.text}"
             raise Failure(f"{robot} {answer}", outcome.exit_code)
-        # 2. Wait for its end. `status`: the first status without the running pattern.
-        try:
-            status = _follow(operator, robot)
-        finally:
-            if sys.stderr.isatty():
-                click.echo(err=True)  # ends the line of `_print_step`
+        status = _follow_on_terminal(operator, robot)
         may_run = False
         return _report(robot, status), status
     finally:
         if may_run:
             _stop(operator, robot)
+
+
+def _follow_on_terminal(operator: Operator, robot: str) -> Status:
+    """As `_follow`; then ends the line of `_print_step`, also after an error."""
+    try:
+        return _follow(operator, robot)
+    finally:
+        if sys.stderr.isatty():
+            click.echo(err=True)
 
 
 def _follow(operator: Operator, robot: str) -> Status:
@@ -258,15 +265,34 @@ def _end_findings(
 ) -> None:
     """End those findings of the assumption monitor that the calibration disproves.
 
-    A finding is the text of a doubt of the robot, such as: the brakes of an axis seem weaker than
-    the platform file declares. `report`: the measured figures. The measured braking (m/s^2 or
-    rad/s^2), less 2 standard deviations, disproves a finding if it exceeds 85 % (SOUND) of the
-    declared braking.
+    A finding is a doubt of the robot, in words, such as that the brakes of an axis are weaker than
+    its platform file says. `report`: the measured figures.
+    """
+    figure_texts = _disproved(robot, status, report)
+    if not figure_texts:
+        return
+    outcome = operator.request(
+        ResetRequest,
+        {robot: status.epoch},
+        findings=tuple(figure_texts),
+        reason=f"calibrated: {', '.join(figure_texts.values())}",
+    )
+    result = "ended"
+    if not outcome.applied:
+        reply = outcome.replies.get(robot)
+        result = f"not ended ({'no answer' if reply is None else reply.text})"
+    for finding, figure_text in figure_texts.items():
+        warn(f"{robot}: {result}: {finding}; now {figure_text}")
+
+
+def _disproved(robot: str, status: Status, report: Mapping[str, object]) -> dict[str, str]:
+    """For each finding that is disproved: the measured figure, as text. Warns of all others.
+
+    The measured braking (m/s^2 or rad/s^2), less 2 standard deviations, disproves a finding on
+    brakes if it exceeds 85 % (SOUND) of the braking in the platform file.
     """
     from swarmd.protection.assumption_monitor import SOUND, axis_of
 
-    # 1. Choose the findings to end, with their figures as text; warn of each that stays. Brakes
-    #    that are measured as weak need the new platform file, which declares the measured braking.
     figure_texts: dict[str, str] = {}
     for finding in status.findings:
         axis = axis_of(finding)
@@ -282,21 +308,7 @@ def _end_findings(
             figure_texts[finding] = f"{braking.value:.3g} +- {braking.spread:.2g}"
         else:
             warn(f"{robot} keeps the finding: {finding}; give it the platform file that follows")
-    if not figure_texts:
-        return
-    # 2. Send the request, and say of each finding whether the robot has ended it.
-    outcome = operator.request(
-        ResetRequest,
-        {robot: status.epoch},
-        findings=tuple(figure_texts),
-        reason=f"calibrated: {', '.join(figure_texts.values())}",
-    )
-    result = "ended"
-    if not outcome.applied:
-        reply = outcome.replies.get(robot)
-        result = f"not ended ({'no answer' if reply is None else reply.text})"
-    for finding, figure_text in figure_texts.items():
-        warn(f"{robot}: {result}: {finding}; now {figure_text}")
+    return figure_texts
 
 
 def _stop(operator: Operator, robot: str) -> None:
@@ -318,47 +330,60 @@ def _show(
     `report`: the report of the calibration pattern after its drives. `write`: the file to write,
     None to print. Failure if another version of swarmd made the report.
     """
-    from swarmd.calibration.report import figures_of, platform_file, rows, settings
-    from swarmd.settings.platforms import platform_names
+    from swarmd.calibration.report import figures_of
 
-    # 1. Parse the figures, and make the text of a platform file that extends the present file.
-    #    `sweep`: order and duration of the rays of a scan, which the robot measured as it turned.
-    platform, delay = status.platform, status.scan_delay
     try:
         figures = figures_of(report)
         fastest_speeds = tuple(map(float, str(report.get("drove")).split()))  # m/s, rad/s
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    sweep = None if delay is None else delay.sweep
-    new_values = settings(figures, fastest_speeds, sweep)
-    extends = platform if platform in platform_names() else f"./{platform}.yaml"
-    today = datetime.date.today().isoformat()
-    file_text = platform_file(robot, extends, today, figures, new_values)
-    # 2. Print. The figure `margin` follows from the others, so it is never measured.
+    file_text = _platform_text(robot, status, figures, fastest_speeds)
     if options.is_json:
-        figures_json = {
-            name: {
-                "value": _finite(figure.value),
-                "sd": _finite(figure.spread),
-                "samples": figure.samples,
-                "assumed": _finite(figure.assumed),
-                "why": figure.why,
-            }
-            for name, figure in figures.items()
-        }
+        figures_json = {name: _figure_json(figure) for name, figure in figures.items()}
         print_json("Calibration", {"robot": robot, "figures": figures_json, "file": file_text})
     else:
-        print_table(("FIGURE", "MEASURED", "SD", "SAMPLES", "PLATFORM"), rows(figures))
-        for name, figure in figures.items():
-            if figure.why and name != "margin":
-                click.echo(f"{name} is not measured: {figure.why}")
+        _print_figures(figures)
         if write is None:
             heading = "A platform file that follows (--write FILE writes it):"
             click.echo(f"\n{heading}\n\n{file_text}", nl=False)
-    # 3. Write.
     if write is not None:
         write.write_text(file_text)
         warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
+
+
+def _platform_text(
+    robot: str, status: Status, figures: Mapping[str, Figure], fastest_speeds: tuple[float, ...]
+) -> str:
+    """A platform file with the measured figures, which extends the present file of the robot."""
+    from swarmd.calibration.report import platform_file, settings
+    from swarmd.settings.platforms import platform_names
+
+    platform, delay = status.platform, status.scan_delay
+    sweep = None if delay is None else delay.sweep  # order and duration of the rays of a scan
+    new_values = settings(figures, fastest_speeds, sweep)
+    extends = platform if platform in platform_names() else f"./{platform}.yaml"
+    today = datetime.date.today().isoformat()
+    return platform_file(robot, extends, today, figures, new_values)
+
+
+def _print_figures(figures: Mapping[str, Figure]) -> None:
+    from swarmd.calibration.report import rows
+
+    print_table(("FIGURE", "MEASURED", "SD", "SAMPLES", "PLATFORM"), rows(figures))
+    for name, figure in figures.items():
+        is_computed = name == "margin"  # from the other figures, so never measured
+        if figure.why and not is_computed:
+            click.echo(f"{name} is not measured: {figure.why}")
+
+
+def _figure_json(figure: Figure) -> dict[str, object]:
+    return {
+        "value": _finite(figure.value),
+        "sd": _finite(figure.spread),
+        "samples": figure.samples,
+        "assumed": _finite(figure.assumed),
+        "why": figure.why,
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -126,8 +126,7 @@ def swarmd(
     if ctx.invoked_subcommand is not None:
         _refuse_options(ctx)
         return
-    # 1. The options of the command line, which count more than the file; None: the file counts.
-    overrides = {
+    overrides = {  # of the values in the file; None: the value of the file counts
         **options,
         "seeds": list(seeds) or None,
         "insecure": insecure or None,
@@ -137,24 +136,15 @@ def swarmd(
     if die_with_parent is not None:  # a process id
         tie_to(die_with_parent)
     check_descriptors()  # each link of an operator needs an open file
-    # The fork and the settings load numpy, which would start a BLAS thread per core for arrays of
-    # 360 numbers.
+    # numpy, which is loaded below, would start a BLAS thread per core for arrays of 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # 2. Fork the process that will run the pattern. It must not hold the settings and keys of the
-    #    daemon, so the fork comes before they are read.
-    if not (check or print_effective_config):
-        from swarmd.pattern_host.forked import forked_host
-
-        # Python puts the folder of the program (the present folder with -m) before all others in
-        # `sys.path`, unless -P is given. A file random.py there must not shadow a module.
-        path = sys.path if sys.flags.safe_path else sys.path[1:]
-        ctx.with_resource(forked_host(path))
-    # 3. Read the settings.
+    starts_daemon = not (check or print_effective_config)
+    if starts_daemon:
+        _fork_host(ctx)
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
     _log_to_stderr(log_level.upper(), settings.id)
-    # 4. Print the settings, check them, or run the daemon.
     if print_effective_config:
         from swarmd.cli.effective_config import effective_config
 
@@ -171,6 +161,20 @@ def swarmd(
         if settings.network.profile != "dev":
             keep_from_tracing()
         ctx.exit(asyncio.run(serve(settings)))
+
+
+def _fork_host(ctx: click.Context) -> None:
+    """Fork the process that will run the pattern, and end it with `ctx`.
+
+    Called before the settings and keys of the daemon are read, so that the process does not hold
+    them.
+    """
+    from swarmd.pattern_host.forked import forked_host
+
+    # Without -P the first folder in `sys.path` is the folder of the program, or with -m the present
+    # folder. A file random.py in this folder must not shadow a module.
+    path = sys.path if sys.flags.safe_path else sys.path[1:]
+    ctx.with_resource(forked_host(path))
 
 
 def _log_to_stderr(level: str, robot: str) -> None:

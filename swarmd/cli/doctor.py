@@ -78,8 +78,6 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
 
     A robot without a readable answer gets a single finding. Without any robot: a warning.
     """
-    # 1. The robots. Then listen until each robot has sent a beacon (one a second), since the
-    #    findings tell by which ways (such as multicast) the beacons of a robot arrive here.
     view = operator.members(timeout=options.timeout)
     remember(operator.settings, view)
     if not view.members and not view.roster and targets.is_whole_swarm:
@@ -90,41 +88,52 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
         yield _Line("swarm", warning("robots", text, remedy))
         return
     robots = robots_of(view, targets)
+    # Each robot sends a beacon a second. The findings tell by which ways the beacons arrive here.
     time.sleep(LISTEN_TIME)
     reachable = in_reach(view, robots)
-    decode = Decoder(DOCTOR.answer, MAX_ANSWER)
-    roster_generation = None if operator.identity is None else operator.identity.roster.generation
-    # 2. Query each robot. Its clock is compared with the middle of the time of the query; half of
-    #    that time is the error of the comparison.
     for robot in robots:
-        timeout = options.timeout or ASK_TIME
-        sent_at = time.time()
-        answer = None
-        if robot in reachable:
-            answer = operator.ask(robot, DOCTOR.name, timeout=timeout)
-        returned_at = time.time()
-        if answer is None:
-            remedy = "see swarmctl members; look at its power, its network and its daemon"
-            yield _Line(robot, Finding("answer", False, "it does not answer", remedy))
-            continue
-        try:
-            reply = decode(answer)
-        except CodecError as error:
-            remedy = "install the same version everywhere"
-            yield _Line(robot, Finding("answer", False, f"unreadable: {error}", remedy))
-            continue
         other_robots = set(view.alive) - {robot}  # that `robot` should hear
-        for finding in findings_of.of_robot(
-            reply,
-            skew=reply.machine.wall - 0.5 * (sent_at + returned_at),
-            error=0.5 * (returned_at - sent_at),
-            version=version("swarmd"),
-            ways=operator.ways(robot),
-            others=len(other_robots),
-            now=returned_at,
-            roster=roster_generation,
-        ):
+        timeout = (options.timeout or ASK_TIME) if robot in reachable else None
+        for finding in _findings_of(operator, robot, len(other_robots), timeout):
             yield _Line(robot, finding)
+
+
+def _findings_of(
+    operator: Operator, robot: str, others: int, timeout: float | None
+) -> Iterator[Finding]:
+    """Yields the findings about a robot, from its answer to a query.
+
+    `others`: how many other robots `robot` should hear. `timeout`: the longest wait for the answer
+    in s; None for a robot out of reach, which is not queried.
+    """
+    answer = None
+    sent_at = time.time()
+    if timeout is not None:
+        answer = operator.ask(robot, DOCTOR.name, timeout=timeout)
+    returned_at = time.time()
+    if answer is None:
+        remedy = "see swarmctl members; look at its power, its network and its daemon"
+        yield Finding("answer", False, "it does not answer", remedy)
+        return
+    try:
+        reply = Decoder(DOCTOR.answer, MAX_ANSWER)(answer)
+    except CodecError as error:
+        remedy = "install the same version everywhere"
+        yield Finding("answer", False, f"unreadable: {error}", remedy)
+        return
+    # The robot read its clock between `sent_at` and `returned_at`: in their middle, within half of
+    # the time between them.
+    answered_at = 0.5 * (sent_at + returned_at)
+    yield from findings_of.of_robot(
+        reply,
+        skew=reply.machine.wall - answered_at,
+        error=0.5 * (returned_at - sent_at),
+        version=version("swarmd"),
+        ways=operator.ways(robot),
+        others=others,
+        now=returned_at,
+        roster=None if operator.identity is None else operator.identity.roster.generation,
+    )
 
 
 def _print(lines: list[_Line], *, only_problems: bool) -> None:

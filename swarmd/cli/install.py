@@ -16,6 +16,7 @@ from swarmd.texts.keys import end_of_certificate
 if TYPE_CHECKING:
     from swarmd.security.identity import Identity
     from swarmd.security.roster import Roster
+    from swarmd.settings.installed import DraftedFile
 
 DAEMON_FILE = "swarmd.yaml"
 
@@ -39,7 +40,6 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     from swarmd.security.roster import Role
     from swarmd.settings.installed import checked_settings, draft_daemon_file
 
-    # 1. Read the bundle: the identity of one robot, and the settings of its swarm.
     opened = read_bundle(file)
     info = opened.bundle.info
     if info.role is not Role.ROBOT:
@@ -47,13 +47,12 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
             f"{file} is the bundle of {info.role} {info.name};"
             f" take it with `swarmctl keys install {file}`"
         )
-    # 2. Check all before the first write. In /etc/swarmd the account of the service owns each
-    #    identity, but root owns the folders above: else links of that account could mislead root.
     base = _base(root)
     machine_root = root or Path("/")
     is_of_service = base == machine_root / "etc/swarmd"
     if is_of_service:
         keep_for_root(machine_root)
+    # All is checked before the first write.
     settings = checked_settings(str(file), info.swarm, opened.bundle.settings)
     config = base / DAEMON_FILE
     drafted = draft_daemon_file(config, info.name, settings, {"interface": interface})
@@ -61,15 +60,24 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     check_replaces(opened, installed(folder), is_forced=force)
     if not force:
         _check_file(config, info.swarm, info.name)
-    # 3. Write the identity and swarmd.yaml; if the file cannot be written, the identity returns to
-    #    its former content. Then let the account of the service read the file and own the identity.
     base.mkdir(parents=True, exist_ok=True)
+    # An error in this block gives the folder of the identity its former content.
     with replaced_identity(folder, opened) as identity:
         drafted.write()
     if is_of_service:
         give_to_service(machine_root)
-    # 4. Say what was written, what is missing, and which command comes next.
     report_identity(identity, opened.roster)
+    _report_file(config, drafted)
+    if base == Path("/etc/swarmd"):
+        has_service = UNIT_FILE.exists()
+        next_step = "systemctl restart swarmd" if has_service else "swarmd service install"
+        click.echo(f"next: {next_step}")
+    elif root is None:
+        click.echo(f"next: swarmd --config {config}")
+
+
+def _report_file(config: Path, drafted: DraftedFile) -> None:
+    """Print what was written into swarmd.yaml, and what is missing in it."""
     click.echo(f"wrote {config}")
     for verb, keys in (("kept", drafted.kept), ("dropped", drafted.dropped)):
         if keys:
@@ -79,12 +87,6 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
             f"note: {config} has no {' and no '.join(unset)}; on a real robot add them, such as"
             " `platform: burger` and `driver: ros2dds`"
         )
-    if base == Path("/etc/swarmd"):
-        has_service = UNIT_FILE.exists()
-        next_step = "systemctl restart swarmd" if has_service else "swarmd service install"
-        click.echo(f"next: {next_step}")
-    elif root is None:
-        click.echo(f"next: swarmd --config {config}")
 
 
 def report_identity(identity: Identity, roster: Roster) -> None:

@@ -10,7 +10,7 @@ import re
 import shutil
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,15 @@ from swarmd.cli.authority_folder import (
     open_authority,
 )
 from swarmd.cli.install import report_identity
-from swarmd.cli.options import FILE, FOLDER, PROFILES, CommonOptions, VerbGroup, local_options
+from swarmd.cli.options import (
+    FILE,
+    FOLDER,
+    PROFILES,
+    CommonOptions,
+    VerbGroup,
+    check_names_or_all,
+    local_options,
+)
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
@@ -95,11 +103,8 @@ def init(
     Commas separate the NAMES of an option; a range in brackets is expanded: tb3-[01-40] is tb3-01
     to tb3-40.
     """
-    from swarmd.security.authority import Authority
-    from swarmd.security.bundle import OpenedBundle
-    from swarmd.settings.installed import SWARM_YAML, swarm_settings, write_yaml
+    from swarmd.settings.installed import swarm_settings
 
-    # 1. Check names, settings and folders before anything is written.
     check_id(swarm, "the swarm")
     names_by_role = {
         Role.ROBOT: expand_names(robots),
@@ -115,26 +120,10 @@ def init(
     for path in (folder, identities):
         if path.exists():
             raise ConfigError(f"{path} is there already; remove it to begin anew")
-    passphrase_text = ask_passphrase(is_new=True) if passphrase else None
-    # 2. Write the authority (its key, the roster, and the settings for bundles) into a draft
-    #    folder, which gets its name when all is written. An error or Ctrl-C leaves nothing.
-    draft = folder.with_name(f".{swarm}.partial")
-    shutil.rmtree(draft, ignore_errors=True)
-    try:
-        draft.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        authority = Authority.create(draft, swarm, passphrase_text, days=days)
-        roles = {name: role for role, names in names_by_role.items() for name in names}
-        authority.change(add=roles)
-        write_yaml(draft / SWARM_YAML, swarm_yaml, f"Settings of swarm {swarm}, for its bundles.")
-        operator_bundle = bundle_of(authority, names_by_role[Role.OPERATOR][0])
-        draft.rename(folder)
-        opened = OpenedBundle(operator_bundle, authority.roster)
-        installed = install_reader(opened, {}, is_forced=False)
-    except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
-    # 3. Report, and name the next command.
+    passphrase_bytes = ask_passphrase(is_new=True) if passphrase else None
+    authority, installed = _make_authority(
+        folder, swarm, names_by_role, swarm_yaml, passphrase_bytes, days
+    )
     click.echo(f"authority of swarm {swarm}, certificates of {days:g} days: wrote {folder}")
     report_identity(installed, authority.roster)
     _report_context(swarm)
@@ -144,6 +133,43 @@ def init(
         " then on each robot: swarmd install FILE\n"
         f"keep a copy of {folder}: without it no name can be added, renewed or revoked"
     )
+
+
+def _make_authority(
+    folder: Path,
+    swarm: str,
+    names_by_role: Mapping[Role, tuple[str, ...]],
+    settings: Mapping[str, Any],
+    passphrase: bytes | None,
+    days: float,
+) -> tuple[Authority, Identity]:
+    """Write the authority into `folder`, and install the first operator for this user.
+
+    The key, the roster and the `settings` for bundles are written into a draft folder, which gets
+    its name when all is written. An error or Ctrl-C leaves nothing. `days`: the life of
+    certificates.
+    """
+    from swarmd.security.authority import Authority
+    from swarmd.security.bundle import OpenedBundle
+    from swarmd.settings.installed import SWARM_YAML, write_yaml
+
+    draft = folder.with_name(f".{swarm}.partial")
+    shutil.rmtree(draft, ignore_errors=True)
+    try:
+        draft.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        authority = Authority.create(draft, swarm, passphrase, days=days)
+        roles = {name: role for role, names in names_by_role.items() for name in names}
+        authority.change(add=roles)
+        write_yaml(draft / SWARM_YAML, settings, f"Settings of swarm {swarm}, for its bundles.")
+        operator_bundle = bundle_of(authority, names_by_role[Role.OPERATOR][0])
+        draft.rename(folder)
+        opened = OpenedBundle(operator_bundle, authority.roster)
+        installed = install_reader(opened, {}, is_forced=False)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return authority, installed
 
 
 @keys.command()
@@ -167,26 +193,32 @@ def bundle(
     the identity: carry the file safely, and remove it once it is installed. The settings are those
     of swarm.yaml in the authority's folder.
     """
-    from swarmd.security.bundle import SUFFIX, write_bundle
+    from swarmd.security.bundle import write_bundle
 
-    has_names = bool(names)
-    if has_names == is_all:  # both, or neither
-        raise click.UsageError("keys bundle needs names or --all")
+    check_names_or_all("keys bundle", names, is_all)
     authority = open_authority(swarm)
     chosen_names = select_names(names, authority.roster.names)  # all names with --all
-    # `target` is a file if a single bundle is written and the path has a suffix; else a folder.
-    is_single = len(chosen_names) == 1
-    if is_single and target is not None and target.suffix and not target.is_dir():
-        files = {chosen_names[0]: target}
-    else:
-        folder = target or Path()
-        folder.mkdir(parents=True, exist_ok=True)
-        files = {name: folder / f"{name}{SUFFIX}" for name in chosen_names}
-    for name, path in files.items():
+    for name, path in _bundle_files(chosen_names, target).items():
         new_bundle = bundle_of(authority, name, days=days)
         write_bundle(path, new_bundle)
         info = new_bundle.info
         click.echo(f"wrote {path}: {info.role} {name}, until {day(info.expires)}")
+
+
+def _bundle_files(names: Sequence[str], target: Path | None) -> dict[str, Path]:
+    """The file of each name's bundle; makes the folder `target` (None: the present folder).
+
+    `target` is the file itself if there is only one name, and `target` has a suffix and is no
+    folder.
+    """
+    from swarmd.security.bundle import SUFFIX
+
+    is_file = target is not None and target.suffix != "" and not target.is_dir()
+    if len(names) == 1 and target is not None and is_file:
+        return {names[0]: target}
+    folder = target or Path()
+    folder.mkdir(parents=True, exist_ok=True)
+    return {name: folder / f"{name}{SUFFIX}" for name in names}
 
 
 @keys.command("list")
@@ -195,9 +227,9 @@ def bundle(
 def list_(options: CommonOptions) -> None:
     """List the names of the roster, and how long their newest certificates last.
 
-    GENERATION is that of the newest roster that a name is known to have: the roster of its first
-    bundle, or a roster that was sent and taken since. A later bundle does not count, since the
-    bundle may not be installed yet.
+    GENERATION is the number of the newest roster that a name is known to have. A name has the
+    roster of its first bundle, then each roster that was sent and taken. A later bundle does not
+    count, since the bundle may not be installed yet.
     """
     authority = open_authority(options.swarm)
     roster, now = authority.roster, time.time()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from swarmd.cli.authority_folder import configuration, days_option, open_authority
-from swarmd.cli.options import CommonOptions, Failure, common_options
+from swarmd.cli.options import CommonOptions, Failure, check_names_or_all, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import report, session_of
 from swarmd.core.errors import ConfigError, SwarmError
@@ -97,39 +97,37 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
     Each robot that takes a new certificate stands. Other operators and viewers need a new bundle:
     `keys bundle`.
     """
-    has_names = bool(names)
-    if has_names == is_all:  # both, or neither
-        raise click.UsageError("keys renew needs names or --all")
+    check_names_or_all("keys renew", names, is_all)
     authority = open_authority(options.swarm)
     settings, own_identity = _network(options, authority)
-    roster = authority.roster
-    # 1. Choose the names. --all means those that the network can renew: robots and this operator.
-    if is_all:
-        chosen_names = (*roster.robots, own_identity.name)
-    else:
-        chosen_names = select_names(names, roster.names)
-    # A name without a record has no keys yet, so there is nothing to renew.
-    chosen = [name for name in chosen_names if authority.record_of(name) is not None]
-    robots = tuple(name for name in chosen if name in roster.robots)
-    need_bundle = [
-        name for name in chosen if name not in roster.robots and name != own_identity.name
-    ]
-    if need_bundle:
-        raise ConfigError(f"{', '.join(need_bundle)}: only a bundle brings them a new certificate")
-    # 2. Renew this operator's certificate on this machine, and those of robots over the network.
+    chosen = _renewable(authority, own_identity, names)
+    robots = tuple(name for name in chosen if name in authority.roster.robots)
     if own_identity.name in chosen:
         _renew_own(authority, own_identity, days)
     if not robots:
         return
-    # `is_recorded` False: the authority records a certificate once the robot takes it (step 3).
+    # `is_recorded` False: only a certificate that its robot takes is recorded, below.
     issued = {name: authority.issue(name, days=days, is_recorded=False) for name in robots}
     outcome = _send_roster(options, settings, own_identity, authority, robots, issued=issued)
-    # 3. Record what the robots have taken.
     for name in outcome.applied:
         authority.note_issued(issued[name])
     if outcome.missing:
         warn("robots that were not reached keep their certificates: repeat `swarmctl keys renew`")
     _finish(options, authority, own_identity, outcome)
+
+
+def _renewable(authority: Authority, own: Identity, names: tuple[str, ...]) -> list[str]:
+    """The chosen names that have keys; without `names`: all robots, and this operator (`own`).
+
+    ConfigError for another operator or a viewer, whom the network does not reach.
+    """
+    roster = authority.roster
+    chosen = select_names(names, roster.names) if names else (*roster.robots, own.name)
+    with_keys = [name for name in chosen if authority.record_of(name) is not None]
+    need_bundle = [name for name in with_keys if name not in roster.robots and name != own.name]
+    if need_bundle:
+        raise ConfigError(f"{', '.join(need_bundle)}: only a bundle brings them a new certificate")
+    return with_keys
 
 
 @click.command()
@@ -149,8 +147,8 @@ def roll_out(
     """Send the roster to all robots that may lack it, report, and end with the exit code.
 
     Robots without a bundle are left out, since they have no keys yet. A revoked robot in reach gets
-    the roster and stands. It does not get the new secret, from which the swarm's members derive the
-    keys of their datagrams.
+    the roster, and stands. The new secret, from which the members of the swarm derive the keys of
+    their datagrams, goes to no revoked robot.
     """
     settings, own = _network(options, authority)
     wanted = _outstanding(authority)
@@ -228,52 +226,65 @@ def _send_roster(
     replies: dict[str, Reply] = {}
     seconds = 0.0  # of all queries and requests
     for identity in _identities(own, authority, robots):
-        # 1. Robots that have not replied yet and may have this generation. A robot has the recorded
-        #    generation or a later generation, never an earlier generation.
         generation = identity.roster.generation
-        remaining = [
-            name
-            for name in robots
-            if name not in replies and _generation(authority, name) <= generation
-        ]
+        # A robot has the recorded generation or a later generation, never an earlier generation.
+        candidates = [name for name in robots if _generation(authority, name) <= generation]
+        remaining = [name for name in candidates if name not in replies]
         if not remaining:
             continue
         # `takes_rosters` False: the operator keeps the keys of `generation` in this block.
         with Operator(settings, identity=identity, takes_rosters=False) as operator:
-            # 2. Query the epochs of the robots (counts of changes, which a request must quote), in
-            #    half of the user's time; step 3 has the rest.
             query_timeout = None if options.timeout is None else options.timeout / 2.0
             view = operator.members(timeout=query_timeout, needs_status=False)
-            seconds += view.seconds
-            # 3. Send. A request has room for MAX_CERTIFICATES certificates.
-            batch_size = MAX_CERTIFICATES if issued else len(remaining)
-            for start in range(0, len(remaining), batch_size):
-                batch = remaining[start : start + batch_size]
-                outcome = operator.request(
-                    RosterRequest,
-                    view.epochs(batch),
-                    timeout=session_of(options, operator).time_left(view),
-                    roster=authority.signed_roster,
-                    secret=authority.secret,
-                    certificates={name: issued[name].certificate for name in batch if issued},
-                )
-                replies |= outcome.replies
-                seconds += outcome.seconds
-            # 4. Send to revoked robots, only with the keys of the generation that this operator has
-            #    had so far: revoked robots have no keys of a newer generation. A revoked robot with
-            #    keys of an older generation is not reached.
-            if generation == own.roster.generation and revoked:
+            outcomes = _send_in_batches(options, operator, view, authority, remaining, issued)
+            # A revoked robot has no keys of a newer generation than this operator has had so far. A
+            # robot with keys of an older generation is not reached.
+            if revoked and generation == own.roster.generation:
                 _send_to_revoked(operator, view, authority, revoked)
+        seconds += view.seconds
+        for outcome in outcomes:
+            replies |= outcome.replies
+            seconds += outcome.seconds
     missing = tuple(sorted(set(robots) - replies.keys()))
     return Outcome(replies=replies, missing=missing, seconds=seconds)
+
+
+def _send_in_batches(
+    options: CommonOptions,
+    operator: Operator,
+    view: MembersView,
+    authority: Authority,
+    robots: list[str],
+    issued: Mapping[str, Issued],
+) -> list[Outcome]:
+    """Send the roster to `robots`, in requests with at most MAX_CERTIFICATES certificates each.
+
+    `view`: a query, whose epochs the requests quote.
+    """
+    batch_size = MAX_CERTIFICATES if issued else len(robots)
+    outcomes = []
+    for start in range(0, len(robots), batch_size):
+        batch = robots[start : start + batch_size]
+        outcomes.append(
+            operator.request(
+                RosterRequest,
+                view.epochs(batch),
+                timeout=session_of(options, operator).time_left(view),
+                roster=authority.signed_roster,
+                secret=authority.secret,
+                certificates={name: issued[name].certificate for name in batch if issued},
+            )
+        )
+    return outcomes
 
 
 def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> Iterator[Identity]:
     """Yields this user's identity with the keys of each generation that a robot may have.
 
-    A generation is a version of the roster. A datagram is signed with keys of one generation, and a
-    robot accepts only its own generation. The present generation always counts: a robot may have it
-    although the authority recorded an older one, since its answer was lost or its bundle is new.
+    A generation is a version of the roster. A datagram is signed with the keys of one generation,
+    and a robot accepts only its own generation. Any robot may have the present generation, also if
+    the authority has recorded an older generation: the robot's answer was lost, or the robot has a
+    new bundle.
     """
     present = authority.roster_of(own.name, own.roster.generation)
     yield own if present is None else as_of(own, present)

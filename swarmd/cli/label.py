@@ -62,15 +62,15 @@ def label(
     is offered that goal, and `swarmctl resume` runs it.
     """
     changes = [*(f"+{name}" for name in added), *(f"-{name}" for name in removed)]
-    has_changes = bool(changes)
-    if reset == has_changes:  # both, or neither
+    has_either = bool(changes) != reset
+    if not has_either:
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
     if changes:
-        read_changes(changes)  # only checks: UsageError for a word that is no label
+        read_changes(changes)  # only checks: ConfigError for a word that is no label
     with asking(options, targets, needs_status=True) as asked:
-        # `asked.targeted`: the targets with the epochs that the robots have just reported.
-        if reset:  # to the labels of the swarm file; `report` ends the command
-            asked.report(joined([asked.targeted.request(LabelRequest, labels=None)]))
+        if reset:
+            of_swarm_file = asked.targeted.request(LabelRequest, labels=None)
+            asked.report(joined([of_swarm_file]))  # ends the command
         # A request replaces all labels of a robot, so the labels that stay must be known.
         known_labels = labels_of(asked.view)
         unknown_robots = [name for name in asked.names if name not in known_labels]

@@ -52,16 +52,13 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
     with options.operator() as operator:
         view = known_members(options, operator)
         robots = robots_of(view, targets)
-        # 1. The first query starts the measurement of round trips between robots, a second query
-        #    reads them. The wait between them: PING_TIME, or, if that is longer, twice the longest
-        #    round trip from here to a robot.
+        # This query starts a measurement of round trips, which the next query reads.
         start_query = LinksQuery(measures=True)
         replies = ask_robots(options, operator, in_reach(view, robots), LINKS, start_query)
         if any(reply.links for reply in replies.values()):
+            # A robot that is far from here may be as far from other robots.
             time.sleep(max(PING_TIME, 2.0 * view.round_trip))
             replies |= ask_robots(options, operator, replies, LINKS, LinksQuery())
-        # 2. Pairs (hearing robot, other robot), the worst first. Also pairs with an expected robot
-        #    that is not heard.
         pairs = pairs_of(replies, set(view.expected) | set(replies))
         if options.is_json:
             missing = sorted(set(robots) - replies.keys())

@@ -6,9 +6,9 @@ import logging
 import queue
 import sys
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import click
 
@@ -77,8 +77,7 @@ def logs(
         printer = _Printer(robots, query, is_json=options.is_json and follow)
         if follow:
             with signals_end():
-                # Does not return: a signal ends the program.
-                _follow(options, operator, targets, view, printer)
+                _Follower(options, operator, targets, view, printer).run()  # until a signal
         replies = ask_robots(options, operator, in_reach(view, robots), LOGS, query)
         lines = printer.new_lines(replies.values())
         if options.is_json:
@@ -93,65 +92,89 @@ def logs(
         end(robots, replies)
 
 
-def _follow(
-    options: CommonOptions,
-    operator: Operator,
-    targets: Targets,
-    view: MembersView,
-    printer: _Printer,
-) -> None:
-    """Print log lines as they arrive, until a signal ends the program.
+class _Follower:
+    """Prints log lines as they arrive, until a signal ends the program.
 
     Robots publish new lines in batches. Earlier lines are queried when a robot is heard for the
     first time, after its daemon has restarted, and after a lost batch. Robots that join later are
     followed if their names match `targets`.
     """
-    robots = set(robots_of(view, targets))
-    batches: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)
-    decode = Decoder(LogBatch, MAX_ANSWER)
 
-    def on_batch(robot: str, payload: bytes) -> None:  # in a thread of Zenoh
-        batch = decode(payload)
-        # A full queue drops the batch: step 2 notices the missing lines, and queries them.
-        if batch.robot == robot and not batches.full():
-            batches.put(batch)
+    def __init__(
+        self,
+        options: CommonOptions,
+        operator: Operator,
+        targets: Targets,
+        view: MembersView,
+        printer: _Printer,
+    ) -> None:
+        self._options, self._operator = options, operator
+        self._targets = targets
+        self._view = view  # of the last query
+        self._printer = printer
+        self._robots = set(robots_of(view, targets))
+        self._batches: queue.Queue[LogBatch] = queue.Queue(MAX_WAITING)
+        self._decode = Decoder(LogBatch, MAX_ANSWER)
+        self._instances: dict[str, str] = {}  # by robot, the id of the last daemon process
+        self._silent: set[str] = set()
 
-    def print_earlier(robots: Iterable[str]) -> None:
-        replies = ask_robots(options, operator, robots, LOGS, printer.query) if robots else {}
-        printer.print_new(replies.values())
+    def run(self) -> NoReturn:
+        """Follow the robots; look for new, restarted and silent robots every LOOK_PERIOD."""
+        next_look_at = 0.0
+        while True:
+            if time.monotonic() >= next_look_at:
+                next_look_at = time.monotonic() + LOOK_PERIOD
+                present = self._present_instances()
+                self._follow_started(present)
+                self._warn_of_silence(present)
+                self._look()
+            try:
+                batch = self._batches.get(timeout=max(next_look_at - time.monotonic(), 0.01))
+            except queue.Empty:
+                continue
+            if self._printer.has_gap(batch):
+                self._print_earlier([batch.robot])
+            self._printer.print_new([batch])
 
-    instances: dict[str, str] = {}  # by robot, the id of the daemon process that was heard last
-    silent: set[str] = set()
-    next_query_at = 0.0
-    while True:
-        # 1. Every LOOK_PERIOD: subscribe to new robots, and warn of robots that fall silent.
-        if time.monotonic() >= next_query_at:
-            next_query_at = time.monotonic() + LOOK_PERIOD
-            present = {robot: view.members[robot].instance for robot in in_reach(view, robots)}
-            for robot in present.keys() - instances.keys():
-                operator.watch("log", on_batch, robot)
-            started = [
-                robot for robot, instance in present.items() if instances.get(robot) != instance
-            ]
-            print_earlier(started)
-            instances |= present
-            silent_now = instances.keys() - present.keys()
-            for robot in sorted(silent_now - silent):
-                warn(gap(view, robot))
-            for robot in sorted(silent - silent_now):
-                warn(f"{robot} is heard again")
-            silent = silent_now
-            view = operator.members(timeout=1.0, needs_status=False)
-            if not targets.labels:  # labels are in statuses, which this query leaves out
-                robots |= set(targets.matching(view.members))
-        # 2. Print the next batch, after the lines of lost batches.
-        try:
-            batch = batches.get(timeout=max(next_query_at - time.monotonic(), 0.01))
-        except queue.Empty:
-            continue
-        if printer.has_gap(batch):
-            print_earlier([batch.robot])
-        printer.print_new([batch])
+    def _present_instances(self) -> dict[str, str]:
+        """By robot in reach: the id of its daemon process, which differs after a restart."""
+        members = self._view.members
+        return {robot: members[robot].instance for robot in in_reach(self._view, self._robots)}
+
+    def _follow_started(self, present: Mapping[str, str]) -> None:
+        """Subscribe to new robots, and print the earlier lines of new and restarted robots."""
+        for robot in present.keys() - self._instances.keys():
+            self._operator.watch("log", self._on_batch, robot)
+        started = [
+            robot for robot, instance in present.items() if self._instances.get(robot) != instance
+        ]
+        self._print_earlier(started)
+        self._instances |= present
+
+    def _warn_of_silence(self, present: Mapping[str, str]) -> None:
+        silent_now = self._instances.keys() - present.keys()
+        for robot in sorted(silent_now - self._silent):
+            warn(gap(self._view, robot))
+        for robot in sorted(self._silent - silent_now):
+            warn(f"{robot} is heard again")
+        self._silent = silent_now
+
+    def _look(self) -> None:
+        """Query all members, for the next look; adds robots that have joined."""
+        self._view = self._operator.members(timeout=1.0, needs_status=False)
+        if not self._targets.labels:  # labels are in statuses, which this query leaves out
+            self._robots |= set(self._targets.matching(self._view.members))
+
+    def _on_batch(self, robot: str, payload: bytes) -> None:
+        """In a thread of Zenoh: queue a batch; if the queue is full, `run` notices the gap."""
+        batch = self._decode(payload)
+        if batch.robot == robot and not self._batches.full():
+            self._batches.put(batch)
+
+    def _print_earlier(self, robots: Collection[str]) -> None:
+        if robots:
+            replies = ask_robots(self._options, self._operator, robots, LOGS, self._printer.query)
+            self._printer.print_new(replies.values())
 
 
 class _Printer:

@@ -151,6 +151,13 @@ class VerbGroup(click.Group):
             formatter.write_dl(rows)
 
 
+def check_names_or_all(verb: str, names: tuple[str, ...], is_all: bool) -> None:
+    """UsageError unless the line has either names or --all."""
+    has_names = bool(names)
+    if has_names == is_all:  # both, or neither
+        raise click.UsageError(f"{verb} needs names or --all")
+
+
 class LazyVerb(NamedTuple):
     """A verb of the command line that is imported when it is used.
 

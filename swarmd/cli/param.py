@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NoReturn
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
@@ -14,7 +15,7 @@ from swarmd.client.changes import params_of
 from swarmd.client.changes import set_params as change
 from swarmd.client.targets import Targets, robots_of
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Member
+from swarmd.core.messages import Member, Param
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
 
@@ -41,13 +42,13 @@ def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) 
 def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
-    """Print the parameters of running patterns.
+    """Print the parameters of running patterns, and end with the exit code.
 
-    The exit code is 0 if all targets have answered, except robots that left the swarm. `view`: the
-    answers of the robots to a query. `keys`: the names of the parameters to print; empty for all.
-    UsageError for a name that the pattern of no robot has.
+    `view`: the answers of the robots to a query. `targets` without names: all members. `keys`: the
+    names of the parameters to print; empty for all. UsageError for a name that the pattern of no
+    robot has. The exit code is 0 if all targets have answered; robots that left the swarm do not
+    count.
     """
-    # 1. The parameters by robot, and those to print. Targets without names: all members.
     targeted = robots_of(view, targets, view.members)
     params_by_robot = {robot: params_of(view.members[robot]) for robot in targeted}
     known_keys = {key for params in params_by_robot.values() for key in params}
@@ -58,26 +59,31 @@ def _show(
         robot: {key: param for key, param in params.items() if not keys or key in keys}
         for robot, params in params_by_robot.items()
     }
-    # 2. Print a row for each robot and parameter.
     if options.is_json:
-        robots = {}
-        for robot, params in chosen.items():
-            values = {key: {"value": p.value, "source": p.source} for key, p in params.items()}
-            robots[robot] = {"params": values}
+        robots = {robot: {"params": _as_json(params)} for robot, params in chosen.items()}
         print_json("Params", {"robots": robots})
     else:
-        rows = [
-            (robot, _pattern(view.members[robot]), key, number(param.value), param.source)
-            for robot, params in chosen.items()
-            for key, param in params.items()
-        ]
-        print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
+        _print_table(view, chosen)
         answered = params_by_robot.keys() & view.answered
         idle = sorted(robot for robot in answered if not params_by_robot[robot])
         if idle:
             click.echo(f"# no pattern is running on {', '.join(idle)}")
     expected = params_by_robot.keys() & view.expected  # without robots that left the swarm
     click.get_current_context().exit(exit_code_of(view, expected))
+
+
+def _as_json(params: Mapping[str, Param]) -> dict[str, Any]:
+    return {key: {"value": param.value, "source": param.source} for key, param in params.items()}
+
+
+def _print_table(view: MembersView, params_by_robot: Mapping[str, Mapping[str, Param]]) -> None:
+    """Print a row for each robot and parameter."""
+    rows = [
+        (robot, _pattern(view.members[robot]), key, number(param.value), param.source)
+        for robot, params in params_by_robot.items()
+        for key, param in params.items()
+    ]
+    print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
 
 
 @param.command("set")

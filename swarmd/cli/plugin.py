@@ -181,8 +181,6 @@ def write_plugin(
     network = "" if policy is None else _network_text(policy)
     template = kind if policy is None else "policy"
     _check_name(name)
-    # 1. The files by the name of their template, pattern and test first. The template of the
-    #    pattern, such as `movement`, has a second template with its test, `test_movement`.
     plugin_folder = folder / name if has_folder else folder
     pattern_file = plugin_folder / (PATTERN_FILE if has_folder else f"{name}.py")
     paths = {template: pattern_file, f"test_{template}": plugin_folder / f"test_{name}.py"}
@@ -191,15 +189,13 @@ def write_plugin(
     for path in paths.values():
         if path.exists():
             raise click.UsageError(f"{path} is there already; move it away or take another name")
-    _check_free(name)  # UsageError if a module or an installed pattern has this name
+    _check_free(name)
     templates = files("swarmd.cli") / "templates"
     texts = {path: (templates / f"{stem}.txt").read_text() for stem, path in paths.items()}
-    # 2. The class of the pattern. A name that the templates use otherwise (Twist) gets a suffix.
     class_title = class_name(name)
-    if class_title in "".join(texts.values()):
+    if class_title in "".join(texts.values()):  # the templates use this word, such as Twist
         class_title += "Pattern"
-    # 3. Fill in the fields of the templates, such as `$class_name`.
-    fields = {
+    fields = {  # of the templates, such as `$class_name`
         "name": name,
         "module": pattern_file.stem,
         "class_name": class_title,

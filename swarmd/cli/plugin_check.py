@@ -151,29 +151,31 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         while needs_child:
             needs_child = False
             words = ["check", str(path), "--done", *checked_names]
-            # The rows of the child. The key `result`, or `lost`, has the name of a point.
             for row in _inspect(words, timeout, path.parent, log):
                 if "side_effect" in row and row["side_effect"] not in side_effects:
                     side_effects.append(row["side_effect"])
-                elif "result" in row and row["result"] not in checked_names:
-                    checked_names.append(row["result"])
-                    yield _point(row["result"], row, known_faults)
-                    if row.get("is_hang"):  # the child itself noticed a hang, and ends
-                        yield Point(SKIPPED, "skipped", "correct the failed point first")
-                elif "lost" in row:  # the child ended, or hangs, while it checked this point
-                    is_first = not checked_names
-                    checked_names.append(row["lost"])
-                    fault = {"fault": f"the process that checks it {row['how']}"}
-                    yield _point(row["lost"], fault, known_faults)
-                    if row["hangs"]:
-                        yield Point(SKIPPED, "skipped", "correct the failed point first")
-                    # A file whose import fails, or code that hangs, leaves no other point to check.
-                    needs_child = not is_first and not row["hangs"]
+                is_lost = "lost" in row  # the child ended, or hangs, while it checked a point
+                name = row["lost"] if is_lost else row.get("result")  # of the checked point
+                if name is None or name in checked_names:
+                    continue
+                is_import = not checked_names  # the first point imports the file
+                checked_names.append(name)
+                yield _point(name, _lost_fault(row) if is_lost else row, known_faults)
+                # The child itself notices some hangs: `is_hang`.
+                hangs = row["hangs"] if is_lost else row.get("is_hang", False)
+                if hangs:
+                    yield Point(SKIPPED, "skipped", "correct the failed point first")
+                needs_child = is_lost and not is_import and not hangs
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
     # Two points about the whole check.
     for name, faults in ((NO_OUTPUT, printed), (NO_SIDE_EFFECTS, side_effects)):
         yield Point(name, "fault" if faults else "ok", _first_of(faults))
+
+
+def _lost_fault(row: Record) -> Record:
+    """The fault of a point in which the child ended or hangs, by the last row of `_inspect`."""
+    return {"fault": f"the process that checks it {row['how']}"}
 
 
 def _point(name: str, row: Record, faults: set[str]) -> Point:
@@ -208,28 +210,23 @@ def _inspect(
     arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row. `folder`: of the
     plugin's code. `log`: takes standard error.
 
-    1. If the child ends or hangs in an item, this function adds a last row. The row has the fields
-       of the item's row `begin`, and the keys `lost` (the name of the item), `how` (the end in
-       words, with the line of code) and `hangs`.
-    2. PluginError if the child reports an error outside an item, or ends or hangs before its first
-       item.
+    If the child ends or hangs in an item, this function adds a last row: the fields of the row that
+    began the item, and the keys `lost` (the name of the item), `how` (the end in words, with the
+    line of code) and `hangs`. PluginError if the child reports an error outside an item, or ends or
+    hangs before its first item.
     """
     with _started(words, log) as child:
         assert child.stdout is not None
-        # 1. Read the lines of the child, and yield the rows of items. A row `begin` opens an item,
-        #    and a row `result` closes the item. The key `error` in a row `result` is a fault of the
-        #    item, in any other row a fault of the child. A line that is no JSON gives an empty row:
-        #    a line of a stack trace. The first such line that names a file in `folder` tells the
-        #    place in the code.
         open_item: Record | None = None
         code_place = ""
         hangs = False
         try:
             for line in _lines(child.stdout, timeout, child.pid):
                 row = _record_of(line)
-                if "end" in row:
+                if "end" in row:  # all items are done
                     return
-                if "error" in row and "result" not in row:
+                is_child_error = "error" in row and "result" not in row  # of no item
+                if is_child_error:
                     raise PluginError(row["error"])
                 if "begin" in row:
                     open_item = row
@@ -237,24 +234,32 @@ def _inspect(
                     if "result" in row:
                         open_item = None
                     yield row
-                else:
+                else:  # a line of a stack, which the child prints before it ends
                     code_place = code_place or _place_of(line, folder)
             hangs = _is_running(child)  # plugin code may have closed the child's standard output
         except TimeoutError:
             hangs = True
-        # 2. The child hangs or has ended early. On SIGUSR1 a child that hangs prints its stack.
-        #    Before its first item a child has no handler of SIGUSR1: the signal would end it.
-        if hangs and open_item is not None:
-            child.send_signal(signal.SIGUSR1)
-            with contextlib.suppress(TimeoutError):
-                for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
-                    code_place = code_place or _place_of(line, folder)
-                    if code_place:
-                        break
         how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
+        # Before its first item a child has no handler of SIGUSR1, and the signal would end it.
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
+        if hangs:
+            code_place = code_place or _place_of_hang(child, folder)
         yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
+
+
+def _place_of_hang(child: subprocess.Popen[bytes], folder: Path | None) -> str:
+    """The place in the code of `folder` at which a child hangs; empty if not known.
+
+    On SIGUSR1 the child prints its stack.
+    """
+    assert child.stdout is not None
+    child.send_signal(signal.SIGUSR1)
+    with contextlib.suppress(TimeoutError):
+        for line in _lines(child.stdout, STACK_TIMEOUT, child.pid):
+            if place := _place_of(line, folder):
+                return place
+    return ""
 
 
 @contextlib.contextmanager
@@ -282,8 +287,8 @@ def _started(words: Sequence[str], log: IO[bytes] | None) -> Iterator[subprocess
 def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
     """Yields whole lines until the end of the stream; TimeoutError without a line for `timeout` s.
 
-    A process that works, and has used less than `timeout` s of processor time, gets more time,
-    since a busy machine or a cold disk may delay it.
+    A busy machine or a cold disk may delay a process. So a process that works, and has used less
+    than `timeout` s of processor time since its last line, gets more time.
     """
     buffer = b""
     deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout

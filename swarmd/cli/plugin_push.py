@@ -98,7 +98,6 @@ def push(
     without a fault; after a fault the robot stands and returns to the version before. Robots that
     join later and match TARGETS get the pattern from other robots.
     """
-    # 1. Check the file and the right to push, before anything is sent.
     read_canary(canary)
     source = read_source(file)
     settings, _, identity = options.network()
@@ -107,26 +106,23 @@ def push(
             "without keys robots take code in profile dev only; see `swarmctl keys --help`"
         )
     with asking(options, targets, needs_status=False) as asked:
-        # `push_targets`: globs and labels as typed, which robots that join later may match.
-        robots, push_targets = asked.names, goal_targets(targets, asked.names)
+        robots = asked.names
+        # Globs and labels as typed, which robots that join later may match.
+        push_targets = goal_targets(targets, robots)
         canaries = () if canary is None else canaries_of(canary, robots)
         pusher = _Pusher(asked, source, version, replace, rerun)
         generation = pusher.next_generation()
-        # 2. Without canaries: push to all robots. `report` ends the command.
-        if not canaries:
-            asked.report(pusher.push(push_targets, robots, generation))
-        # 3. Push to the canaries alone, and wait until they have tried the code (`canary_time` s at
-        #    most). If a canary refuses the code or fails, the command ends.
-        remaining = tuple(robot for robot in robots if robot not in canaries)
-        warn(f"canary: {', '.join(canaries)}")
-        outcome = pusher.push(canaries, canaries, generation)
-        if len(outcome.applied) < len(canaries):
-            _end_early(outcome, remaining)
-        result = _await_canary(asked, source, canaries, remaining, canary_time)
-        # 4. Push to all robots. This manifest has other targets than the manifest of the canaries,
-        #    and replaces that manifest by its greater generation.
-        warn(f"canary: {result}; now {', '.join(remaining)}")
-        asked.report(pusher.push(push_targets, robots, generation + 1))
+        if canaries:
+            remaining = tuple(robot for robot in robots if robot not in canaries)
+            warn(f"canary: {', '.join(canaries)}")
+            outcome = pusher.push(canaries, canaries, generation)
+            if len(outcome.applied) < len(canaries):
+                _end_early(outcome, remaining)
+            result = _await_canary(asked, source, canaries, remaining, canary_time)
+            warn(f"canary: {result}; now {', '.join(remaining)}")
+            # The manifest of the canaries has other targets. A greater generation replaces it.
+            generation += 1
+        asked.report(pusher.push(push_targets, robots, generation))
 
 
 @click.command("remove")
@@ -347,7 +343,7 @@ class _Pusher:
         issuer = operator.name[:MAX_NAME] if identity is None else identity.name
         manifest = PatternManifest(
             swarm=operator.settings.swarm,
-            name=self._name,  # of a removal; a push has the name in its source
+            name=self._name if source is None else source.name,
             generation=generation,
             issuer=issuer,
             targets=targets,
@@ -356,7 +352,6 @@ class _Pusher:
         if source is not None:
             manifest = with_fields(
                 manifest,
-                name=source.name,
                 kind=source.kind,
                 version=(self._version or source.version)[:MAX_VERSION],
                 digest=hashlib.sha256(source.code).digest(),
@@ -413,30 +408,33 @@ def _await_canary(
         view = operator.members(timeout=options.timeout)
         replies = pushed_patterns_of(options, operator, view, canaries)
         provisional_on: list[str] = []
-        is_tried_now = False
         for robot in canaries:
             report = _named(replies.get(robot), source.name)
             if report is None or report.digest != digest:
-                if report is not None and report.text:  # why the new code failed
-                    fault = f"returned: {report.text}"
-                elif robot in replies:
-                    fault = "has another version"
-                else:
-                    fault = "does not answer"
+                fault = _canary_fault(report, has_answered=robot in replies)
                 raise _untouched(f"canary {robot} {fault}", rest)
             if report.standing == "provisional":
                 provisional_on.append(robot)
-                member = view.members.get(robot)
-                status = None if member is None else member.status
-                runs_it = status is not None and status.pattern == source.name
-                is_tried_now = is_tried_now or runs_it
         if not provisional_on:
             return "holds it"
-        if not is_tried_now:
+        if not any(_runs(view, robot, source.name) for robot in provisional_on):
             return f"loaded, and not tried by a run on {', '.join(provisional_on)}"
         if time.monotonic() >= deadline:
             return f"not held yet after {limit:.0f} s, and without a fault"
         time.sleep(LOOK_PERIOD)
+
+
+def _canary_fault(report: PushedPatternReport | None, *, has_answered: bool) -> str:
+    """Why a canary does not have the new code; `report`: of the pattern, on this canary."""
+    if report is not None and report.text:  # why the new code failed
+        return f"returned: {report.text}"
+    return "has another version" if has_answered else "does not answer"
+
+
+def _runs(view: MembersView, robot: str, pattern: str) -> bool:
+    member = view.members.get(robot)
+    status = None if member is None else member.status
+    return status is not None and status.pattern == pattern
 
 
 def _end_early(outcome: Outcome, rest: Collection[str]) -> NoReturn:

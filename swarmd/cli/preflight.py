@@ -20,7 +20,7 @@ from swarmd.daemon.driver import make_driver
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
-from swarmd.plugins import pattern_names
+from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.protection.modes import make_arbiter, narrowest_passage
@@ -103,9 +103,9 @@ def fence_settings_text(fence: FenceSettings) -> str:
 def peers_text(settings: DaemonSettings) -> str:
     """The platforms of swarmd whose robots make this robot stand, as text.
 
-    The platforms of the real peers are unknown, since the roster has only names. The settings
-    `accepts_unseen` and `accepts_faster` may name platforms that swarmd lacks, such as a file on
-    another robot, so such a name is no fault.
+    All platforms of swarmd are compared, since the roster has only the names of the real peers, not
+    their platforms. The settings `accepts_unseen` and `accepts_faster` may also name a platform
+    that swarmd lacks, such as a file on another robot; the text says so.
     """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []
@@ -174,11 +174,27 @@ def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
         yield Finding("roster", False, text)
 
 
+def _pattern_fault(row: Record, origin: Origin, *, is_in_plugin_dir: bool) -> str | None:
+    """The fault of a pattern; None also for a pattern that only does not fit this platform.
+
+    `row`: the description of the pattern. Its `missing`: what the pattern needs and the platform
+    lacks. Its `refused`: why a robot refuses the pattern, which is a fault only of a pattern that
+    the owner has put into `plugin_dir`.
+    """
+    if origin.rival:  # a second file or package with this name
+        return f"exists twice: {origin.source} and {origin.rival}; rename one"
+    if "error" in row:
+        return str(row["error"])
+    if row["refused"] and not row["missing"] and is_in_plugin_dir:
+        return str(row["refused"])
+    return None
+
+
 def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     """Yields findings about the patterns of this robot, with their parameters and touch zones.
 
-    A pattern fits if the platform has what the pattern needs. A pattern of `plugin_dir` that the
-    robot refuses is a fault; an installed pattern that does not fit is only counted.
+    Each pattern with a fault gets a finding of its own (see `_pattern_fault`). A further finding
+    has the number of patterns that fit the platform, and the names of those that do not.
     """
     try:
         origins = pattern_names(settings.plugin_dir)
@@ -191,17 +207,10 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     misfits: list[str] = []
     for row in rows:
         name = row["name"]
-        origin = origins[name]
-        if origin.rival:  # a second file or package with this name
-            text = f"exists twice: {origin.source} and {origin.rival}"
-            yield Finding(f"pattern {name}", False, f"{text}; rename one")
-        elif "error" in row:
-            yield Finding(f"pattern {name}", False, row["error"])
-        elif row["missing"]:  # what the pattern needs and the platform lacks
-            misfits.append(name)
-        elif row["refused"] and name in in_plugin_dir:
-            yield Finding(f"pattern {name}", False, row["refused"])
-        elif row["refused"]:
+        fault = _pattern_fault(row, origins[name], is_in_plugin_dir=name in in_plugin_dir)
+        if fault is not None:
+            yield Finding(f"pattern {name}", False, fault)
+        elif row["missing"] or row["refused"]:
             misfits.append(name)
         else:
             fit_count += 1

@@ -114,24 +114,25 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         ask = partial(_ask, options, operator)  # sends a query to a robot; None without an answer
         rows = []  # (robot, path, size, state of the copy)
         for robot, reply in replies.items():
+            is_complete = True
             try:
                 note_clock(ask, robot, folder)  # the offset of its clock, for `record merge`
                 for file in reply.files:
                     progress = partial(_tell, robot, file.name)
                     copy = copy_file(ask, robot, file, folder, progress)
+                    is_complete = is_complete and not copy.fault
                     # "so far": the robot still writes the file.
                     state = copy.fault or ("whole" if copy.is_whole else "so far")
                     rows.append((robot, str(copy.path), megabytes(copy.size, 2), state))
-                    if copy.fault and robot not in failed_robots:
-                        failed_robots.append(robot)
             except NetworkError as error:  # the files of this robot that remain are left out
                 warn(str(error))
-                if robot not in failed_robots:
-                    failed_robots.append(robot)
+                is_complete = False
             except OSError as error:
                 raise click.ClickException(
                     f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
                 ) from error
+            if not is_complete:
+                failed_robots.append(robot)
         if sys.stderr.isatty():
             rewrite("")  # clears the line of progress
         if options.is_json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,8 @@ from swarmd.network.operator.exit_codes import FAILED
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
+    from swarmd.core.values import Platform
+    from swarmd.recording.head import RecordingHead
     from swarmd.recording.reader import RecordedFile
     from swarmd.replay.replay import Parity
 
@@ -44,10 +47,9 @@ def replay(
     from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
-    from swarmd.replay.replay import recordings_of, repeat, total
+    from swarmd.replay.replay import recordings_of, total
     from swarmd.settings.platforms import load_platform
 
-    # 1. The recordings, each a list of files, and the code of the patterns.
     recordings = recordings_of(_files(files))
     robots = {parts[0].about.get("robot") for parts in recordings}  # heads of their first files
     if len(robots) > 1:
@@ -56,20 +58,8 @@ def replay(
     for name, origin in origins.items():
         check_single(name, origin)
     other_platform = None if platform is None else load_platform(platform)
-    # 2. Repeat each recording. A recording that cannot be repeated is left out, with a warning,
-    #    unless nothing else can be repeated.
-    results = []
-    for parts in recordings:
-        try:
-            results.append(repeat(parts, places_of(origins), other_platform))
-        except ConfigError as error:
-            is_last = parts is recordings[-1]
-            if is_last and not results:
-                raise
-            warn(f"{error}; it is left out")
-    # 3. Compare. A result is the head of a recording (robot, platform) and its parity: how many
-    #    commands are equal to the recorded commands.
-    head, _ = results[0]
+    results = _repeated(recordings, places_of(origins), other_platform)
+    head, _ = results[0]  # robot and platform of a recording
     parity = total(parity for _, parity in results)
     is_equal = parity.safe.is_equal and parity.requested.is_equal
     if options.is_json:
@@ -81,6 +71,30 @@ def replay(
         warn(note)
     if not is_equal:
         click.get_current_context().exit(FAILED)
+
+
+def _repeated(
+    recordings: Sequence[list[RecordedFile]],
+    places: Mapping[str, tuple[str, bool]],
+    platform: Platform | None,
+) -> list[tuple[RecordingHead, Parity]]:
+    """Repeat each recording, a list of files; warns of each that cannot be repeated.
+
+    `places`: of the code of the patterns. ConfigError, of the last recording, if no recording can
+    be repeated.
+    """
+    from swarmd.replay.replay import repeat
+
+    results = []
+    for number, parts in enumerate(recordings, start=1):
+        try:
+            results.append(repeat(parts, places, platform))
+        except ConfigError as error:
+            is_last = number == len(recordings)
+            if is_last and not results:
+                raise
+            warn(f"{error}; it is left out")
+    return results
 
 
 def _files(given: tuple[Path, ...]) -> list[RecordedFile]:

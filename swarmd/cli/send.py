@@ -124,21 +124,10 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
     If robots refused the request for a mistake in it, the mistake follows. `notes`: further fields
     of the JSON document. OSError if standard output fails, such as a full disk.
     """
-    # 1. Warnings, also about robots that the request may have left out: a robot of unknown labels
-    #    may have a target label, and a robot may know members that it did not list to swarmctl.
-    for text in outcome.warnings:
-        warn(f"warning: {text}")
-    if outcome.unlabelled:
-        names = ", ".join(outcome.unlabelled)
-        warn(f"view not complete: the labels of {names} are not known; repeat it")
-    if outcome.unlisted:
-        names = ", ".join(outcome.unlisted)
-        warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
-    for robot in outcome.duplicates:
-        warn(f"warning: {robot} answered twice: two daemons have this id; stop one of them")
-    # 2. The answers. The summary line goes to standard error, too, if standard output cannot have
-    #    it: JSON has no such line, and a program without standard output prints nothing.
+    _warn_of_view(outcome)
     mistake = _mistake(outcome)
+    # JSON has no summary line, and a program without standard output prints nothing.
+    lacks_line = options.is_json or sys.stdout is None
     try:
         if options.is_json:
             print_json("Outcome", {**_as_json(outcome), "error": mistake, **(notes or {})})
@@ -146,13 +135,27 @@ def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | No
             if rows := _rows(outcome):
                 print_table(("NAME", "ANSWER", "TEXT"), rows)
             click.echo(outcome.line)
-        if options.is_json or sys.stdout is None:
+        if lacks_line:
             warn(outcome.line)
     except OSError:  # the operator must learn what robots have applied
         warn(outcome.line)
         raise
     if mistake:
         warn(f"error: {mistake}")
+
+
+def _warn_of_view(outcome: Outcome) -> None:
+    """Print the warnings of an outcome, also about robots that the request may have left out."""
+    for text in outcome.warnings:
+        warn(f"warning: {text}")
+    if outcome.unlabelled:  # these robots may have a target label
+        names = ", ".join(outcome.unlabelled)
+        warn(f"view not complete: the labels of {names} are not known; repeat it")
+    if outcome.unlisted:
+        names = ", ".join(outcome.unlisted)
+        warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
+    for robot in outcome.duplicates:
+        warn(f"warning: {robot} answered twice: two daemons have this id; stop one of them")
 
 
 def _mistake(outcome: Outcome) -> str | None:

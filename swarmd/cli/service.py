@@ -215,18 +215,20 @@ def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
     identity = settings.identity
     if identity is None:
         return [settings_row, ("identity", "absent: the swarm is insecure")]
-    # The certificate's end, as a date if the clock of this machine is not set yet.
-    expires, now = identity.info.expires, time.time()
-    days_left = (expires - now) / _DAY
-    if now < FIRST_WALL:
-        validity = f"until {day(expires)} ({UNSET_CLOCK})"
-    elif days_left >= 0:
-        validity = f"ends in {days_left:.0f} days"
-    else:
-        validity = "has ended by this machine's clock"
+    validity = _validity(identity.info.expires, time.time())
     generation = identity.roster.generation
     text = f"{identity.folder}: certificate {validity}, roster of generation {generation}"
     return [settings_row, ("identity", text)]
+
+
+def _validity(expires: float, now: float) -> str:
+    """When a certificate ends, in words; as a date if the clock of this machine is not set yet."""
+    if now < FIRST_WALL:
+        return f"until {day(expires)} ({UNSET_CLOCK})"
+    days_left = (expires - now) / _DAY
+    return (
+        f"ends in {days_left:.0f} days" if days_left >= 0 else "has ended by this machine's clock"
+    )
 
 
 def _asked(steps: Steps, *words: str) -> str:

@@ -94,9 +94,9 @@ def keep_for_root(root: Path = Path("/")) -> None:
     """Make root the owner of the folder around the identities; nothing if this process is not root.
 
     The account of the service owns the folder of each identity, since the daemon writes renewed
-    certificates there. The folder above must belong to root: else the account could put links
-    there, and commands of root that write below that folder would change other files. ConfigError
-    if another user than root owns /etc/swarmd.
+    certificates into this folder. The account must not own the folder above the identities: it
+    could put links into that folder, through which commands of root would change other files.
+    ConfigError if another user than root owns /etc/swarmd.
     """
     if os.geteuid() != 0:
         return
@@ -118,9 +118,10 @@ def keep_for_root(root: Path = Path("/")) -> None:
 def give_to_service(root: Path = Path("/")) -> bool:
     """Let the service's account read the daemon's file and use the identities of the machine.
 
-    Returns False, and changes nothing, without such an account below `root`, without files to give,
-    or if this process is not root. ConfigError as `keep_for_root`. The folder of an identity that
-    another user can write is left alone: that user may have put links to other files there.
+    Returns False, and changes nothing, without such an account below `root`, without the folder
+    /etc/swarmd, or if this process is not root. ConfigError as `keep_for_root`. An identity whose
+    folder another user can write stays as it is, since that user may have put links to other files
+    into the folder.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:

@@ -182,10 +182,10 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def _flushed() -> int:
-    """Write buffered output; returns the exit code if that fails: a closed pipe, or a full disk.
+    """Write buffered output; the exit code: 0, CLOSED_PIPE, or 1 for another error (a full disk).
 
-    Output that cannot be written is discarded: Python would try again at its end, and fail with
-    exit code 120.
+    Output that cannot be written is discarded. Else Python would try again at the end of the
+    process, and fail with exit code 120.
     """
     code = 0
     for stream in (sys.stdout, sys.stderr):
@@ -206,19 +206,17 @@ def run_cli(
 
     `args`: the words of the command line, None for those of this process. `name`: the program.
     `code_of`: the exit code of an error of swarmd. With `-o json` an error is also a JSON document
-    on stdout, the only document. While a shell completes a line, nothing is written on stderr: the
-    shell would show the text in that line.
+    on stdout, the only document.
     """
     words = sys.argv[1:] if args is None else args
     stdout = sys.stdout
     is_completing = bool(os.environ.get(f"_{name.upper()}_COMPLETE"))
-    if is_completing:
+    if is_completing:  # the shell would show the text of stderr in the line that it completes
         os.dup2(os.open(os.devnull, os.O_WRONLY), STDERR)
     elif fault := _not_text(words):
         return _fail(fault, 2, words)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
-    # 1. Interrupts, mistakes in the line, and errors of swarmd: one line each.
     except click.Abort:
         return _fail("interrupted", 130, words)
     except click.exceptions.NoArgsIsHelpError as error:
@@ -231,40 +229,49 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code, words)
     except SwarmError as error:
         return _fail(str(error), code_of(error), words)
-    # 2. A closed pipe, such as `| head`. Click raises SystemExit(1) for a closed pipe and for a
-    #    failure, but replaces `sys.stdout` only for a closed pipe. Output that waits is discarded.
     except SystemExit:
-        if sys.stdout is stdout:
+        # Click raises SystemExit(1) for a failure, too, but replaces `sys.stdout` only if the pipe
+        # is closed, such as by `| head`.
+        is_closed_pipe = sys.stdout is not stdout
+        if not is_closed_pipe:
             raise
         sys.stdout = stdout
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # discards what waits
         return CLOSED_PIPE
-    # 3. A file name that is not UTF-8 cannot be written as JSON: `as_text` raises ConfigError with
-    #    the name. Any other text that cannot be encoded is a fault of the program, and raised.
     except UnicodeEncodeError as error:
-        try:
-            as_text(error.object)
-        except ConfigError as fault:
-            return _fail(str(fault), 2, words)
-        raise
-    # 4. Errors of the system, such as a full disk.
-    except OSError as error:
+        fault = _file_name_fault(error.object)
+        if not fault:
+            raise
+        return _fail(fault, 2, words)
+    except OSError as error:  # of the system, such as a full disk
         import logging
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
-        cause = error.strerror or str(error) or type(error).__name__
-        if "temporary directory" in cause:
-            cause += "; make one of them writable with some room, or set TMPDIR to a folder that is"
-        text = cause if error.filename is None else f"{error.filename}: {cause}"
-        return _fail(text, 1, words)
+        return _fail(_system_fault(error), 1, words)
+
+
+def _file_name_fault(text: str) -> str:
+    """The fault of a file name that is not UTF-8, which JSON cannot contain; empty without one."""
+    try:
+        as_text(text)
+    except ConfigError as fault:
+        return str(fault)
+    return ""
+
+
+def _system_fault(error: OSError) -> str:
+    cause = error.strerror or str(error) or type(error).__name__
+    if "temporary directory" in cause:
+        cause += "; make one of them writable with some room, or set TMPDIR to a folder that is"
+    return cause if error.filename is None else f"{error.filename}: {cause}"
 
 
 def _not_text(words: Sequence[str]) -> str:
     """The fault of the first word that is not UTF-8, in words; empty without such a word.
 
     Such a word may be a file name, which JSON, manifests and messages cannot contain. Empty also if
-    a word is `stop` or `estop`: a stop must not fail for a wrong character. It sends no file name,
-    checks the names of robots, and replaces wrong characters in its reason.
+    a word is `stop` or `estop`, since a stop must not fail for a wrong character. These verbs send
+    no file name, check the names of robots, and replace wrong characters in the reason.
     """
     # Python decodes a byte that is not UTF-8 to a lone surrogate, in this range.
     bad = next((word for word in words if re.search("[\ud800-\udfff]", word)), None)

@@ -58,42 +58,41 @@ def view(
     """
     if not web and (page.token or page.viewer_token or page.tls is not None):
         raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
-    # 1. --foxglove PORT.
     if foxglove is not None:
-        if web:
-            raise click.UsageError("--foxglove shows a living swarm, alone; without --web")
-        if files:
-            raise click.UsageError(
-                "--foxglove shows a living swarm, alone; Foxglove opens recordings by itself:"
-                f" leave out {files[0]}"
-            )
-        if page.bind != HOST:
-            raise click.UsageError(
-                f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer:"
-                " ssh -L"
-            )
-        need("foxglove", "websockets", extra="foxglove")
+        _check_foxglove(files, web, page)
         _serve_foxglove(options, foxglove)
-        return
-    # 2. The terminal.
-    if not web:
+    elif not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
-        click.get_current_context().exit(_show(options))  # raises
-    # 3. A page that plays recordings.
-    if files:
+        click.get_current_context().exit(_show(options))
+    elif files:
         need("websockets", "mcap", "rosbags", extra="web,record")
         check_web(page)
         _play(files, page)
-        return
-    # 4. A page of the living swarm.
-    need("websockets", extra="web")
-    with _live(options, "from the page") as (source, commander, identity):
-        # In a secured swarm the page gets a token, the certificate of this user's identity (with
-        # --tls), and is read only unless this user is an operator.
-        page = page.of(identity)
-        check_web(page)
-        serve(source, commander, page)
+    else:
+        need("websockets", extra="web")
+        with _live(options, "from the page") as (source, commander, identity):
+            # In a secured swarm the page gets a token, the certificate of this user's identity
+            # (with --tls), and is read only unless this user is an operator.
+            page = page.of(identity)
+            check_web(page)
+            serve(source, commander, page)
+
+
+def _check_foxglove(files: tuple[Path, ...], web: bool, page: WebOptions) -> None:
+    """UsageError for options that do not go with --foxglove; PluginError without its packages."""
+    if web:
+        raise click.UsageError("--foxglove shows a living swarm, alone; without --web")
+    if files:
+        raise click.UsageError(
+            "--foxglove shows a living swarm, alone; Foxglove opens recordings by itself:"
+            f" leave out {files[0]}"
+        )
+    if page.bind != HOST:
+        raise click.UsageError(
+            f"--bind {page.bind}: Foxglove is served on {HOST} alone; from another computer: ssh -L"
+        )
+    need("foxglove", "websockets", extra="foxglove")
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,26 +36,20 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
     """
     from swarmd.network.carriers.session import foreign_options
 
-    # 1. The robots, with the endpoint of each.
     with options.operator() as operator:
         settings = operator.settings
         known_members(options, operator, needs_status=False)
         identity = operator.identity  # after the query, which may have brought a newer roster
-        endpoints = operator.endpoints()
-        if not endpoints and settings.profile != "routed":
+        endpoints = operator.endpoints()  # by robot
+        dials_robots = settings.profile != "routed"  # else the program dials routers
+        if not endpoints and dials_robots:
             raise unreachable(operator)
-    # 2. In a secured swarm: leave out robots that only have an IPv6 address. (In profile routed the
-    #    program dials routers, not robots.)
     if identity is not None:
-        by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
-        if by_ipv6 and settings.profile != "routed":
-            warn(f"{', '.join(by_ipv6)}: left out: Zenoh dials no IPv6 address by TLS")
-            endpoints = {name: url for name, url in endpoints.items() if name not in by_ipv6}
-            if not endpoints:
-                raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
+        if dials_robots:
+            endpoints = _without_ipv6(endpoints)
         # The configuration names files of this folder, and may be read from another folder.
         identity = replace(identity, folder=identity.folder.absolute())
-    # 3. The configuration: a session that scouts dials no endpoint.
+    # A session that scouts dials no endpoint.
     scouts = not dial and settings.answers_scouts(is_secured=identity is not None)
     dialled = [] if scouts else sorted(set(endpoints.values()))
     config = foreign_options(settings, dialled, identity, scouts=scouts)
@@ -71,3 +66,14 @@ def zenoh(options: CommonOptions, out: Path | None, dial: bool) -> None:
         click.echo(text)
     else:
         click.echo(f"{out}: a session to {len(endpoints)} robots of swarm {settings.swarm}")
+
+
+def _without_ipv6(endpoints: Mapping[str, str]) -> dict[str, str]:
+    """The endpoints, by robot, that Zenoh can dial by TLS; NetworkError if none is left."""
+    by_ipv6 = sorted(name for name, url in endpoints.items() if url.startswith("tcp/["))
+    if by_ipv6:
+        warn(f"{', '.join(by_ipv6)}: left out: Zenoh dials no IPv6 address by TLS")
+    left = {name: url for name, url in endpoints.items() if name not in by_ipv6}
+    if by_ipv6 and not left:
+        raise NetworkError("no robot is left; give robots an IPv4 address to `listen` at")
+    return left

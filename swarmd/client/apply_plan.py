@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +15,8 @@ from swarmd.texts.values import NOTHING, number
 from swarmd.texts.why import absence
 
 Params = Mapping[str, Any]
+Line = tuple[str, str, str]
+"""A change in words: the kind, the robots, and the old and new value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +28,7 @@ class Plan:
     targets: tuple[str, ...] = ()  # robots of the new goal
     resume: tuple[str, ...] = ()  # robots that are to run the goal that they were offered
     params: Mapping[str, Params] = field(default_factory=dict)  # new parameters, by running robot
-    lines: tuple[tuple[str, str, str], ...] = ()  # each change in words, with its robots
+    lines: tuple[Line, ...] = ()
     unknown: Mapping[str, str] = field(default_factory=dict)  # why a robot was not compared
     left: Mapping[str, str] = field(default_factory=dict)  # differences that the plan does not end
 
@@ -45,9 +47,8 @@ class Plan:
 def plan_of(file: SwarmFile, view: MembersView) -> Plan:
     """The changes that bring the robots in `view` to the content of a swarm file.
 
-    A robot that did not answer gets no changes, and is in `Plan.unknown`. A file without labels
-    leaves all labels as they are. A file without a goal, or without parameters, leaves these as
-    they are.
+    A robot that did not answer gets no changes, and is in `Plan.unknown`. What the file does not
+    have (labels, a goal, parameters) stays as it is.
     """
     statuses = {
         name: member.status
@@ -56,30 +57,44 @@ def plan_of(file: SwarmFile, view: MembersView) -> Plan:
         if member.status is not None and member.contact is Contact.ANSWERED
     }
 
-    # 1. Labels. `labels`: of the file, by robot; `new_labels`: only of robots whose labels differ.
-    labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
+    file_labels = {name: labels_in(file, name) for name in statuses} if file.labels else {}
     new_labels = {
-        name: wanted for name, wanted in labels.items() if set(wanted) != {*statuses[name].labels}
+        name: wanted
+        for name, wanted in file_labels.items()
+        if set(wanted) != {*statuses[name].labels}
     }
-    lines = [
-        ("labels", name, f"{_words(statuses[name].labels)} -> {_words(wanted)}")
-        for name, wanted in new_labels.items()
-    ]
-
-    # 2. The goal.
-    goal_plan = _goal_plan(file, view, statuses, labels)
-    lines += goal_plan.lines
-
-    # 3. Parameters of running patterns.
-    params: dict[str, Params] = {}
+    goal_plan = _goal_plan(file, view, statuses, file_labels)
+    new_params: dict[str, Params] = {}
     for name, status in statuses.items():
-        new_params = _param_changes(file, name, status, labels, goal_plan.goal)
-        if new_params:
-            params[name] = new_params
-        for key, value in new_params.items():
-            lines.append(("param", name, f"{key} {_value(status, key)} -> {number(value)}"))
-    unknown = _unknown_robots(file, view, statuses)
-    return replace(goal_plan, labels=new_labels, params=params, lines=tuple(lines), unknown=unknown)
+        changes = _param_changes(file, name, status, file_labels, goal_plan.goal)
+        if changes:
+            new_params[name] = changes
+    return replace(
+        goal_plan,
+        labels=new_labels,
+        params=new_params,
+        lines=(
+            *_label_lines(statuses, new_labels),
+            *goal_plan.lines,
+            *_param_lines(statuses, new_params),
+        ),
+        unknown=_unknown_robots(file, view, statuses),
+    )
+
+
+def _label_lines(
+    statuses: Mapping[str, Status], new_labels: Mapping[str, tuple[str, ...]]
+) -> Iterator[Line]:
+    for name, wanted in new_labels.items():
+        yield "labels", name, f"{_words(statuses[name].labels)} -> {_words(wanted)}"
+
+
+def _param_lines(
+    statuses: Mapping[str, Status], new_params: Mapping[str, Params]
+) -> Iterator[Line]:
+    for name, params in new_params.items():
+        for key, value in params.items():
+            yield "param", name, f"{key} {_value(statuses[name], key)} -> {number(value)}"
 
 
 def _goal_plan(
@@ -93,18 +108,16 @@ def _goal_plan(
     `labels`: the labels of the file by robot, empty if the file names none.
 
     1. If the present goal differs from the goal in the file, the goal in the file is a new goal.
-    2. Else robots to which the goal is offered (known, but not run without an operator's request)
-       resume the goal.
-    3. A run of this goal that has ended is not started again: `Plan.left` has the reason of its end
-       by robot.
+    2. If both goals are equal, robots to which the goal is offered resume the goal. A robot that
+       joined later is offered the goal, and waits for an operator's request to run the goal.
+    3. A run of this goal that has ended is not started again. `Plan.left` has, by robot, the reason
+       of the end.
     """
     if file.goal is None:
         return Plan()
     content = file.goal.content
-    # A goal that is never sent, only to ask which robots the file's goal is for.
-    file_goal = Goal(generation=1, issuer="file", id="file", **content)
     robot_labels = {name: labels.get(name, status.labels) for name, status in statuses.items()}
-    targets = tuple(name for name in sorted(statuses) if file_goal.is_for(name, robot_labels[name]))
+    targets = _targets_of(content, robot_labels)
     present, _replaced = present_goals(view)
     if not is_like(present, content):
         before = "no goal" if present is None else present.text
@@ -118,6 +131,14 @@ def _goal_plan(
     }
     lines = tuple(("resume", name, file.goal.pattern or "stand") for name in resume)
     return Plan(targets=targets, resume=resume, left=left, lines=lines)
+
+
+def _targets_of(
+    content: Mapping[str, Any], robot_labels: Mapping[str, tuple[str, ...]]
+) -> tuple[str, ...]:
+    """The robots, of those in `robot_labels`, that a goal with this content is for."""
+    goal = Goal(generation=1, issuer="file", id="file", **content)  # only for `is_for`, never sent
+    return tuple(name for name in sorted(robot_labels) if goal.is_for(name, robot_labels[name]))
 
 
 def _unknown_robots(
@@ -165,9 +186,9 @@ def _param_changes(
 ) -> Params:
     """The parameters of a robot's running pattern whose value in the file differs.
 
-    A parameter that the file gives under its goal counts before the same parameter under a robot
-    or label. Empty if the robot does not run, and if the plan has a new goal (`goal`): the new run
-    then begins with the parameters of that goal.
+    The file may give a parameter under its goal, a robot and a label; the value under the goal
+    counts most. Empty if the robot does not run. Empty also if the plan has a new goal (`goal`),
+    since the new run begins with the parameters of that goal.
     """
     pattern = status.pattern
     if status.state is not State.RUNNING or pattern is None or goal is not None:

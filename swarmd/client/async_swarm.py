@@ -116,9 +116,9 @@ async def _from_thread(
 ) -> AsyncGenerator[R, None]:
     """Yield the items of an iterator that runs on a thread of its own.
 
-    `make` makes the iterator, on that thread. An error of the iterator is raised here. `cancelled`
-    is set at the end of this generator, so that the iterator and its thread end soon. At most
-    MAX_WAITING items wait for the reader; then the thread waits.
+    `make` makes the iterator, on that thread. An error of the iterator is raised here. The end of
+    this generator sets `cancelled`, by which the iterator and the thread end. While MAX_WAITING
+    items wait for the reader, the thread waits.
     """
     loop = asyncio.get_running_loop()
     items: asyncio.Queue[R] = asyncio.Queue()
@@ -140,7 +140,8 @@ async def _from_thread(
             next_item = asyncio.ensure_future(items.get())
             item_or_end: set[asyncio.Future[Any]] = {next_item, thread_end}
             await asyncio.wait(item_or_end, return_when=asyncio.FIRST_COMPLETED)
-            if not next_item.done():  # the thread has ended, and all its items are in the queue
+            has_ended = not next_item.done()
+            if has_ended:  # all items of the thread are in the queue
                 next_item.cancel()
                 while not items.empty():
                     yield items.get_nowait()
@@ -150,5 +151,5 @@ async def _from_thread(
             yield next_item.result()
     finally:
         cancelled.set()
-        next_item.cancel()  # the loop of a notebook goes on, and the task would wait for ever
-        thread_end.cancel()  # a thread that ends after the loop must not report to the closed loop
+        next_item.cancel()  # else this task would wait for ever in the loop of a notebook
+        thread_end.cancel()  # the thread may end after the loop, and must not call a closed loop

@@ -47,8 +47,11 @@ def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
     `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
-    newest status in the run. A canary runs well if it runs or has finished, its pattern host has
-    not restarted since `first`, and protection acts in hardly more ticks than in `before`.
+    newest status in the run. A canary runs well if
+
+    - it runs or has finished,
+    - its pattern host has not restarted since `first`,
+    - the share of ticks in which protection acts has not risen by more than MAX_DUTY_RISE.
     """
     if now.state is not State.RUNNING:
         if now.reason is Reason.FINISHED:
@@ -86,7 +89,10 @@ def watch_canary(
     first_status: dict[str, Status] = {}
     faults: dict[str, str] = {}
     with statuses_of(session.operator) as status_queue:
-        while not (faults or session.is_cancelled()) and (time_left := watch_end - boottime()) > 0:
+        while not faults and not session.is_cancelled():
+            time_left = watch_end - boottime()
+            if time_left <= 0:
+                break
             # 1. Judge the next status.
             status = next_status(status_queue, min(time_left, MAX_STATUS_WAIT))
             if status is not None and status.robot in last_heard:

@@ -23,7 +23,7 @@ def reset(targeted: TargetedView, *, reason: str = "", findings: bool = False) -
     """Clear the emergency stops and faults of robots, as their statuses in `targeted` show them.
 
     An emergency stop that came after these statuses stays. With `findings`, also clear the violated
-    assumptions of protection that the statuses show, for which robots drive slower.
+    assumptions of protection that the statuses show; until then such a robot drives slower.
     """
     ids = tuple(sorted(targeted.view.latches(targeted.names)))
     shown_findings = findings_of(targeted.view, targeted.names) if findings else ()

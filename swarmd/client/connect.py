@@ -15,7 +15,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
 from types import TracebackType
@@ -128,36 +128,32 @@ def connect(
 ) -> Connection:
     """A connection to a swarm: `with connect(...)` gives a `Swarm`, `async with` an `AsyncSwarm`.
 
-    The options are the options of swarmctl, with the same defaults: `$SWARM`, `$SWARM_CONFIG` and
-    the context in use, else swarm `default` of robots on this machine. `context`: another context
-    (a named set of options, see `swarmctl context`). `config`: a swarm file. `profile`: dev (robots
-    on this machine), field (robots on the network interface `interface`) or routed (through Zenoh
-    routers). `seeds`: endpoints of robots that multicast does not reach. `identity`: the folder of
-    your certificate and keys; by default the folder of this user or machine for the swarm.
-    `insecure`: use no identity. `timeout`: s, for each method that is called without a timeout.
-    `tell` takes lines for the user, such as robots that did not answer; by default these lines are
-    warnings of the logger `swarmd.client`.
+    The arguments are the options of swarmctl. As in swarmctl, options that are not given come from
+    `$SWARM`, `$SWARM_CONFIG` or the context in use (a named set of options, see `swarmctl
+    context`). Without any of these, the swarm is `default`, of robots on this machine.
+
+    `context`: a context in place of the context in use. `config`: a swarm file. `profile`: dev
+    (robots on this machine), field (robots on the network interface `interface`) or routed (through
+    Zenoh routers). `seeds`: endpoints of robots that multicast does not reach. `identity`: the
+    folder of your certificate and keys; by default the folder of this user or machine for the
+    swarm. `insecure`: use no identity. `timeout`: s, for each method that is called without a
+    timeout. `tell` takes lines for the user, such as robots that did not answer; by default these
+    lines are warnings of the logger `swarmd.client`.
 
     Raises ConfigError for an option of a wrong type. Nothing is opened before the block begins: its
     begin raises ConfigError for wrong options, and NetworkError if the network cannot be opened.
     """
-    # 1. Check the types: without a type checker any value may come.
     if profile is not None and profile not in get_args(Profile):
         raise ConfigError(unknown("profile", profile, get_args(Profile)))
     check_time("timeout", timeout)
-    texts = {"swarm": swarm, "context": context, "interface": interface}
-    for name, value in texts.items():
-        if value is not None and not isinstance(value, str):
-            raise ConfigError(f"{name} is {value!r}; expected a text")
-    for name, place in {"config": config, "identity": identity}.items():
-        if place is not None and not isinstance(place, str | Path):
-            raise ConfigError(f"{name} is {place!r}; expected a path")
+    _check_types(
+        texts={"swarm": swarm, "context": context, "interface": interface},
+        paths={"config": config, "identity": identity},
+    )
     if not isinstance(insecure, bool):  # a text such as "no" would count as True
         raise ConfigError(f"insecure is {insecure!r}; expected True or False")
-
-    # 2. Make the options. Without a context, $SWARM_CONFIG may name the swarm file.
     if config is None and context is None:
-        config = NetworkOptions.of_environment().config
+        config = NetworkOptions.of_environment().config  # of $SWARM_CONFIG
     options = NetworkOptions(
         swarm=swarm,
         config=None if config is None else Path(config),
@@ -169,3 +165,16 @@ def connect(
         insecure=insecure,
     )
     return Connection(options.operator, timeout=timeout, tell=tell)
+
+
+def _check_types(*, texts: Mapping[str, object], paths: Mapping[str, object]) -> None:
+    """ConfigError for an argument of a wrong type, which callers without a type checker may give.
+
+    `texts`, `paths`: the arguments by name; None: not given.
+    """
+    for name, value in texts.items():
+        if value is not None and not isinstance(value, str):
+            raise ConfigError(f"{name} is {value!r}; expected a text")
+    for name, value in paths.items():
+        if value is not None and not isinstance(value, str | Path):
+            raise ConfigError(f"{name} is {value!r}; expected a path")

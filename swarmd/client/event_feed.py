@@ -47,8 +47,8 @@ class EventLine:
 class EventFeed:
     """Turns the statuses of robots, and lists of members, into event lines.
 
-    Times are in s on one clock. The first status of a robot brings events from before: those older
-    than `since` s are left out.
+    Times are in s on one clock. The first status of a robot also brings earlier events, as lines
+    unless they are older than `since` s.
     """
 
     def __init__(self, since: float = float("inf")) -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.identity import Identity
+    from swarmd.settings.swarmfile import SwarmFile
 
 DEFAULT_SWARM = "default"
 
@@ -42,36 +43,33 @@ class NetworkOptions:
     def in_context(self) -> Self:
         """These options; options that are not set come from the context in use.
 
-        A context is a named set of options. A context sets no option that the command line or
-        $SWARM sets. No context is used if the options or $SWARM_CONFIG name a swarm file, or if
-        the options or $SWARM name another swarm than the context. ConfigError if the context does
-        not exist.
+        A context is a named set of options. The options are returned as they are if `config` names
+        a swarm file, or if `swarm` or $SWARM names another swarm than the context. ConfigError if
+        the context does not exist.
         """
         import msgspec
 
         from swarmd.settings.contexts import ENVIRONMENT, context_in_use
 
-        # 1. Find the context: the option --context replaces the variable of the environment.
         if self.config is not None:
             return self
         environ = dict(os.environ)
-        if self.context is not None:
+        if self.context is not None:  # replaces the context that the environment names
             environ[ENVIRONMENT] = self.context
         name_and_context = context_in_use(environ)
         if name_and_context is None:
             return self
         _, context = name_and_context
         swarm = self.swarm or os.environ.get("SWARM")
-        if swarm and context.swarm not in (None, swarm):
+        is_of_other_swarm = swarm and context.swarm not in (None, swarm)
+        if is_of_other_swarm:
             return self
-
-        # 2. Take its values for the options that are not set.
         values = msgspec.structs.asdict(context)
         values["swarm"] = swarm or context.swarm
         for name in ("config", "identity"):
             values[name] = Path(values[name]) if values[name] else None
-        missing = {name: value for name, value in values.items() if not getattr(self, name)}
-        return replace(self, **missing)
+        not_set = {name: value for name, value in values.items() if not getattr(self, name)}
+        return replace(self, **not_set)
 
     def operator(self, tell: Callable[[str], object] = lambda text: None) -> Operator:
         """An operator in the swarm's network, a context manager.
@@ -99,28 +97,41 @@ class NetworkOptions:
     def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
         """The settings of the network, the robots that a swarm file names, and the identity.
 
-        Only these options and $SWARM count, not the context in use. ConfigError also for the
-        identity of a robot (`check_asker`), since robots do not answer questions of robots.
+        The context in use does not count here: `in_context` has added its options. ConfigError for
+        a wrong file or option, and for the identity of a robot, since robots do not answer
+        questions of robots.
         """
+        from swarmd.security.identity import check_asker
+
+        if self.config is None:
+            settings, identity = self._of_options()
+            robots: list[str] = []
+        else:
+            settings, identity = self._of_file(self.config)
+            robots = list(settings.robots)
+        check_asker(identity)
+        return settings, robots, identity
+
+    def _of_file(self, config: Path) -> tuple[SwarmFile, Identity | None]:
+        """The content of a swarm file, whose values these options replace, and the identity."""
+        from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
+
+        overrides = {  # None: the value of the file
+            "swarm": self.swarm,
+            "profile": self.profile,
+            "interface": self.interface,
+            "seeds": list(self.seeds) or None,
+            "identity": None if self.identity is None else str(self.identity),
+            "insecure": self.insecure or None,
+        }
+        # `load_swarm` reads $SWARM, and the user's folder with the installed identities.
+        return load_swarm(config, overrides, os.environ)
+
+    def _of_options(self) -> tuple[NetworkSettings, Identity | None]:
+        """The settings of the network by these options and $SWARM, and the identity."""
         from swarmd.network.settings import NetworkSettings, Profile
-        from swarmd.security.identity import check_asker, choose_identity
+        from swarmd.security.identity import choose_identity
 
-        if self.config is not None:
-            from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
-
-            # Options replace values of the file; None: not given.
-            overrides = {
-                "swarm": self.swarm,
-                "profile": self.profile,
-                "interface": self.interface,
-                "seeds": list(self.seeds) or None,
-                "identity": None if self.identity is None else str(self.identity),
-                "insecure": self.insecure or None,
-            }
-            # Of the environment: $SWARM, and the user's folder with the installed identities.
-            file, identity = load_swarm(self.config, overrides, os.environ)
-            check_asker(identity)
-            return file, list(file.robots), identity
         settings = NetworkSettings(
             swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
             profile=cast(Profile, self.profile or "dev"),
@@ -129,5 +140,4 @@ class NetworkOptions:
         )
         settings.check()
         identity = choose_identity(settings.swarm, self.identity, insecure=self.insecure)
-        check_asker(identity)
-        return settings, [], identity
+        return settings, identity

@@ -22,10 +22,10 @@ from swarmd.network.operator.request_sender import REQUEST_WAIT
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
-    from swarmd.client.session import TargetedView
+    from swarmd.client.session import Session, TargetedView
     from swarmd.client.targets import Targets
     from swarmd.core.goal import Goal
-    from swarmd.core.messages import Epoch
+    from swarmd.core.messages import Epoch, Status
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
     from swarmd.texts.assignments import Value
@@ -122,10 +122,9 @@ def carry_out(
 ) -> StartedRun:
     """Start a run, whose options `Run.check` has checked, on the robots of `targeted`.
 
-    `targets`: the targets of the goal, which may be globs and labels. A run with a lease stops
-    unless its lease is renewed: a thread renews the lease until `opened` is closed. `option`
-    returns the name of an option as the user writes it. Raises ConfigError, RequestError and
-    SwarmError as `choose_canaries`, `start_at` and `run_with_canary` do.
+    `targets`: the targets of the goal, which may be globs and labels. `opened`: until the end of
+    this stack a thread renews the lease of the run. `option` returns the name of an option as the
+    user writes it. Raises the errors of `choose_canaries`, `start_at` and `run_with_canary`.
     """
     canaries: tuple[str, ...] = ()
     if run.canary is not None:
@@ -183,11 +182,12 @@ def start_at(
 ) -> tuple[Outcome, Mapping[str, Mapping[str, Any]]]:
     """Send the run of a goal, so that all robots start at one moment, in `at` s.
 
-    Each robot gets the start on its own clock, from a measured clock offset. Returns the outcome,
-    and notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
-    A robot whose clock does not answer gets no request, and counts as missing. Raises ConfigError
-    if the timeout ends before the start. Raises SwarmError if the session is cancelled before the
-    start; robots that have accepted the run are then stopped.
+    Each robot gets the moment of the start on its own clock, whose offset is measured. A robot
+    whose clock does not answer gets no request, and counts as missing. Returns the outcome, and
+    notes on the start: `in` and `skew` (between robots) in s, and the error of each clock in s.
+
+    Raises ConfigError if the timeout ends before the start. Raises SwarmError if the session is
+    cancelled before the start; robots that have accepted the run are then stopped.
     """
     from swarmd.network.operator.clock_query import read_clocks, start_times
 
@@ -195,7 +195,6 @@ def start_at(
     if timeout is not None and timeout <= at:
         raise ConfigError(f"the timeout is too short for a start in {in_short(at)}")
 
-    # 1. The start on the clock of each robot.
     offsets = read_clocks(operator, targeted.names)
     start = boottime() + at
     starts, skew = start_times(offsets, start)
@@ -211,23 +210,43 @@ def start_at(
             f" {1e3 * skew:.1f} ms of it by their clocks"
         )
     session.check_awaited()
+    outcome = _send_start(targeted, goal, epochs, starts, at=at, start=start)
+    errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
+    notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
+    return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
 
-    # 2. Send the request. A robot replies when it starts, or at once if it refuses. So until the
-    # start only robots that refuse have replied.
+
+def _send_start(
+    targeted: TargetedView,
+    goal: Goal,
+    epochs: Mapping[str, Epoch | None],
+    starts: Mapping[str, float],
+    *,
+    at: float,
+    start: float,
+) -> Outcome:
+    """Send the run of a goal that starts in `at` s, and wait until all robots have replied.
+
+    `starts`: the moment of the start in s on the clock of each robot. `start`: the same moment on
+    the clock of this machine. If the session is cancelled before `start`, robots that have accepted
+    the run are stopped, and SwarmError is raised.
+    """
+    session = targeted.session
     is_withdrawn = False
 
     def is_cancelled_before_start() -> bool:
+        """True ends the wait for replies; `is_withdrawn` keeps the last result."""
         nonlocal is_withdrawn
         is_withdrawn = session.is_cancelled() and boottime() < start
         return is_withdrawn
 
     try:
         outcome = send_goal(
-            operator,
+            targeted.operator,
             epochs,
             goal,
-            timeout=timeout,
-            least=REQUEST_WAIT + at,
+            timeout=targeted.time_left,
+            least=REQUEST_WAIT + at,  # robots reply when they start
             is_ended=is_cancelled_before_start,
             at=starts,
         )
@@ -235,13 +254,12 @@ def start_at(
         stop_on_interrupt(session, epochs)  # else the robots would start without their operator
         raise
 
-    # 3. After a cancellation stop the robots that have not refused: they would start at `at`.
-    not_refused = epochs.keys() - outcome.replies.keys()
-    if is_withdrawn and not_refused:
-        raise SwarmError(stop_on_interrupt(session, not_refused, "start cancelled"))
-    errors = {name: round(offset.error, 6) for name, offset in offsets.items()}
-    notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": errors}}
-    return replace(outcome, missing=tuple(sorted((*outcome.missing, *without_clock)))), notes
+    # A robot replies when it starts, or at once if it refuses. So each reply before the start is a
+    # refusal, and a robot without a reply would start.
+    would_start = epochs.keys() - outcome.replies.keys()
+    if is_withdrawn and would_start:
+        raise SwarmError(stop_on_interrupt(session, would_start, "start cancelled"))
+    return outcome
 
 
 def run_with_canary(
@@ -249,48 +267,61 @@ def run_with_canary(
 ) -> tuple[Outcome, Mapping[str, list[str]]]:
     """Run a goal on canaries for `seconds`, then on all robots of `targeted`.
 
-    `seconds` None: CANARY_TIME. The canaries first get a goal that targets only the canaries, so
-    that this goal ends no run of another robot. Returns the outcome, and the names of the canaries
-    and of the other robots. If a canary does not start, the canaries are stopped, and the outcome
-    of their start is returned without names. If a canary fails later, all canaries are stopped, and
-    RequestError is raised.
+    `seconds` None: CANARY_TIME. Returns the outcome, and the names of the canaries and of the other
+    robots. If a canary does not start, the canaries are stopped, and the outcome of their start is
+    returned without names. If a canary fails later, all canaries are stopped, and RequestError is
+    raised.
     """
-    from swarmd.client.canary import CANARY_TIME, watch_canary
+    from swarmd.client.canary import CANARY_TIME
 
-    seconds = seconds or CANARY_TIME
-    session, operator, view = targeted.session, targeted.operator, targeted.view
-
-    # 1. Start the canaries.
+    session, operator = targeted.session, targeted.operator
+    view = targeted.view
+    # This goal targets only the canaries, so that it ends no run of another robot.
     canary_goal = signed_again(operator, goal, targets=canaries)
-    epochs_before = view.epochs(canaries)
-    outcome = send_goal(operator, epochs_before, canary_goal, timeout=targeted.time_left)
+    canary_epochs = view.epochs(canaries)
+    outcome = send_goal(operator, canary_epochs, canary_goal, timeout=targeted.time_left)
     if len(outcome.applied) < len(canaries):
         stop_names(operator, canaries)
         names = ", ".join(canaries)
         session.tell(f"canary: {names} did not start; nothing was sent to the others")
         return outcome, {}
-
-    # 2. Watch the canaries.
-    session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
     before = {name: view.members[name].status for name in canaries if name in view.members}
+    faults = _canary_faults(session, canaries, seconds or CANARY_TIME, before)
+    if faults:
+        _fail(operator, canaries, faults, len(targeted.names))
+
+    # A robot that was stopped or changed while the canaries ran has another epoch, and refuses.
+    others = tuple(name for name in targeted.names if name not in canaries)
+    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
+    present_view = operator.members(timeout=session.timeout)
+    # Newer than any goal that was issued meanwhile.
+    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
+    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
+    return outcome, {"canary": list(canaries), "others": list(others)}
+
+
+def _canary_faults(
+    session: Session,
+    canaries: tuple[str, ...],
+    seconds: float,
+    before: Mapping[str, Status | None],
+) -> Mapping[str, str]:
+    """Watch running canaries for `seconds`; the fault of each canary that does not run well.
+
+    `before`: the status of each canary before its run. After a cancellation each canary has a
+    fault. After Ctrl-C the canaries are stopped.
+    """
+    from swarmd.client.canary import watch_canary
+
+    session.tell(f"canary: {', '.join(canaries)} for {in_short(seconds)}")
     try:
         faults = watch_canary(session, canaries, seconds, before)
     except (KeyboardInterrupt, SystemExit):
         stop_on_interrupt(session, canaries)
         raise
     if session.is_cancelled():
-        faults = dict.fromkeys(canaries, "the run was cancelled")
-    if faults:
-        _fail(operator, canaries, faults, len(targeted.names))
-
-    # 3. Run the goal on all robots, newer than any goal that was issued meanwhile. A robot that was
-    # stopped or changed while the canaries ran refuses the request by its epoch.
-    others = tuple(name for name in targeted.names if name not in canaries)
-    present_view = operator.members(timeout=session.timeout)
-    goal = signed_again(operator, goal, generation=next_generation(operator, present_view))
-    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
-    outcome = send_goal(operator, epochs, goal, timeout=session.timeout)
-    return outcome, {"canary": list(canaries), "others": list(others)}
+        return dict.fromkeys(canaries, "the run was cancelled")
+    return faults
 
 
 def _fail(

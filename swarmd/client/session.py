@@ -38,10 +38,12 @@ class Session:
     def look(self, *, is_request_next: bool = False, needs_status: bool = True) -> MembersView:
         """Query all members (a look), and tell the user which robots are missing.
 
-        Returns once all expected robots have answered, or after `timeout`. With `is_request_next`
-        half of `timeout` is left for a request (see `time_left`), and SwarmError is raised if the
-        caller no longer waits: the request would come too late. NetworkError, which names the
-        swarms that were found, if no daemon was reached.
+        Returns once all expected robots have answered, or after `timeout`. NetworkError if no
+        daemon was reached; the text names the swarms that were heard.
+
+        `is_request_next`: the look ends after half of `timeout`, so that time is left for a request
+        (see `time_left`). SwarmError if the caller no longer waits for this request.
+        `needs_status` False: a beacon of a robot is an answer.
         """
         timeout = self.timeout
         if timeout is not None and is_request_next:

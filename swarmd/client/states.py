@@ -67,28 +67,10 @@ def follow_states(
     no pose is unknown. The iterator ends after `seconds`, when the session is cancelled, or when
     the iterator is closed.
     """
-    states: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
-    last_status: dict[str, Status] = {}  # by robot
-    last_motion: dict[str, Motion] = {}
-    lock = threading.Lock()  # Zenoh's threads call `on_status` and `on_motion`
+    operator = session.operator
+    targets = session.named_now(targets)  # labels replaced by names: a state shows no labels
+    states = _States(with_poses=poses)
     is_first_view = True
-
-    def on_status(status: Status) -> None:
-        with lock:
-            last_status[status.robot] = status
-            motion = last_motion.get(status.robot)
-        if not poses or _has_pose(motion):
-            _put(states, status, motion)
-
-    def on_motion(robot: str, payload: bytes) -> None:
-        motion = _motion(payload)
-        with lock:
-            if motion.robot != robot or robot not in last_status:
-                return
-            status = last_status[robot]
-            last_motion[robot] = motion
-        if poses and _has_pose(motion):
-            _put(states, status, motion)
 
     def on_view(view: MembersView) -> None:
         """Tell the user once which robots are awaited."""
@@ -97,21 +79,51 @@ def follow_states(
             is_first_view = False
             session.tell_awaited(view, targets)
 
-    operator = session.operator
-    targets = session.named_now(targets)  # labels replaced by names: a state shows no labels
     until = math.inf if seconds is None else boottime() + seconds
-    watch = SwarmWatch(operator, on_status=on_status, on_view=on_view)
-    operator.watch("motion", on_motion)
+    watch = SwarmWatch(operator, on_status=states.on_status, on_view=on_view)
+    operator.watch("motion", states.on_motion)
     watch.start()
     try:
         while not session.is_cancelled() and (time_left := until - boottime()) > 0:
             with suppress(queue.Empty):
-                state = states.get(timeout=min(time_left, PERIOD))
+                state = states.queue.get(timeout=min(time_left, PERIOD))
                 if targets.matching([state.robot]):
                     yield state
     finally:
         watch.close()
         operator.unwatch("motion")
+
+
+class _States:
+    """A queue of states, made of the statuses and motions that robots publish.
+
+    Threads of Zenoh call the methods. `with_poses`: each pose also gives a state, and a robot
+    without a pose gives no state.
+    """
+
+    def __init__(self, *, with_poses: bool) -> None:
+        self.queue: queue.Queue[RobotState] = queue.Queue(MAX_WAITING)
+        self._with_poses = with_poses
+        self._statuses: dict[str, Status] = {}  # the last, by robot
+        self._motions: dict[str, Motion] = {}  # the last, by robot
+        self._lock = threading.Lock()  # guards both
+
+    def on_status(self, status: Status) -> None:
+        with self._lock:
+            self._statuses[status.robot] = status
+            motion = self._motions.get(status.robot)
+        if not self._with_poses or _has_pose(motion):
+            _put(self.queue, status, motion)
+
+    def on_motion(self, robot: str, payload: bytes) -> None:
+        motion = _motion(payload)
+        with self._lock:
+            if motion.robot != robot or robot not in self._statuses:
+                return
+            status = self._statuses[robot]
+            self._motions[robot] = motion
+        if self._with_poses and _has_pose(motion):
+            _put(self.queue, status, motion)
 
 
 def read_poses(operator: Operator, robots: frozenset[str]) -> dict[str, Pose]:

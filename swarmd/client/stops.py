@@ -55,13 +55,13 @@ def send_stop(
             is_ended=session.is_cancelled,
         )
 
-    # Robots with a newer roster cannot verify the stop: if robots are missing, take the newer
-    # roster, and send the stop again with its keys.
     identity_before = operator.identity
     outcome = send()
     if outcome.missing or not outcome.replies:
+        # The missing robots may have a newer roster, with whose keys the stop must be signed.
         operator.update_roster()
-        if operator.identity is not identity_before:
+        has_new_keys = operator.identity is not identity_before
+        if has_new_keys:
             outcome = send()
     session.tell_notices()
     return _reported(session, verb, targets, outcome)

@@ -233,15 +233,15 @@ class Swarm:
         run.check()
         targets = _targets(robots, labels, exclude)
         with ExitStack() as opened:
-            # The session of a run with a lease stays open for the time of the run, to renew the
-            # lease. So it is not counted among the requests under way, whose number is limited.
+            # With a lease this session stays open during the run, to renew the lease. Such a
+            # session must not count as one of the 8 requests that may be under way.
             session = opened.enter_context(self._session(timeout, is_request=lease is None))
-            # The check of a canary compares its statuses before the run and during the run.
+            # A canary is judged by its status before the run, too.
             targeted = session.target(targets, needs_status=canary is not None)
             started = carry_out(run, targeted, goal_targets(targets, targeted.names), opened)
             outcome = started.outcome
             if lease is not None and outcome.applied and not session.is_cancelled():
-                # The lease is renewed until the connection is closed, not only in this method.
+                # The pool closes `opened` with the connection; until then the lease is renewed.
                 self._pool.keep_lease(outcome.applied, opened.pop_all())
             return targeted.counted(outcome)
 

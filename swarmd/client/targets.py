@@ -137,9 +137,9 @@ def named(view: MembersView, targets: Targets) -> Targets:
 def stop_targets(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop by labels, with the labels replaced by names.
 
-    A robot whose labels are not known is a target: in doubt it is stopped. No targets are excluded
-    robots, and robots that are known to have none of the labels and are not named. RequestError if
-    the labels of all expected robots are known, and no robot has one of the labels.
+    The targets are robots that `targets` names, robots with one of the labels, and robots whose
+    labels are not known: in doubt a robot is stopped. Excluded robots are no targets. RequestError
+    if the labels of all expected robots are known, and no robot has one of the labels in `targets`.
     """
     labels_by_robot = labels_of(view)
     if view.expected and view.expected <= labels_by_robot.keys():

@@ -62,8 +62,8 @@ def wait_for(session: Session, targets: Targets, conditions: Awaited) -> Waited:
 def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:
     """The names of the targets so far.
 
-    A glob or label that matches no robot is returned in place of names: as the name of no robot, it
-    meets no condition, and the wait goes on.
+    A glob or label that matches no robot is returned itself, as if it were the name of a robot that
+    is not heard: no condition is met, so the wait goes on.
     """
     known = view.expected | set(targets.full_names)
     by_name = Targets(targets.names, targets.exclude)

@@ -42,8 +42,8 @@ class Audit:
     """Makes a log line and an audit entry for each request, within limits of the rates.
 
     Requests beyond the limits are counted. `write` takes a line, `keep` an entry. `clock`: the id
-    of the clock from which callers read `now`: another id after each boot. `wall` returns s since
-    1970.
+    of the clock by which callers state times, which differs after each boot of the machine. `wall`
+    returns s since 1970.
     """
 
     def __init__(
@@ -74,9 +74,9 @@ class Audit:
         """Make the audit entry and the log line of a request and its reply, if the rates permit.
 
         Entries and lines have separate rate limits. `what`: the request in words, which begin with
-        the verb. `source`: the address of the sender. `targets`: the count of target robots, None
-        for all. `now` in s. `is_relayed`: another robot relayed the request, so its operator is
-        only claimed: the source says "handed on by", and lower limits hold.
+        the verb. `source`: the address of the sender. `now` in s. `targets`: the count of target
+        robots, None for all. `is_relayed`: `source` is another robot, which may have invented the
+        operator. So the source becomes "handed on by ...", and lower limits hold.
         """
         line_limits, entry_limits = self._lines, self._entries
         if is_relayed:
@@ -85,19 +85,22 @@ class Audit:
         result = reply.code if reply.refusal is None else f"{reply.code} ({reply.refusal})"
         is_applied = reply.code is Code.APPLIED
 
-        # 1. The entry. `take` returns the count of requests left out before; None: leave it out.
-        omitted = entry_limits.take(is_applied, now)
-        if omitted is not None:
+        omitted_entries = entry_limits.take(is_applied, now)
+        if omitted_entries is not None:
             entry = self._entry(what, operator, source, result, reply.text, now)
-            self._keep(replace(entry, targets=targets, left_out=omitted))
+            self._keep(replace(entry, targets=targets, left_out=omitted_entries))
 
-        # 2. The line of the log, limited by `line_limits` in the same way.
-        omitted = line_limits.take(is_applied, now)
-        if omitted is None:
-            return
-        origin = f"by {shortened(operator)}{',' if is_relayed else ' from'} {shortened(source)}"
-        line = f"{shortened(what, MAX_WHAT)}, {origin}: {result}: {reply.text}"
-        line = _printable(line.removesuffix(": "))
+        omitted_lines = line_limits.take(is_applied, now)
+        if omitted_lines is not None:
+            # "by anna from 10.0.0.2", or "by anna, handed on by robot2"
+            link = "," if is_relayed else " from"
+            origin = f"by {shortened(operator)}{link} {shortened(source)}"
+            line = f"{shortened(what, MAX_WHAT)}, {origin}: {result}: {reply.text}"
+            self._write_line(line.removesuffix(": "), omitted_lines)
+
+    def _write_line(self, line: str, omitted: int) -> None:
+        """Write a line of the log; `omitted`: lines left out before, which the line tells."""
+        line = _printable(line)
         if omitted:
             line = f"[{omitted} requests left out of this log] {line}"
         self._write(line[:MAX_LINE])
@@ -135,10 +138,7 @@ class _Limits:
         self._left_out = 0
 
     def take(self, is_applied: bool, now: float) -> int | None:
-        """The count of requests left out since the last request that the limit permitted.
-
-        None if this request itself must be left out.
-        """
+        """The count of requests left out before this request; None: leave this request out, too."""
         if not (self._applied if is_applied else self._others).take(1.0, now):
             self._left_out += 1
             return None
@@ -211,9 +211,10 @@ class AuditLog:
 
         Also returns whether older entries match, and a fault of the disk (empty without a fault).
         `age_of` returns the age of an entry in s; None: unknown. With `query.since`, entries that
-        are older or of unknown age are left out. Damaged lines are left out. Blocks until the
-        queued entries are written. After READ_TIMEOUT the last entries are read without the queued
-        entries, and the fault says so.
+        are older or of unknown age are left out. Damaged lines are left out.
+
+        Blocks until the queued entries are written, for READ_TIMEOUT at most. If the queue is not
+        empty by then, the result lacks the queued entries, and the fault says so.
         """
         slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
         is_whole = self._await_queued()

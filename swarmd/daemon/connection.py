@@ -78,8 +78,9 @@ class NetworkConnection:
     ) -> None:
         """Nothing is opened until `open`: neither the carrier of datagrams nor the Zenoh session.
 
-        `tag`: the first bytes of each datagram of the swarm. `owner` gets the calls of
-        `ConnectionOwner`. `drops` counts datagrams and queries that are dropped.
+        `robot`: the name of the robot. `tag`: the first bytes of each datagram of the swarm.
+        `drops` counts datagrams and queries that are dropped. `owner` gets the calls of
+        `ConnectionOwner`.
         """
         self._settings = settings
         self._robot = robot
@@ -91,15 +92,14 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
-        self._opened = settings  # the settings of the last session, with its port
+        self._opened = settings  # with the port of the last session, once a session was open
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
         self._watch: InterfaceWatch | None = None  # in profile field
         self._reopening: asyncio.Task[None] | None = None  # under way
         self._is_stale = False  # the sockets belong to an earlier state of the interface
-        # IPv4 addresses of the interface when the first, and when the last session was opened.
-        self._first_ipv4: tuple[str, ...] | None = None
-        self._ipv4: tuple[str, ...] = ()
+        self._ipv4: tuple[str, ...] = ()  # addresses of the interface at the last change
+        self._first_ipv4: tuple[str, ...] | None = None  # addresses at the first session
 
     @property
     def interface_text(self) -> str:
@@ -313,9 +313,9 @@ class NetworkConnection:
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
         """Open the UDP carrier, and a session that listens on the same port number by TCP.
 
-        The number is the same since a robot dials, by TCP, the UDP port from which the beacons of a
-        peer come. Without a configured port the UDP port is free, but its TCP port may be in use:
-        then another port is tried for both, up to MAX_PORT_TRIES times.
+        A robot dials a peer, by TCP, at the UDP port from which the beacons of the peer come. So
+        both ports have one number. Without a configured port any free UDP port is taken. If the TCP
+        port of this number is in use, another UDP port is tried, up to MAX_PORT_TRIES times.
         """
         settings = self._settings
         listen = settings.listen or (default_listen(settings),)

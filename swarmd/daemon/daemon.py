@@ -128,10 +128,8 @@ class Daemon:
         """
         check_protected(settings.platform, driver, settings.driver)
         self._gripper = gripper_of(driver)
-        if self._gripper is None:  # the driver cannot operate a gripper that the platform has
-            platform = settings.platform
-            platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
-            settings = dataclasses.replace(settings, platform=platform)
+        if self._gripper is None:
+            settings = _without_gripper(settings)
         self._settings = settings
         self._active_until = -math.inf  # s; until then the timer ticks at the full rate
         self._loop = asyncio.get_running_loop()
@@ -145,9 +143,10 @@ class Daemon:
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._has_joined = False
         self._periods = 0  # `TickTimer.periods` at the last tick
-        self._provisional: tuple[int, ...] = ()  # generations of loads of provisional code
+        self._provisional: tuple[int, ...] = ()  # what the last ProvisionalInput has told
         folder = settings.state_dir / settings.network.swarm / settings.id
-        self._begin_records(folder)  # first; each part uses the parts before it
+        # In this order, since each part uses the parts before it.
+        self._begin_records(folder)
         self._begin_code(folder)
         self._begin_network()
         self._begin_requests()
@@ -249,7 +248,10 @@ class Daemon:
         )
 
     def _begin_robot(self, driver: Driver) -> None:
-        """Make the robot, and the sources of its inputs: driver, neighbours and ticks."""
+        """Make the robot, the sources of its inputs, and the parts that show its state.
+
+        The inputs come from driver, neighbours and ticks. Viewer feed and health show the state.
+        """
         settings = self._settings
         self._robot = make_robot(
             settings,
@@ -282,29 +284,25 @@ class Daemon:
     async def run(self, stop: asyncio.Event) -> None:
         """Join the network and serve until `stop` is set; then command zero and close all parts.
 
-        Raises SwarmError if the network cannot be opened or another daemon has the id. A crash is
-        an exception of the daemon itself: it ends the daemon, and is raised here after zero has
-        been commanded.
+        Raises SwarmError if the network cannot be opened or another daemon has the id. Any other
+        exception is a crash: the daemon commands zero and closes all parts, then `run` raises the
+        exception.
         """
         life = asyncio.create_task(self._live())
-        stop_or_crash = (asyncio.create_task(event.wait()) for event in (stop, self._crashed))
-        tasks = {life, *stop_or_crash}
+        stopped = asyncio.create_task(stop.wait())
+        crashed = asyncio.create_task(self._crashed.wait())
+        tasks = (life, stopped, crashed)
         try:
-            # 1. Serve until `stop`, a crash, or the end of `_live`.
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            if life.done():
-                error = life.exception()
-                if error is not None and not isinstance(error, SwarmError):
-                    self._crash = self._crash or _cause_of(error)
-                    raise self._crash
-                life.result()  # raises a SwarmError of `_live`
-            if self._crash is not None:
-                raise self._crash
+            error = life.exception() if life.done() else None
+            if isinstance(error, SwarmError):
+                raise error
+            if error is not None:
+                self._crash = self._crash or _cause_of(error)
         finally:
-            # 2. Leave. A join still under way ends first: it would go on while `_leave` closes.
             self._notify("STOPPING=1")
             if not self._has_joined:
-                await _end(life)
+                await _end(life)  # before `_leave`, which closes the network that `life` opens
             try:
                 self._leave()
             finally:
@@ -312,7 +310,7 @@ class Daemon:
                     await _end(task)
                 await self._goals.close()
                 await self._pattern_versions.close()
-        if self._crash is not None:  # `_leave` crashed after a clean `stop`
+        if self._crash is not None:  # before or in `_leave`
             raise self._crash
 
     # Start and end
@@ -421,8 +419,8 @@ class Daemon:
         """Let timer and driver rest, or end their rest.
 
         At rest the timer ticks half as often, and the driver keeps readings back; at the end of the
-        rest the robot gets these readings. While a recording is made, which has each reading of
-        odometry, the driver does not rest.
+        rest the robot gets these readings. The driver does not rest while a recording is made,
+        since the recording needs each reading of odometry.
         """
         self._timer.rest(is_resting)
         driver, was_resting = self._resting_driver, self._is_driver_resting
@@ -542,8 +540,9 @@ class Daemon:
     def _operators(self) -> Mapping[str, bytes] | None:
         """The public keys of the operators whose pushed code is accepted, by name.
 
-        None: code needs no signature, in a swarm without keys on loopback. Empty, so that no code
-        is accepted, in a swarm without keys on a network: anyone could run code here.
+        A swarm without keys has no such operators. On loopback the result is None: unsigned code is
+        accepted. On a network the result is empty: no code is accepted, since anyone could send
+        code.
         """
         identity = self._rosters.identity
         if identity is not None:
@@ -566,43 +565,44 @@ class Daemon:
 
         The timer calls this each period (1/20 s), and between two periods if the robot asked.
         """
-        periods_before, self._periods = self._periods, self._timer.periods
+        periods_before = self._periods
+        self._periods = self._timer.periods
 
         def is_due(interval: int) -> bool:
             """True once every `interval` periods."""
             return self._periods // interval > periods_before // interval
 
-        # 1. The readings of a resting driver: while the robot is at rest, the driver keeps its
-        # readings back until this call, which saves wake-ups.
         if self._resting_driver is not None and self._is_driver_resting:
-            self._resting_driver.read()
-        # 2. The robot. A call between two periods does not repeat an unchanged command. Some time
-        # after its last activity, timer and driver rest while the robot is at rest.
-        self.step(events.TICK_INPUT, may_repeat=self._periods > periods_before)
-        is_inactive = self._may_rest and boottime() >= self._active_until
-        self._rest(is_inactive and self._robot.is_at_rest)
+            self._resting_driver.read()  # the readings that the driver kept back
+        is_new_period = self._periods > periods_before
+        self.step(events.TICK_INPUT, may_repeat=is_new_period)
+        is_inactive = boottime() >= self._active_until and self._robot.is_at_rest
+        self._rest(self._may_rest and is_inactive)
         self._exchange.on_tick()
-        # 3. The network. Only a recording needs the clocks of peers, to be merged with theirs.
-        self._network.advance()
-        if self._recording.recorder.is_on:
-            self._network.ask_clocks()
-        if pose_and_age := self._robot.pose_to_tell(boottime()):
-            self._network.publish_pose(*pose_and_age)
+        self._advance_network()
         if is_due(MOTION_PERIOD):
             self._viewer_feed.publish_motion()
-        # 4. Log, disk (if latches could not be written), CPU use, neighbors, systemd's watchdog.
         self._tools.advance(boottime())
         if self._latches.fault and is_due(STORAGE_PERIOD) and not self._robot.is_running:
             self._check_storage()  # blocks the loop, so never during a run
         if is_due(USAGE_PERIOD):
-            robot = self._robot
-            self._pushed_runs.advance(
-                boottime(), robot.running_generation, is_running=robot.is_running
-            )
-            self._health.measure(self._runner.pid, boottime())
+            self._measure_usage()
         if is_due(NEIGHBORS_PERIOD):
             self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
+
+    def _advance_network(self) -> None:
+        self._network.advance()
+        if self._recording.recorder.is_on:
+            self._network.ask_clocks()  # to merge this recording with recordings of peers
+        if pose_and_age := self._robot.pose_to_tell(boottime()):
+            self._network.publish_pose(*pose_and_age)
+
+    def _measure_usage(self) -> None:
+        """Measure the time of the run of a pushed pattern, and the load of the processes."""
+        robot = self._robot
+        self._pushed_runs.advance(boottime(), robot.running_generation, is_running=robot.is_running)
+        self._health.measure(self._runner.pid, boottime())
 
     def _check_storage(self) -> None:
         """Try to write to the state folder, also latches not yet written; log a change."""
@@ -626,17 +626,15 @@ class Daemon:
         """Carry out what the robot wants after an input, the command to the base first.
 
         `may_repeat` False: a command that equals the last command is not sent again. Latches are on
-        disk before any reply is sent; a task writes the goals.
+        disk before any reply is sent.
         """
         self._output.command(actions, boottime(), may_repeat=may_repeat)
         if actions.is_quiet:  # nothing but a command
             return
-        robot = self._robot
-        # 1. Disk, pattern host (`trial`: a second host, for the trial of new code) and gripper.
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
-            self._goals.store(actions.goals)
+            self._goals.store(actions.goals)  # begins a write, for which `_reply` waits
         is_stored = actions.latches is None or self._latches.store(actions.latches)
         self._tools.storage_fault = self._latches.fault
         for command in (actions.trial, actions.host):
@@ -644,7 +642,6 @@ class Daemon:
                 self._runner.send(command)
         if actions.grip is not None and self._gripper is not None:
             self._gripper.grip(actions.grip)
-        # 2. Messages of the pattern, and the robot's state.
         for channel, value in actions.messages.items():
             self._send_message(channel, value)
         if actions.has_status:
@@ -652,20 +649,26 @@ class Daemon:
             self._viewer_feed.show_status(self._status)
         if actions.failed_code is not None:
             self._pushed_runs.on_failed(actions.failed_code)
-        # 3. Replies. A goal that a stop or reset has ended must stay ended after a restart: the
-        # reply waits until the goals are on disk. It need not wait while the robot runs (no goal
-        # was ended) or holds a latch (under which no goal is joined).
-        awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
         for reply in map(self._pattern_intake.on_reply, actions.replies):
-            if awaits_disk:
-                answer = self._loop.create_task(self._answer(reply, is_stored))
-                self._answers.add(answer)
-                answer.add_done_callback(self._answers.discard)
-            else:
-                self._requests.reply(reply, is_stored=is_stored)
-        # 4. The next call of `_on_tick`, if the robot asks for one between two periods.
-        wake_at = self._robot.wake_at(boottime())
+            self._reply(reply, is_stored=is_stored)
+        wake_at = self._robot.wake_at(boottime())  # a deadline between two regular ticks
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
+
+    def _reply(self, reply: Reply, *, is_stored: bool) -> None:
+        """Send a reply, at once or when the goals are on disk; `is_stored`: the latches are.
+
+        A reply to a stop or reset says that a goal has ended. The reply waits for the disk, so that
+        the goal stays ended after a restart.
+        """
+        robot = self._robot
+        # While the robot runs, no goal has ended. Under a latch the robot joins no goal.
+        is_goal_safe = robot.is_running or bool(robot.latches)
+        if is_goal_safe or not self._goals.is_writing:
+            self._requests.reply(reply, is_stored=is_stored)
+            return
+        answer = self._loop.create_task(self._answer(reply, is_stored))
+        self._answers.add(answer)
+        answer.add_done_callback(self._answers.discard)
 
     def _send_message(self, channel: str, value: Value) -> None:
         """Send a message of the pattern to viewers and robots; count a value without encoding."""
@@ -709,6 +712,13 @@ class Daemon:
     def _head(self) -> RecordingHead:
         pushed = self._pattern_versions.versions
         return recording_head(self._settings, self._robot, self._instance, self._seed, pushed)
+
+
+def _without_gripper(settings: DaemonSettings) -> DaemonSettings:
+    """The settings of a robot whose driver cannot operate the gripper of its platform."""
+    platform = settings.platform
+    platform = dataclasses.replace(platform, provides=platform.provides - {"gripper"})
+    return dataclasses.replace(settings, platform=platform)
 
 
 def _cause_of(error: BaseException) -> BaseException:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import secrets
 import threading
 from collections import Counter
@@ -44,10 +45,9 @@ class StopCounters(Struct, frozen=True):
 class DatagramGuard:
     """Signs and verifies the datagrams of a secured swarm with the keys of the present identity.
 
-    A stop carries a counter that rises with each stop of its origin (an operator's installation). A
-    new stop is refused as a replay if its counter is far below the greatest counter of its origin,
-    or not above the greatest counter that was known when the daemon started (`StopFreshness`). The
-    file `counters` keeps the greatest counters for the next start.
+    A stop carries a counter that rises with each stop of its origin (an operator's installation).
+    By the greatest counter of each origin, `StopFreshness` refuses replayed stops. The file
+    `counters` keeps the greatest counters for the next start.
     """
 
     def __init__(
@@ -69,8 +69,8 @@ class DatagramGuard:
         """
         self._identity = identity
         self._tag = tag
-        # The text is the consequence of an unreadable file, for the log.
-        self._file = StateFile(counters, StopCounters, "replayed stops may count")
+        # `lost`: what the log says that an unreadable file leads to.
+        self._file = StateFile(counters, StopCounters, lost="replayed stops may count")
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
         self._trust = Trust.of(identity)
@@ -81,17 +81,11 @@ class DatagramGuard:
         # A hint is a beacon of a newer roster, which cannot be verified. `_asks` limits, by host,
         # how often a hint leads to a query, since anyone can send hints.
         self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
-        self._noticed_at = -1e9  # s; the last warning of refused datagrams; -1e9: none so far
-        self._replay_at = -1e9  # s; the last warning of a replayed stop
+        self._noticed_at = -math.inf  # s; the last warning of refused datagrams
+        self._replay_at = -math.inf  # s; the last warning of a replayed stop
         # Decides which robots count as members, and which stops are replays.
         self.admission = Admission(
-            identity.name,
-            identity.roster.robots,
-            lease,
-            # The number of a question to a peer. The answer repeats the number, so that an old
-            # answer does not count. 0 means no question.
-            lambda: secrets.randbits(53) or 1,
-            self._written,
+            identity.name, identity.roster.robots, lease, _question_number, self._written
         )
 
     def take(self, identity: Identity) -> None:
@@ -182,6 +176,14 @@ class DatagramGuard:
             return
         if isinstance(body, Beacon) and body.robot != self._identity.name:
             self._on_newer_roster(body.robot, source, generation_of(payload))
+
+
+def _question_number() -> int:
+    """A random number for a question to a peer; above 0, since 0 means no question.
+
+    The answer repeats the number, so that a replayed answer does not count.
+    """
+    return secrets.randbits(53) or 1
 
 
 def _shown(source: Address) -> str:

@@ -50,17 +50,24 @@ def make_driver(settings: DaemonSettings) -> Driver:
 
     A base with a command timeout stops by itself when commands cease. For a base without a command
     timeout (command_timeout: none) a watchdog process sends zero if the daemon hangs or is killed.
-    Raises SwarmError if the driver or its options are wrong, ConfigError if the base would stop in
-    neither way.
+    Raises SwarmError if the driver or its options are wrong, ConfigError if the base would have
+    neither a command timeout nor a watchdog.
     """
-    name = settings.driver
-    base = base_options(settings.driver_options, f"driver {name}")
-    driver = make_bare_driver(settings)  # without a watchdog
+    driver = make_bare_driver(settings)
+    base = base_options(settings.driver_options, f"driver {settings.driver}")
     if effective_command_timeout(base, driver) != "none":
         return driver
-    # A base that never stops by itself needs zeros also while its robot is idle. An explicit
-    # `none` with idle_output silent was refused by `base_options`. So here the option is absent,
-    # and `none` is the default of a real robot.
+    return _with_watchdog(driver, base, settings)
+
+
+def _with_watchdog(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
+    """The driver of a base without a command timeout, with a process that sends zero.
+
+    Raises ConfigError if the driver cannot have such a process.
+    """
+    name = settings.driver
+    # The base needs zeros also while its robot is idle. `base_options` refuses idle_output silent
+    # with command_timeout none, so here command_timeout is not given.
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
@@ -87,8 +94,8 @@ class DriverOutput:
     """Runs the driver called `name`, and sends commands to the base through it.
 
     `idle_output`: what the base of an idle robot gets: `zeros`, or `silent` (zeros in the first
-    second, then nothing). `on_crash` takes an exception
-    that the driver raised for a command; `command` itself never raises.
+    second, then nothing). `on_crash` takes an exception that the driver raised for a command;
+    `command` itself never raises.
     """
 
     def __init__(
@@ -113,9 +120,9 @@ class DriverOutput:
     def command(self, actions: Actions, now: float, *, may_repeat: bool = True) -> None:
         """Send the command of `actions`, unless `idle_output` keeps an idle robot silent.
 
-        `may_repeat` False: do not send a command that equals the last command. A simulated base
-        waits for a command after each scan. So commands to a simulated base are repeated in any
-        case, except the zero of an idle or stopped robot.
+        `may_repeat` False: a real base gets no command that equals the last command. A simulated
+        base waits for a command after each scan, and gets equal commands, too, except the zero of
+        an idle or stopped robot.
         """
         stands = (actions.is_idle or actions.is_stopped) and actions.twist.is_zero
         command = actions.twist, actions.is_stopped

@@ -5,7 +5,7 @@ epoch that the robot had when the command was issued.
 
 1. The robot refuses a run or reset if its epoch has changed since the command was issued.
 2. A run or reset of unknown age, or older than MAX_COMMAND_AGE, is refused.
-3. A stop or emergency stop has no limit of age. It is repeated until the base rests.
+3. A stop or emergency stop of any age is carried out, and repeated until the base rests.
 4. Only operators command: in a secured swarm the name must be an operator of the roster.
 """
 
@@ -112,9 +112,11 @@ class DriverCommands:
         self._requests.take(request, source, on_reply)
 
     def _request_of(self, command: DriverCommand, now: float) -> verbs.Request:
-        """The request of a command, with the epoch that the robot had at its issue."""
+        """The request of a command, with the epoch of the robot when the command was issued."""
         robot, id, operator = self._robot.id, secrets.token_hex(8), command.operator
-        targets: dict[str, Epoch | None] = {robot: self._epoch_at(now - (command.age or 0.0))}
+        # Without an age, `_refusal_of` refuses a run or reset; a stop needs no age.
+        age = command.age or 0.0  # s
+        targets: dict[str, Epoch | None] = {robot: self._epoch_at(now - age)}
         match command.verb:
             case "stop":
                 return verbs.StopRequest(id=id, operator=operator, targets=targets)
@@ -142,7 +144,7 @@ class DriverCommands:
                     params=dict(run.params),
                     seconds=run.seconds,
                     until=run.until,
-                    age=command.age or 0.0,
+                    age=age,
                 )
 
     def _epoch_at(self, at: float) -> Epoch:

@@ -122,12 +122,7 @@ class NetworkRobot:
 
 
 class Network:
-    """The network of one daemon: sends and receives, and hands results to the daemon.
-
-    `drops` counts messages that could not be read, handled or sent. With an `identity` the swarm is
-    secured. Then `stop_counters` is required: the file with the greatest counters of stops, by
-    which replayed stops are refused (`DatagramGuard`).
-    """
+    """The network of one daemon: sends and receives, and hands results to the daemon."""
 
     def __init__(
         self,
@@ -141,13 +136,15 @@ class Network:
     ) -> None:
         """Prepare the network; nothing is opened until `join`.
 
-        `robot`: name, instance and body of this robot. `hears_programs` False: messages of Zenoh
+        `robot`: the properties of this robot that its datagrams show. `drops` counts messages that
+        could not be read, handled or sent. `identity`: the keys of this robot; None in a swarm
+        without keys. `stop_counters`: the file by which replayed stops are refused
+        (`DatagramGuard`), required with an `identity`. `hears_programs` False: messages of Zenoh
         programs (sessions that are no robots) are neither taken nor sent.
         """
         self._settings = settings
-        self._own = robot
-        self._roster = robot.roster
-        self._robot = robot.name
+        self._robot = robot
+        self._roster = robot.roster  # replaced by the roster of each new identity
         self._instance = bytes.fromhex(robot.instance)  # id of this daemon process, as sent
         self._hears_programs = hears_programs
         self._identity = identity
@@ -252,48 +249,50 @@ class Network:
         A claim is won if no other daemon shows the same id for `settings.settle` s. Raises
         NetworkError if the network cannot be opened, IdHeldError if another daemon has the id.
         """
-        # 1. Open the network.
-        settings = self._settings
         self._owner = owner
         if self._identity is not None:
-            assert self._stop_counters is not None
-            self._guard = DatagramGuard(
-                self._identity,
-                self._tag,
-                settings.lease_seconds,
-                self._stop_counters,
-                self.drops,
-                on_event=owner.on_event,
-                on_newer_roster=owner.on_newer_roster,
-            )
+            self._guard = self._guard_of(self._identity, owner)
         await self._connection.open()
+        self._peer = self._made_peer(owner)
+        await self._claim(self._peer)
+        while not self._peer.is_in_sync(boottime()):  # with the latches of the peers
+            await asyncio.sleep(SYNC_PERIOD)
+        self._is_settled = True
+        self._serve()
 
-        # 2. Make the datagram protocol, which claims the id.
-        self._peer = Peer(
+    def _guard_of(self, identity: Identity, owner: NetworkOwner) -> DatagramGuard:
+        assert self._stop_counters is not None
+        return DatagramGuard(
+            identity,
+            self._tag,
+            self._settings.lease_seconds,
+            self._stop_counters,
+            self.drops,
+            on_event=owner.on_event,
+            on_newer_roster=owner.on_newer_roster,
+        )
+
+    def _made_peer(self, owner: NetworkOwner) -> Peer:
+        """The datagram protocol, which begins to claim the id of this robot."""
+        settings = self._settings
+        return Peer(
             PeerSettings(
-                robot=self._robot,
+                robot=self._robot.name,
                 instance=self._instance,
                 swarm=settings.swarm,
                 profile=settings.profile,
                 lease=settings.lease_seconds,
                 settle=settings.settle,
                 wire=codec.VERSION,
-                version=self._own.version,
-                body=self._own.body,
+                version=self._robot.version,
+                body=self._robot.body,
                 clock=clock_id(),
             ),
             roster=self._roster,
             now=boottime(),
             admission=None if self._guard is None else self._guard.admission,
-            check_goal=self._owner.check_goal,
+            check_goal=owner.check_goal,
         )
-        await self._claim(self._peer)
-
-        # 3. Wait for the latches (held emergency stops) of the peers.
-        while not self._peer.is_in_sync(boottime()):
-            await asyncio.sleep(SYNC_PERIOD)
-        self._is_settled = True
-        self._serve()
 
     async def _claim(self, peer: Peer) -> None:
         """Wait until the id is claimed; IdHeldError if a daemon owns the id already (the holder).
@@ -305,10 +304,10 @@ class Network:
             self.advance()
             if boottime() > warn_at:
                 warn_at = float("inf")  # warn once
-                _warn_of_claim(self._robot, peer.rivals)
+                _warn_of_claim(self._robot.name, peer.rivals)
             if holder := peer.holder:
                 raise IdHeldError(
-                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
+                    f"robot id {self._robot.name!r} is held by another daemon (instance {holder});"
                     " stop it, or give this one another id"
                 )
             due_in = peer.wake_at() - boottime()
@@ -436,10 +435,10 @@ class Network:
         if body is None:
             return
         # An exception in the handling of a stop ends the daemon, which stops the robot.
-        act = fail_stop(self._act) if isinstance(body, Stop) else self._act
-        act(self._peer, body, source, author, waited, is_any=is_for_any_swarm(payload))
+        handle = fail_stop(self._handle) if isinstance(body, Stop) else self._handle
+        handle(self._peer, body, source, author, waited, is_any=is_for_any_swarm(payload))
 
-    def _act(
+    def _handle(
         self,
         peer: Peer,
         body: Datagram,
@@ -449,11 +448,11 @@ class Network:
         *,
         is_any: bool,
     ) -> None:
-        """Hand a datagram to the protocol (`peer`), and carry out what follows from it.
+        """Hand a datagram to the protocol (`peer`), and carry out what follows from the datagram.
 
-        `waited`: s from arrival until the datagram was read. `author`: the verified signer; None in
-        a swarm without keys. `is_any`: the datagram addresses robots of all swarms, such as a query
-        for the names of swarms.
+        `author`: the verified signer; None in a swarm without keys. `waited`: s from arrival until
+        the datagram was read. `is_any`: the datagram addresses robots of all swarms, such as a
+        query for the names of swarms.
         """
         actions = peer.on_datagram(
             body,
@@ -465,37 +464,35 @@ class Network:
             waited=waited,
         )
         for stop, sender in actions.stops:
-            # A stop that is relayed (hops > 0) renews no latch that was reset. A repeated datagram,
-            # which an attacker may have replayed, counts as relayed, too.
-            hops = stop.hops
-            if actions.is_repeated:
-                hops = max(hops, 1)
             answer = partial(self._ack, stop, sender, author)
-            self._owner.on_stop(replace(stop, hops=hops), sender, answer)
+            self._owner.on_stop(_as_relayed(stop) if actions.is_repeated else stop, sender, answer)
         if self._guard is not None:
-            self._note_flaws(self._guard, body, source, author, actions)
+            if actions.flaw is not None:
+                self._guard.count(actions.flaw, source, boottime())
+            else:
+                self._confirm(body, source)
+            self._refuse_replays(self._guard, actions, author)
         self._carry_out(actions, source, author)
 
-    def _note_flaws(
-        self,
-        guard: DatagramGuard,
-        body: Datagram,
-        source: Address,
-        author: Author | None,
-        actions: PeerActions,
-    ) -> None:
-        """In a secured swarm: count the flaws of a datagram, and refuse a replayed stop."""
-        now = boottime()
-        if actions.flaw is not None:
-            guard.count(actions.flaw, source, now)
-        is_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
-        if actions.flaw is None and is_member and self._carrier is not None:
+    def _confirm(self, body: Datagram, source: Address) -> None:
+        """Tell the carrier that `source` has proved to be a member, by its beacon."""
+        is_of_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
+        if is_of_member and self._carrier is not None:
             self._carrier.confirm(source)
+
+    def _refuse_replays(
+        self, guard: DatagramGuard, actions: PeerActions, author: Author | None
+    ) -> None:
+        """Answer replayed stops with a refusal, at a limited rate."""
         for stop, sender in actions.replayed:
             ack = Ack(
-                id=stop.id, robot=self._robot, instance=self._instance, revision=0, code="refused"
+                id=stop.id,
+                robot=self._robot.name,
+                instance=self._instance,
+                revision=0,
+                code="refused",
             )
-            refusal = guard.refusal(stop, sender, ack, now)
+            refusal = guard.refusal(stop, sender, ack, boottime())
             if refusal is not None:
                 self._send(refusal, sender, author)
 
@@ -505,19 +502,32 @@ class Network:
         """Send the datagrams of the protocol, and hand its results to the daemon.
 
         `source`, `author`: sender and signer of the datagram that led to `actions`; None if time
-        has led to them.
+        has led to `actions`.
         """
-        # 1. Datagrams to send. An answer to `source` is signed for `author`.
         for body, address in actions.sends:
-            self._send(body, address, author if address == source else None)
-        # Robots that only other robots have heard (their member lists have the addresses) get
-        # datagrams from now on, too.
-        if self._carrier is not None:
-            for address in actions.indirect_addresses:
-                self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
+            is_answer = address == source
+            self._send(body, address, author if is_answer else None)
+        self._add_recipients(actions.indirect_addresses)
         self._lost += actions.lost
+        self._hand_inputs(actions)
+        for sample in actions.clocks:
+            self._owner.on_clock(sample)
+        if actions.beacon is not None and source is not None:
+            self._owner.on_beacon(actions.beacon, self._connection.local(source))
+        if actions.duplicate:
+            self._is_duplicate = True
+            self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
+        if actions.changed:
+            self._owner.on_members()
 
-        # 2. Inputs of the robot.
+    def _add_recipients(self, addresses: Iterable[Address]) -> None:
+        """Send datagrams also to robots that are known only from the member lists of peers."""
+        if self._carrier is not None:
+            for address in addresses:
+                self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
+
+    def _hand_inputs(self, actions: PeerActions) -> None:
+        """Hand the robot what its peers and operators have sent, and count invalid goals."""
         if actions.latches:
             self._owner.on_input(LatchesInput(dict(actions.latches)))
         for received in actions.goals:
@@ -530,17 +540,6 @@ class Network:
             self._take_message(message)
         for place in actions.places:
             self._owner.on_input(PlaceInput(place))
-
-        # 3. Clocks, beacons (which show digests of a peer's records), and changes of the members.
-        for sample in actions.clocks:
-            self._owner.on_clock(sample)
-        if actions.beacon is not None and source is not None:
-            self._owner.on_beacon(actions.beacon, self._connection.local(source))
-        if actions.duplicate:
-            self._is_duplicate = True
-            self._owner.on_input(DuplicateInput(f"instance {actions.duplicate}"))
-        if actions.changed:
-            self._owner.on_members()
 
     def _take_message(self, message: Message) -> None:
         try:
@@ -558,7 +557,7 @@ class Network:
             return
         ack = Ack(
             id=reply.id,
-            robot=self._robot,
+            robot=self._robot.name,
             instance=self._instance,
             revision=0 if reply.epoch is None else reply.epoch.revision,
             code=reply.code,
@@ -598,9 +597,18 @@ class Network:
 
     def _is_robot(self, name: str) -> bool:
         """True for this robot, for robots of the roster, and for robots heard since the start."""
-        if name == self._robot or name in self._roster or self._peer is None:
+        if name == self._robot.name or name in self._roster or self._peer is None:
             return True
         return self._peer.membership.member(name, boottime()) is not None
+
+
+def _as_relayed(stop: Stop) -> Stop:
+    """The stop as if a robot had relayed it (1 hop or more).
+
+    A relayed emergency stop does not renew a latch that was reset. So an attacker cannot renew the
+    latch with a replayed datagram.
+    """
+    return replace(stop, hops=max(stop.hops, 1))
 
 
 def _warn_of_claim(robot: str, rivals: Collection[str]) -> None:

@@ -18,7 +18,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Callable, Collection, Coroutine
+from collections.abc import Callable, Collection, Coroutine, Mapping
 from functools import partial
 from typing import NamedTuple
 
@@ -153,11 +153,12 @@ class PatternIntake:
     def take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
     ) -> None:
-        """Queue code to check, write and try, or a removal to carry out.
+        """Queue a pattern, or a removal, for `_take`.
 
-        `source`: where the code came from, in words. `request`: the push to answer at the end;
-        None: the code came from a peer. Entries are handled one by one: a robot may pull a pattern
-        from a peer while an operator pushes the same pattern.
+        `entry`: the signed manifest. `code`: its bytes. `source`: where the code came from, in
+        words. `request`: the push to answer at the end; None: the code came from a peer. Entries
+        are handled one by one, since a robot may pull a pattern from a peer while an operator
+        pushes the same pattern.
         """
         self._queue.append((entry, code, source, request))
         self._take_next()
@@ -176,10 +177,10 @@ class PatternIntake:
     async def _take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None
     ) -> None:
-        """Check, write and try one pushed pattern, or carry out a removal. Reply to the push.
+        """Check and write one pushed pattern and begin its trial, or carry out a removal.
 
-        The reply follows at once after a refusal, a removal, and for code that the robot has and
-        need not run again. Otherwise a trial of the code begins, and replies at its end.
+        The trial replies at its end. Without a trial, the reply follows at once: after a refusal, a
+        removal, or code that the robot has and need not run again.
 
         `entry`: the signed manifest. `code`: its bytes, unused if the robot has the code already.
         `source`: where the code came from, in words. `request`: the push; None if the code was
@@ -187,26 +188,16 @@ class PatternIntake:
         """
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun  # the robot runs the pattern again
-
-        # `DropCounter.refusing` counts an exception of the `with` block below, and calls `refuse`.
-        def refuse(reply_code: Code, text: str) -> None:
-            """Reply with `reply_code`: REFUSED after a CodecError, FAILED after any other error."""
-            reply = self._refused(id, Refusal.PATTERN_FAILED, text)
-            if reply_code is not Code.REFUSED:
-                reply = replace(reply, code=reply_code, refusal=None)
-            self._state.control.reply(reply)
-
-        with self._drops.refusing("control/push", refuse):
+        version = Version.of(entry, source)
+        with self._drops.refusing("control/push", partial(self._reply_to_error, id)):
             try:
                 refusal_and_text = await self._write(entry, code)
-                reply: Reply | None = None
                 if refusal_and_text is not None:
-                    refusal, text = refusal_and_text
-                    if refusal is Refusal.PATTERN_FAILED:
-                        self._state.note_failed(entry, Version.of(entry, source), text)
-                    reply = self._refused(id, refusal, text)
+                    reply = self._refuse(id, entry, version, *refusal_and_text)
                 elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                    reply = await self._adopt(id, entry)  # without a trial
+                    reply = await self._adopt(id, entry)
+                else:
+                    reply = None
             finally:
                 self._is_taking = False
             # Nothing awaits between here and `_take_next`, so no other entry is taken in between.
@@ -214,8 +205,23 @@ class PatternIntake:
                 self._state.control.reply(reply)
             else:
                 # Sets `state.candidate`: the intake stays busy until the end of the trial.
-                self._try(id, entry, Version.of(entry, source), request)
+                self._try(id, entry, version, request)
         self._take_next()
+
+    def _reply_to_error(self, id: str, code: Code, text: str) -> None:
+        """Reply to a push that raised an error: REFUSED for a CodecError, else FAILED."""
+        reply = self._refused(id, Refusal.PATTERN_FAILED, text)
+        if code is not Code.REFUSED:
+            reply = replace(reply, code=code, refusal=None)
+        self._state.control.reply(reply)
+
+    def _refuse(
+        self, id: str, entry: Entry, version: Version, refusal: Refusal, text: str
+    ) -> Reply:
+        """The reply to an entry that `_write` has refused; faulty code is also noted."""
+        if refusal is Refusal.PATTERN_FAILED:
+            self._state.note_failed(entry, version, text)
+        return self._refused(id, refusal, text)
 
     async def _write(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
         """Check and write the code of an entry; returns the refusal and its text, None if taken.
@@ -470,31 +476,19 @@ class PatternPull:
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
         """Check a table of manifests that was pulled from `robot`, and take its signed entries.
 
-        `blob`: the encoded table, one signed manifest an entry. Then the code of a missing pattern
-        is pulled from `robot` at `address`. An entry with a false signature of an operator of the
-        roster ends the check, and no table of `robot` is pulled for FALSE_PERIOD.
+        `address`: of `robot`, from which a missing pattern is then pulled. `blob`: the encoded
+        table, one signed manifest an entry. After a forged entry nothing is pulled from `robot` for
+        FALSE_PERIOD.
         """
-        known = set(self._state.table)  # not checked again: to verify a signature takes 4 ms
-        operators = self._state.operators()  # public keys by name; None: no keys in this swarm
+        state = self._state
+        known, operators = frozenset(state.table), state.operators()
 
-        def check_signatures() -> _CheckedTable:
-            new = [entry for entry in decode_table(blob) if entry not in known]
-            trusted: list[Entry] = []
-            for entry in new:
-                if self._state.is_trusted(entry):
-                    trusted.append(entry)
-                # Without a valid signature an entry is left out. If it names a present operator, it
-                # counts as forged: no table of `robot` is pulled for a while.
-                elif operators is not None and entry.manifest.issuer in operators:
-                    return _CheckedTable(trusted, len(new), has_false_signature=True)
-            return _CheckedTable(trusted, len(new), has_false_signature=False)
-
-        def refuse(code: Code, text: str) -> None:
+        def warn(code: Code, text: str) -> None:
             log.warning("%s: %s", robot, text)
 
-        with self._drops.refusing(f"shared/{TABLE}", refuse):
+        with self._drops.refusing(f"shared/{TABLE}", warn):
             try:
-                checked = await asyncio.to_thread(check_signatures)
+                checked = await asyncio.to_thread(self._checked, blob, known, operators)
             finally:
                 self._checking = None
             if checked.has_false_signature:
@@ -507,6 +501,26 @@ class PatternPull:
             if checked.trusted:
                 self._store.merge(checked.trusted)
                 self._pull_code(robot, address, boottime())
+
+    def _checked(
+        self, blob: bytes, known: Collection[Entry], operators: Mapping[str, bytes] | None
+    ) -> _CheckedTable:
+        """In a thread: verify the entries of a table, except `known` ones (4 ms a signature).
+
+        `operators`: the public keys of the operators by name; None in a swarm without keys. An
+        entry without a valid signature is left out. If such an entry names one of `operators`, the
+        entry is forged, and the check ends.
+        """
+        new = [entry for entry in decode_table(blob) if entry not in known]
+        trusted: list[Entry] = []
+        for entry in new:
+            if self._state.is_trusted(entry):
+                trusted.append(entry)
+                continue
+            is_forged = operators is not None and entry.manifest.issuer in operators
+            if is_forged:
+                return _CheckedTable(trusted, len(new), has_false_signature=True)
+        return _CheckedTable(trusted, len(new), has_false_signature=False)
 
     def _on_code(self, robot: str, entry: Entry, blob: Blob, reason: str) -> None:
         if blob is None:

@@ -426,33 +426,26 @@ class PushedRuns:
         """The origin of each pattern for a load by the pattern host, by name.
 
         `installed`: the origins of the robot's own patterns, to which this method adds the pushed
-        patterns. A load takes the current version. A restart takes the version with which the run
-        began. A trial (`is_trial`) takes the candidate, a version that was just pushed. Raises
-        ChangedCodeError if the pushed code of the load's pattern is damaged; an installed pattern
-        of the same name is not loaded instead.
+        patterns. `is_trial`: the load tries the candidate, a version that was just pushed. Raises
+        ChangedCodeError if the pushed code of the load's pattern is damaged.
         """
         origins = dict(installed)
         candidate = self._state.candidate if is_trial else None
-
-        # 1. Each pushed pattern, in the version that this load takes.
         for name, pushed in self._state.versions.items():
             version = pushed.current
-            if load.is_restart and not is_trial:
+            if load.is_restart and not is_trial:  # as at the begin of the run
                 version = self._state.pinned.get(name, version)
-            if version is None and pushed.is_damaged:
-                if name == load.pattern and candidate is None:
+            if version is not None:
+                is_added = self._add(origins, name, version, installed)
+                if is_added and not is_trial:
+                    self._note_load(load, name, version)
+            elif pushed.is_damaged:
+                is_needed = name == load.pattern and candidate is None
+                if is_needed:
                     raise ChangedCodeError(f"{pushed.fault}; push it again")
-                # The name means the pushed code: the host must not offer an installed pattern.
+                # An installed pattern of this name is other code than the pushed pattern.
                 origins.pop(name, None)
-            if version is None:
-                continue
-            # `_add` leaves an installed pattern in place, unless the manifest replaces it.
-            is_added = self._add(origins, name, version, installed)
-            if is_added and not is_trial:
-                self._note_load(load, name, version)  # a restart of this run takes the same version
-
-        # 2. The candidate of a trial, in place of the current version of its pattern.
-        if candidate is not None:
+        if candidate is not None:  # in place of the current version
             self._add(origins, load.pattern, candidate.version, installed)
         return origins
 
@@ -463,7 +456,10 @@ class PushedRuns:
         version: Version,
         installed: Mapping[str, Origin],
     ) -> bool:
-        """Add a version to `origins`; False if an installed pattern of this name must stay."""
+        """Add a version to `origins`; False if an installed pattern has this name.
+
+        A manifest that `replaces` may take the place of the installed pattern.
+        """
         manifest = pattern_manifest.read_entry(version.signed).manifest
         if name in installed and not manifest.replaces:
             return False
@@ -491,10 +487,10 @@ class PushedRuns:
         return code.is_provisional and code.current.digest == loaded.digest
 
     def granted(self, event: HostEvent) -> HostEvent:
-        """An event of the pattern host without permissions that a pushed pattern may not get.
+        """The event to hand to the robot: `Loaded` of a pushed pattern loses its `scan_delay`.
 
-        A pattern of the robot's owner may state a `scan_delay`, by which scans may be late without
-        a hold. A pushed pattern may not: no file of the owner can permit this to pushed code.
+        A `scan_delay` permits late scans without a hold. So only a pattern of the robot's owner (of
+        a package or of `plugin_dir`) may state a `scan_delay`.
         """
         if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
             text = "its `scan_delay` does not count, since it was pushed"

@@ -129,8 +129,7 @@ class Recorder:
         self._logged_to = -1.0  # s since the start of the daemon: time of the last recorded event
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
-        self._unreported = self._unrecorded = 0
-        self.dropped = 0
+        self._forget_drops()
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
 
@@ -149,9 +148,7 @@ class Recorder:
         self._loop.add_reader(recorder.socket, self._on_report, recorder)
         self._loop.add_reader(recorder.pidfd, self._on_end, recorder)
         self._scans, self._entries = {}, []
-        # Dropped entries: in all, those without an event so far, and those that the recording
-        # does not note so far.
-        self.dropped = self._unreported = self._unrecorded = 0
+        self._forget_drops()
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
         began = self.began = boottime()
@@ -165,11 +162,16 @@ class Recorder:
                 limits=limits,
             )
         )
-        # A replay begins with the inputs that still hold, such as the neighbors, then with the
+        # A replay begins with the inputs that still hold, such as the neighbors. Then follows the
         # robot's memory, which is recorded at the next step.
-        for input in list(self._lasting.values()):  # a copy: `input` writes to `_lasting`
-            self.input(input, began)
+        for lasting in tuple(self._lasting.values()):  # a copy: `self.input` changes `_lasting`
+            self.input(lasting, began)
         self._is_memory_due = True
+
+    def _forget_drops(self) -> None:
+        self.dropped = 0  # entries dropped in all
+        self._unreported = 0  # of these, entries that no event has told so far
+        self._unrecorded = 0  # of these, entries whose gap is not in the recording so far
 
     def stop(self) -> None:
         """Send the remaining entries; the process finishes its file and ends."""
@@ -296,11 +298,11 @@ class Recorder:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
-        """Count dropped entries, and let the recording begin anew after the gap.
+        """Count dropped entries, and record after the gap what a replay needs to continue.
 
-        The memory (whole state) of the robot is recorded before the next input: a replay continues
-        from there. The next scan is recorded with its geometry (bearings), since the gap may have
-        swallowed an earlier one.
+        The memory (whole state) of the robot is recorded before the next input. The next scan is
+        recorded with its geometry (bearings), since the scan with the last geometry may be among
+        the dropped entries.
         """
         self._scans = {}
         self._is_memory_due = True
@@ -445,9 +447,11 @@ class RecordingService:
         except OSError:
             paths = []
         open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
-        lost = self.recorder.dropped
-        files = [_described(path, lost if path.name == open_now else None) for path in paths]
         recorder = self.recorder
+        files = [
+            _described(path, is_open=path.name == open_now, dropped=recorder.dropped)
+            for path in paths
+        ]
         return verbs.RecordingsReply(
             robot=self._robot,
             now=boottime(),
@@ -487,32 +491,39 @@ def _is_told(name: str) -> bool:
     return False
 
 
-def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
+def _described(path: Path, *, is_open: bool, dropped: int) -> verbs.RecordingFile | None:
     """The entry of a recording in the reply to an operator; None if the file was removed.
 
-    `path`: the .mcap file. `lost`: the count of entries dropped so far, if the file is being
-    written; else None. A finished file has an index beside it, with its checksum and times. A file
-    that is being written or was cut off has no index.
+    `path`: the .mcap file. `is_open`: the file is being written. `dropped`: the count of entries
+    that the present recording lacks.
     """
     try:
         size = path.stat().st_size
     except OSError:  # the file was removed meanwhile
         return None
-    name = path.name
+    finished = _finished(path, size)
+    if finished is not None:
+        return finished
+    return verbs.RecordingFile(
+        name=path.name, size=size, is_open=is_open, dropped=dropped if is_open else 0
+    )
+
+
+def _finished(path: Path, size: int) -> verbs.RecordingFile | None:
+    """The entry of a finished recording, from the index beside the file.
+
+    None without a valid index: the file is being written, or was cut off.
+    """
     try:
         index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
-        begin = clock_of(index["about"], int(index["begin_ns"]))
-        end = clock_of(index["about"], int(index["end_ns"]))
         return verbs.RecordingFile(
-            name=name,
+            name=path.name,
             size=size,
             is_open=False,
             crc=index["crc32"],
             dropped=index["dropped"],
-            begin=begin,
-            end=end,
+            begin=clock_of(index["about"], int(index["begin_ns"])),
+            end=clock_of(index["about"], int(index["end_ns"])),
         )
-    except (OSError, ValueError, KeyError, ConfigError):  # being written, or cut off
-        return verbs.RecordingFile(
-            name=name, size=size, is_open=lost is not None, dropped=lost or 0
-        )
+    except (OSError, ValueError, KeyError, ConfigError):
+        return None

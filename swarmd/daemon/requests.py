@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -99,9 +99,11 @@ class RequestServer:
     2. Beyond MAX_PENDING requests without a reply, further requests are dropped, except stop and
        estop.
     3. `audit` takes each answered request.
-    4. A request whose handler raises is refused, and counted in `drops`.
-    5. If the swarm `is_secured`, the operator is the name in the certificate of the Zenoh link, not
-       the name in the request. A program that speaks for this operator may add its own name.
+    4. A request whose handler raises gets the reply REFUSED (after a CodecError) or FAILED, and is
+       counted in `drops`.
+    5. If the swarm `is_secured`, the operator of a request is the name in the certificate of the
+       Zenoh link. The name in the request counts only if it is a program of this operator
+       (`core/names.owner_of`).
     """
 
     def __init__(
@@ -124,11 +126,12 @@ class RequestServer:
         self._on_request = on_request
         self._handlers: dict[str, Callable[..., Any]] = {}  # by verb
         for row in verbs.VERBS.values():
+            if row.handler is verbs.Handler.NETWORK:
+                continue  # the bus itself answers these verbs
             if row.handler.is_service:
                 self._handlers[row.name] = services.handler(row)
-            # The bus itself answers the verbs of NETWORK. The robot answers a request later, by an
-            # action that leads to `reply`, so `answer` is not used here.
-            elif row.handler is not verbs.Handler.NETWORK:
+            else:
+                # `answer` is not used: the robot's answer is a later action, which reaches `reply`.
                 self._handlers[row.name] = lambda request, answer: on_request(request)
         # By verb: the tasks that wait for an answer made in a thread.
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
@@ -156,24 +159,36 @@ class RequestServer:
         if not is_stored:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
-        # True if this id has had a reply: a stop is carried out for each copy, but audited once.
-        is_repeat = self._keep(reply)
-        # `refusing` counts an exception of its block. Two blocks: a request is audited also if its
-        # reply could not be sent.
-        with self._drops.refusing("control/reply"):
+        is_told_before = self._is_told_before(reply)
+        keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
+        with self._drops.refusing("control/reply"):  # a request is audited also if this fails
             pending.answer(reply)
-        with self._drops.refusing("control/audit"):
-            if is_audited and not is_repeat:
-                request = pending.request
-                self._audit.record(
-                    describe_request(request),
-                    request.operator,
-                    pending.source(),
-                    reply,
-                    boottime(),
-                    targets=None if request.targets is None else len(request.targets),
-                    is_relayed=pending.is_relayed,
-                )
+        if is_audited and not is_told_before:
+            with self._drops.refusing("control/audit"):
+                self._record(pending, reply)
+
+    def _is_told_before(self, reply: Reply) -> bool:
+        """True if an earlier reply to the request has told the result, as for a copy of a stop.
+
+        A failure after an earlier success is a new result, which the audit log must have.
+        """
+        earlier = self._replies.get(reply.id)
+        if earlier is None:
+            return False
+        is_new_failure = reply.code is Code.FAILED and earlier.code is not Code.FAILED
+        return not is_new_failure
+
+    def _record(self, pending: _Pending, reply: Reply) -> None:
+        request = pending.request
+        self._audit.record(
+            describe_request(request),
+            request.operator,
+            pending.source(),
+            reply,
+            boottime(),
+            targets=None if request.targets is None else len(request.targets),
+            is_relayed=pending.is_relayed,
+        )
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or emergency stop that came as a datagram, if it targets this robot.
@@ -206,8 +221,8 @@ class RequestServer:
     def take(self, request: verbs.Request, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a request for this robot that came from the robot's own system.
 
-        `source`: of the request, for the audit. `answer` sends the reply. The copies of a stop have
-        one id, as in `stop`.
+        `source`: where the request came from, for the audit. `answer` sends the reply. Each copy of
+        a stop is carried out and answered, and only the first copy is audited.
         """
         is_stop = isinstance(request, verbs.StopRequest | verbs.EstopRequest)
         if not is_stop and len(self._pending) >= MAX_PENDING:
@@ -285,61 +300,48 @@ class RequestServer:
             if is_stop or not is_pending:
                 self._handlers[request.verb](request, self.reply)
 
-    def _keep(self, reply: Reply) -> bool:
-        """Keep a reply for repeats of its request; True if a request of this id had a reply before.
-
-        Such a repeat is not audited again, except a stop that fails after earlier success: the
-        failure must be in the audit log.
-        """
-        earlier = self._replies.get(reply.id)
-        keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
-        if earlier is None:
-            return False
-        return reply.code is not Code.FAILED or earlier.code is Code.FAILED
-
     def _refuse(self, verb: str, query: Query, code: Code, text: str) -> None:
         """Reply to a request that could not be decoded, or whose handler failed; audit it.
 
-        `code`: REFUSED or FAILED. `text`: the error. Only the head of the payload is read, whose
-        fields may have wrong types.
-
-        1. A request without a readable head, or for other robots, is dropped.
-        2. The reply to a request without a readable id has the id UNREADABLE.
-        3. The reply is kept for repeats of the request, unless the id is unreadable, has had a
-           reply before, or belongs to another request that waits for its reply.
+        `code`: REFUSED or FAILED. `text`: the error. Of the payload only the header is read, whose
+        fields may have wrong types. Dropped: a request without a header, or for other robots.
         """
-        # 1. The targets and the id.
         try:
             header = _header(query.payload)
         except CodecError:
             query.drop()
             return
-        # `targets` should be a map or list of names. Any other value counts as a single name.
-        targets = header.targets
-        names = targets if isinstance(targets, dict | list) else (targets,)
-        is_stop_of_all = targets is None and verb in ("stop", "estop")
-        if not (is_stop_of_all or self._robot in names):
+        if not self._is_addressed(verb, header.targets):
             query.drop()
             return
-        is_readable = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
-        id = str(header.id) if is_readable else UNREADABLE
-        waiting = self._pending.get(id) if is_readable else None
-        if waiting is not None and waiting.query is query:  # the handler of this request failed
-            del self._pending[id]
-            waiting = None
-        is_id_of_another = waiting is not None
-
-        # 2. Make, keep, send and audit the reply.
-        operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
+        has_id = isinstance(header.id, str) and 0 < len(header.id) <= MAX_ID
+        id = str(header.id) if has_id else UNREADABLE
         reply = self._refusal(id, verb, codec.version_of(query.payload), code, text)
-        is_repeat = is_readable and id in self._replies
-        if is_readable and not is_repeat and not is_id_of_another:
-            self._keep(reply)
+        is_repeat = has_id and id in self._replies
+        if has_id:
+            self._end_pending(id, query)
+            # Repeats of the request get the kept reply. An id that still waits for its reply
+            # belongs to another request.
+            if not is_repeat and id not in self._pending:
+                keep_newest(self._replies, id, reply, MAX_REPLIES)
         with self._drops.refusing("control/reply"):
             query.reply(encode(reply))
         if not is_repeat:
-            count = 0 if targets is None else len(names)
+            operator = query.asker if self._is_secured else str(header.operator)[:MAX_OPERATOR]
+            count = len(_names_of(header.targets))
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
+
+    def _is_addressed(self, verb: str, targets: Any) -> bool:
+        """True if a request with these targets is for this robot; only a stop may omit targets."""
+        if targets is None:
+            return verb in ("stop", "estop")
+        return self._robot in _names_of(targets)
+
+    def _end_pending(self, id: str, query: Query) -> None:
+        """The request in `query` waits for no reply any more, since its handler has failed."""
+        pending = self._pending.get(id)
+        if pending is not None and pending.query is query:
+            del self._pending[id]
 
     def _refusal(self, id: str, verb: str, version: int | None, code: Code, text: str) -> Reply:
         """The reply to a request that `_refuse` refuses; `version`: of the request's payload."""
@@ -355,3 +357,10 @@ class RequestServer:
             refusal=refusal,
             text=verbs.shortened(text, MAX_TEXT),
         )
+
+
+def _names_of(targets: Any) -> Collection[Any]:
+    """The names in the unchecked field `targets`; a value that is no map or list is one name."""
+    if targets is None:
+        return ()
+    return targets if isinstance(targets, dict | list) else (targets,)

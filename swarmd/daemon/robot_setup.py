@@ -29,7 +29,7 @@ def make_robot(
     """
 
     def layers(pattern: str) -> Layers:
-        """The layers of parameters of a pattern, for the labels that the robot has at the call."""
+        """The layers of parameters of a pattern. Labels change, so each call reads them anew."""
         return settings.pattern_layers(pattern, robot.labels)
 
     robot = Robot(
@@ -46,6 +46,7 @@ def make_robot(
             labels=settings.labels,
             touch=settings.touch_zones,
             accepts=settings.accepts,
+            # Peers whose neighborhood is "range" need the pose, to compute the distance.
             tells_pose=settings.neighbors.neighborhood == "range",
             fence=settings.fence,
             on_low_battery=settings.on_low_battery,
@@ -63,9 +64,8 @@ def recording_head(
 ) -> RecordingHead:
     """The head of a recording: all values from which a replay makes the same robot.
 
-    `robot`: as it is at the begin of the recording, with its counters: `revision` (changes, in the
-    epoch) and `generation` (patterns that were loaded). `instance`: marks this life of the daemon.
-    `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
+    `robot`: the robot in its state at the begin of the recording. `instance`: marks this life of
+    the daemon. `seed`: of the robot's random generator. `pushed`: the names of the pushed patterns.
     """
     names = {*pattern_names(settings.plugin_dir), *pushed}
     # The layers of parameters of each pattern; patterns without own parameters are left out.
@@ -88,7 +88,7 @@ def recording_head(
         fence=settings.fence,
         on_low_battery=settings.on_low_battery,
         revision=robot.epoch.revision,
-        generation=robot.generation,
+        generation=robot.generation,  # count of the loads of patterns so far
         latches=robot.latches,
         cleared=tuple(robot.cleared),  # ids of latches that were reset
         goals=robot.goals,

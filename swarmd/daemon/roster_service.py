@@ -94,9 +94,9 @@ class RosterService:
     ) -> tuple[Refusal | None, str]:
         """Take a roster if it is valid and newer.
 
-        Returns (None, what has changed), or (refusal, the reason). If the identity's folder cannot
-        be written, the refusal is NOT_WRITTEN, and the robot uses the roster until a restart. If
-        this folder cannot be read, nothing changes.
+        Returns (None, what has changed), or (refusal, the reason). The refusal NOT_WRITTEN has two
+        cases. If the identity's folder cannot be written, the robot uses the roster, but only until
+        a restart. If this folder cannot be read, nothing changes.
         """
         async with self._one_at_a_time:
             if self.identity is None:

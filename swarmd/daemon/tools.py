@@ -97,7 +97,7 @@ class FieldTools:
         self._capture = LogCapture(self._ring)
         self._published = 0  # number of the last log record that was published
         self._publish_at = 0.0  # s; the next batch of records is due
-        self._pinged = 0  # the index of the robot to ping next
+        self._next_ping = 0  # the index of the robot to ping next
         self._measuring = threading.Lock()  # guards the facts, which a thread measures
         self._measured_at = -math.inf  # s; when `_facts` were measured
         # Measured by `_doctor` at the first question, before any use.
@@ -189,9 +189,9 @@ class FieldTools:
         links = sorted(self._network.links(), key=lambda link: link[1].age)
         if query.measures and links:
             names = [robot for robot, _, _ in sorted(links)]
-            first = self._pinged % len(names)
+            first = self._next_ping % len(names)
             self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
-            self._pinged = first + MAX_PINGS
+            self._next_ping = first + MAX_PINGS
         reports = tuple(
             verbs.LinkReport(robot, link.received, link.lost, link.age, link.round_trip, ways)
             for robot, link, ways in links[:MAX_LINKS]
