@@ -2,12 +2,12 @@
 
 A roster is the signed list of a swarm's robots, operators and viewers. A roster and the own name
 give the value of Zenoh's `access_control`, which Zenoh enforces. Zenoh drops a message that no rule
-permits, without notice to the sender. A rule has a subject, and applies to a link if the subject
-equals the common name in the certificate at the other end. A session keeps its rules until it is
-closed: another roster needs another session.
+permits, without notice to the sender. A rule applies to the links to certain names: a link has the
+common name in the certificate at its far end. A session keeps its rules until it is closed: another
+roster needs another session.
 
-Directions are seen from the session that has the rules: `ingress` messages come from the named end
-of the link, `egress` messages go to that end.
+Directions are seen from the session that has the rules: `ingress` messages come from the far end of
+the link, `egress` messages go there.
 
 - A robot receives queries on `control/<verb>/<asker>` from the operator of that name, and from the
   viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` and
@@ -51,10 +51,7 @@ def may_ask(role: Role, verb: str) -> bool:
 def robot_access(roster: Roster, robot: str) -> Access:
     """Zenoh's `access_control` for the session on which the robot `robot` listens.
 
-    `rules.allow(names, flow, messages, keys)` permits these kinds of Zenoh messages on these keys,
-    over links to these names. `flow` is seen from this robot: _IN is from the names, _OUT to them.
-    Zenoh drops every message that no rule permits. Raises ConfigError if the roster lacks the
-    robot, or has no operator.
+    Raises ConfigError if the roster lacks the robot, or has no operator.
     """
     if roster.role_of(robot) is not Role.ROBOT:
         raise ConfigError(f"{robot} is no robot of roster {roster.generation} of {roster.swarm}")
@@ -63,52 +60,59 @@ def robot_access(roster: Roster, robot: str) -> Access:
             f"roster {roster.generation} of {roster.swarm} has no operator, so that no name could"
             " command this robot; add one with `swarmctl keys add`"
         )
-    readers = (*roster.operators, *roster.viewers)
-    robot_state = build(roster.swarm, robot, "state", ANY)
-    robot_control = build(roster.swarm, robot, CONTROL, ANY, ANY)
-    robot_messages = build(roster.swarm, robot, MESSAGE, ANY, ANY)
-    robot_shared = build(roster.swarm, robot, SHARED, ANY, ANY)
-    # Operators and viewers query and subscribe with a wildcard in place of the robot's name.
-    all_states = [build(roster.swarm, ANY, "state", ANY)]
-    all_tokens = [token(roster.swarm, ANY)]
-    all_messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     rules = _Rules()
-
-    # 1. This robot to operators and viewers: its state, messages, replies and liveliness token.
-    # The robot subscribes to messages of operators only, since viewers may send none.
-    rules.allow(readers, _OUT, ["put"], [robot_state, robot_messages])
-    replied = [robot_state, robot_control, robot_shared]
-    rules.allow(readers, _OUT, ["reply", "declare_queryable"], replied)
-    rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
-    for flow in (_OUT, _IN):  # both ends look for the tokens of the other end
-        rules.allow(readers, flow, _LIVELINESS, all_tokens)
-    rules.allow(roster.operators, _OUT, ["declare_subscriber"], all_messages)
-
-    # 2. Operators and viewers to this robot: subscriptions, and the liveliness token of the sender.
-    rules.allow(readers, _IN, ["query", "declare_subscriber"], all_states)
-    rules.allow(readers, _IN, ["declare_subscriber"], all_messages)
-    for name in readers:
-        rules.allow([name], _IN, ["liveliness_token"], [token(roster.swarm, name)])
-
-    # 3. Operators to this robot: messages, each under the name of its operator.
-    for name in roster.operators:
+    _allow_robot_to_readers(rules, roster, robot)
+    _allow_readers_to_robot(rules, roster)
+    for name in roster.operators:  # messages, each under the name of its operator
         rules.allow([name], _IN, ["put"], [build(roster.swarm, name, MESSAGE, ANY, ANY)])
-
-    # 4. Requests, and pulls of shared files such as a roster. A key ends with the asker's name.
+    # Requests, and pulls of shared files such as a roster. A key ends with the asker's name.
+    robot_shared = build(roster.swarm, robot, SHARED, ANY, ANY)
     rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [robot_shared])
-    for name in (*readers, *roster.robots):
+    for name in (*roster.operators, *roster.viewers, *roster.robots):
         pulled = build(roster.swarm, robot, SHARED, ANY, name)
         rules.allow([name], _IN, ["query"], [*_request_keys(roster, name), pulled])
     return rules.access()
+
+
+def _allow_robot_to_readers(rules: _Rules, roster: Roster, robot: str) -> None:
+    """Let a robot send state, messages, replies and its liveliness token to all readers.
+
+    A reader is an operator or a viewer.
+    """
+    readers = (*roster.operators, *roster.viewers)
+    state = build(roster.swarm, robot, "state", ANY)
+    control = build(roster.swarm, robot, CONTROL, ANY, ANY)
+    messages = build(roster.swarm, robot, MESSAGE, ANY, ANY)
+    shared = build(roster.swarm, robot, SHARED, ANY, ANY)
+    rules.allow(readers, _OUT, ["put"], [state, messages])
+    rules.allow(readers, _OUT, ["reply", "declare_queryable"], [state, control, shared])
+    rules.allow(readers, _OUT, ["liveliness_token"], [token(roster.swarm, robot)])
+    for flow in (_OUT, _IN):  # both ends look for the tokens of the other end
+        rules.allow(readers, flow, _LIVELINESS, [token(roster.swarm, ANY)])
+    # The robot subscribes to messages of operators only, since viewers may send none.
+    all_messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
+    rules.allow(roster.operators, _OUT, ["declare_subscriber"], all_messages)
+
+
+def _allow_readers_to_robot(rules: _Rules, roster: Roster) -> None:
+    """Let operators and viewers subscribe at a robot, and show their liveliness tokens.
+
+    They query and subscribe with a wildcard in place of the robot's name.
+    """
+    readers = (*roster.operators, *roster.viewers)
+    all_states = [build(roster.swarm, ANY, "state", ANY)]
+    rules.allow(readers, _IN, ["query", "declare_subscriber"], all_states)
+    all_messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
+    rules.allow(readers, _IN, ["declare_subscriber"], all_messages)
+    for name in readers:
+        rules.allow([name], _IN, ["liveliness_token"], [token(roster.swarm, name)])
 
 
 def asker_access(roster: Roster, name: str) -> Access:
     """Zenoh's `access_control` for a session that dials robots.
 
     `name`: the operator or viewer that dials, or the robot that pulls a file from another robot.
-    Directions are seen from this session: _IN is from the robots, _OUT to the robots. Zenoh drops
-    every message that no rule permits. Raises ConfigError if the roster lacks the name, or has no
-    robot.
+    Raises ConfigError if the roster lacks the name, or has no robot.
     """
     role = roster.role_of(name)
     if role is None:
@@ -118,13 +122,8 @@ def asker_access(roster: Roster, name: str) -> Access:
             f"roster {roster.generation} of {roster.swarm} has no robot; add one with"
             " `swarmctl keys add`"
         )
-    # A robot that pulls needs no state: `allow` adds no rule for an empty list of keys.
-    states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
-    pulled = build(roster.swarm, ANY, SHARED, ANY, name)
-    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     rules = _Rules()
-
-    # 1. Messages of patterns and liveliness tokens.
+    messages = [build(roster.swarm, ANY, MESSAGE, ANY, ANY)]
     if role is not Role.ROBOT:
         rules.allow(roster.robots, _OUT, ["declare_subscriber"], messages)
         rules.allow(roster.robots, _OUT, ["liveliness_token"], [token(roster.swarm, name)])
@@ -134,12 +133,13 @@ def asker_access(roster: Roster, name: str) -> Access:
         own_messages = build(roster.swarm, name, MESSAGE, ANY, ANY)
         rules.allow(roster.robots, _OUT, ["put"], [own_messages])
         rules.allow(roster.robots, _IN, ["declare_subscriber"], messages)
-
-    # 2. Queries of this name, and what each robot may send back under its own name.
-    queried = [*_request_keys(roster, name), pulled, *states]
-    rules.allow(roster.robots, _OUT, ["query"], queried)
+    # A robot that pulls needs no state: `allow` adds no rule for an empty list of keys.
+    states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
+    pulled = build(roster.swarm, ANY, SHARED, ANY, name)
+    rules.allow(roster.robots, _OUT, ["query"], [*_request_keys(roster, name), pulled, *states])
     rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
-    # Only one rule for each robot: Zenoh takes 0.1 ms for a rule whenever a link opens.
+    # What each robot may send back under its own name. Only one rule for each robot: Zenoh takes
+    # 0.1 ms for a rule whenever a link opens.
     for robot in roster.robots:
         rules.allow(
             [robot],
@@ -153,38 +153,43 @@ def asker_access(roster: Roster, name: str) -> Access:
 def router_access(roster: Roster, router: str) -> Access:
     """Zenoh's `access_control` for a router of profile routed.
 
-    Directions are seen from the router. The ingress rules (_IN) decide what each name of the roster
-    may send, query and subscribe to. So the egress rules (_OUT) can permit all keys of the swarm: a
-    router sends to a link only replies, and keys to which the other end was allowed to subscribe.
-    `router`: the name in the certificates of all routers of the swarm.
+    The ingress rules decide what each name of the roster may send, query and subscribe to. A router
+    sends to a link only replies, and keys to which the far end was allowed to subscribe. Therefore
+    the egress rules permit all keys of the swarm. `router`: the name in the certificates of all
+    routers of the swarm.
     """
-    swarm = roster.swarm
-    all_keys = [f"{ROOT}/{swarm}/**"]
-    datagrams_to_all = build(swarm, ANY, "multicast", "all")
-    states = build(swarm, ANY, "state", ANY)
+    all_keys = [f"{ROOT}/{roster.swarm}/**"]
     names = (*roster.robots, *roster.operators, *roster.viewers)
     rules = _Rules()
     rules.allow([router], _IN, _ALL_MESSAGES, all_keys)
     rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, all_keys)
     for name in names:
-        is_robot = roster.role_of(name) is Role.ROBOT
-        # All datagrams go through the router: on keys multicast/all and unicast/<receiver>, under
-        # the sender's name. Operators and viewers send under a random name of OPERATOR_SENDERS.
-        sender = name if is_robot else OPERATOR_SENDERS
-        own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
-        queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]
-        subscribed = [datagrams_to_all, build(swarm, ANY, "unicast", sender)]
-        if not is_robot:
-            queried.append(states)
-            subscribed.append(states)
-        rules.allow([name], _IN, ["put"], own_keys)
-        rules.allow([name], _IN, ["query"], queried)
-        rules.allow([name], _IN, ["declare_subscriber"], subscribed)
-        rules.allow([name], _IN, ["liveliness_token"], [token(swarm, name)])
-        rules.allow([name], _IN, _LIVELINESS, [token(swarm, ANY)])
-        if is_robot:
-            rules.allow([name], _IN, ["reply", "declare_queryable"], own_keys)
+        _allow_at_router(rules, roster, name)
     return rules.access()
+
+
+def _allow_at_router(rules: _Rules, roster: Roster, name: str) -> None:
+    """Let a robot, operator or viewer send, query and subscribe through a router.
+
+    All datagrams go through the router: on keys multicast/all and unicast/<receiver>, under the
+    sender's name. Operators and viewers send under a random name of OPERATOR_SENDERS.
+    """
+    swarm, is_robot = roster.swarm, roster.role_of(name) is Role.ROBOT
+    sender = name if is_robot else OPERATOR_SENDERS
+    own_keys = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
+    queried = [*_request_keys(roster, name), build(swarm, ANY, SHARED, ANY, name)]
+    subscribed = [build(swarm, ANY, "multicast", "all"), build(swarm, ANY, "unicast", sender)]
+    if not is_robot:
+        states = build(swarm, ANY, "state", ANY)
+        queried.append(states)
+        subscribed.append(states)
+    rules.allow([name], _IN, ["put"], own_keys)
+    rules.allow([name], _IN, ["query"], queried)
+    rules.allow([name], _IN, ["declare_subscriber"], subscribed)
+    rules.allow([name], _IN, ["liveliness_token"], [token(swarm, name)])
+    rules.allow([name], _IN, _LIVELINESS, [token(swarm, ANY)])
+    if is_robot:
+        rules.allow([name], _IN, ["reply", "declare_queryable"], own_keys)
 
 
 def subtree(roster: Roster, robot: str) -> str:
@@ -214,8 +219,8 @@ class _Rules:
     def allow(self, names: Iterable[str], flow: str, messages: list[str], keys: list[str]) -> None:
         """Permit these kinds of Zenoh messages on these keys, over links to these names.
 
-        `flow`: _IN for messages from these names, _OUT for messages to these names. Without names
-        or keys no rule is added.
+        `flow`, seen from the session that has the rules: _IN for messages from these names, _OUT
+        for messages to these names. Without names or keys no rule is added.
         """
         link_names = tuple(names)
         if not link_names or not keys:  # Zenoh takes an empty list of names for all names

@@ -166,8 +166,8 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
 class Solicit(_Datagram, frozen=True, kw_only=True):
     """Asks robots to answer at once with a beacon, and with the lists that `wants_...` names.
 
-    The answer repeats `echo`. So the asker knows the round trip, and in a secured swarm that the
-    answer is no replay.
+    The answer repeats `echo`. By the echo the asker measures the round trip, and detects replayed
+    answers in a secured swarm.
     """
 
     echo: Number
@@ -193,8 +193,8 @@ class MemberReport(_Datagram, frozen=True, kw_only=True):
 class MemberList(_Datagram, frozen=True, kw_only=True):
     """A part of a robot's list of the other members; `part` counts from 0 to `parts` - 1.
 
-    `roster`: names that the robot's own settings expect. The parts have all members first, then
-    all names; one part may have the last members and the first names.
+    `members`: the members in this part. `roster`: of the names that the settings of the robot
+    expect, the names in this part. The members of all parts come before the names.
     """
 
     robot: RobotId
@@ -232,8 +232,8 @@ class Ack(_Datagram, frozen=True, kw_only=True):
 
     `via`: the robot that has handed the answer on; empty if `robot` itself sent the datagram.
     `code` and `refusal` are values of `Code` and `Refusal`; a later version may send new values.
-    `is_moving`: the base is not known to rest, as in `Reply`. `proof` shows the operator that
-    `robot` made the ack (`signature.py`).
+    `is_moving`: the base is not known to rest. `proof`: in a secured swarm it shows the operator
+    that `robot` made the ack, also if another robot has handed the ack on (`signature.py`).
     """
 
     id: Name
@@ -272,11 +272,11 @@ class GoalReport(_Datagram, frozen=True, kw_only=True):
 
 
 class RunLease(_Datagram, frozen=True, kw_only=True):
-    """Renews the lease of a run: without renewal for the time of the lease the robots stop.
+    """Renews the lease of a run. A run whose lease is not renewed in time ends.
 
-    The operator sends a `RunLease` at least each third of this time. `id`: of the goal. `count`
-    rises with each `RunLease`: a robot ignores a count that is not greater than the last count, so
-    that a replayed datagram cannot keep a run going.
+    The operator sends a `RunLease` at least each third of the time of the lease. `id`: of the goal
+    that is run. `count` rises with each `RunLease`. A robot ignores a count that is not greater
+    than the last count, so that a replayed datagram cannot keep a run going.
     """
 
     id: Name
@@ -376,14 +376,14 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
     """Decode a datagram of the swarm with this tag; None for another swarm or an unknown kind.
 
     `payload`: head, body and perhaps a signature, which is not read. A `Solicit` or `Swarm` with
-    the tag of any swarm is decoded, too. Raises CodecError for a malformed datagram.
+    the tag ANY_SWARM is decoded, too. Raises CodecError for a malformed datagram.
     """
     if len(payload) < _HEAD.size or len(payload) > MAX_DATAGRAM or payload[:4] != MAGIC:
         raise CodecError("no datagram of a swarm")
-    _, kind, of, length = _HEAD.unpack_from(payload)
-    is_any = of == ANY_SWARM and kind in (Kind.SOLICIT, Kind.SWARM)
+    _, kind, present_tag, length = _HEAD.unpack_from(payload)
+    is_for_any = present_tag == ANY_SWARM and kind in (Kind.SOLICIT, Kind.SWARM)
     decoder = _DECODERS.get(kind)
-    if decoder is None or (of != tag and not is_any):
+    if decoder is None or (present_tag != tag and not is_for_any):
         return None
     if _HEAD.size + length > len(payload):
         raise CodecError("a datagram that is cut short")

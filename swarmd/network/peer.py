@@ -176,6 +176,7 @@ class Peer:
         """Set up the claim of the id, and the state of members and links."""
         self.membership = Membership(settings.robot, settings.lease)
         self.links = LinkQualities(BEACON_PERIOD)
+        # None once this robot owns its id.
         self._claim: Claim | None = Claim(settings.robot, settings.instance, settings.settle, now)
         self._began = self._members_at = now
         self._new_peer_at = now  # when a peer was heard for the first time, or returned
@@ -266,16 +267,12 @@ class Peer:
                 self._question(body, admitted, source, now, actions)
                 return actions
             body = admitted
-
-        # `_claim` is None once this robot owns its id. Datagrams of this robot itself, which
-        # other robots may repeat, are ignored.
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, actions)
-            case Solicit() if is_any:  # of a program that looks for swarms
-                if self._answers.may_answer_scout(now):
-                    actions.sends.append((self._swarm, source))
-            case Solicit():  # asks for an answer
+            case Solicit() if is_any:
+                self._on_scout(source, now, actions)
+            case Solicit():
                 is_robot = author is not None and author.role is Role.ROBOT
                 self._on_solicit(body, source, now, summary, actions, is_robot=is_robot)
             case MemberList():
@@ -283,28 +280,22 @@ class Peer:
                 actions.indirect_addresses = self._indirect_addresses(body)
             case Stop():
                 self._on_stop(body, source, now, actions)
-            case Ack() if self.membership.knows(body.robot):  # of a stop that this robot relays
-                actions.sends.extend(self._relay.on_ack(body, source))
-            case Latches() if body.instance != self._instance:  # emergency stops that a peer holds
-                self._times.on_latches(body.digest)
-                self._sync.on_latches(body)
-                actions.latches = dict(body.held)
-            case GoalReport() if body.instance != self._instance:
+            case Ack():
+                self._on_ack(body, source, actions)
+            case Latches():
+                self._on_latches(body, actions)
+            case GoalReport():
                 self._on_goal(body, now, actions)
             case RunLease():
                 actions.leases.append(body)
-            case Message() if body.robot != self.robot:  # of a pattern
-                is_new, actions.lost = self._windows.take(body)  # by the number of the message
-                if is_new:
-                    actions.messages.append(body)
-            case ClockQuery() if self._claim is None and self._answers.may_answer(source, 1, now):
-                actions.sends.append((self._clocks.reply(body, now), source))
+            case Message():
+                self._on_message(body, actions)
+            case ClockQuery():
+                self._on_clock_query(body, source, now, actions)
             case ClockReply():
                 self._on_clock(body, now, actions)
-            case Place() if body.robot != self.robot and self.membership.knows(body.robot):
-                place = self._places.take(body, now)
-                if place is not None:
-                    actions.places.append(place)
+            case Place():
+                self._on_place(body, now, actions)
         return actions
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
@@ -362,48 +353,46 @@ class Peer:
         """
         actions = PeerActions()
 
-        # 1. The claim of the id: `_claim` is None once this robot owns its id.
+        self._advance_claim(now, actions)
+        if now >= self._members_at:
+            self._members_at = now + MEMBERS_PERIOD
+            self._advance_members(now, actions)
+        self._times.note_latches(digest_of(summary.latches), now)
+        # The beacon goes before the latches: peers compare its digest with that of their latches.
+        self._send_beacon_if_due(now, summary, actions)
+        self._send_latches_if_due(now, summary, actions)
+        stops = self._relay.advance(now, partial(self._is_overtaken, summary))
+        actions.sends.extend((stop, None) for stop in stops)
+        self._join_if_settled(now, summary, actions)
+        overdue = self._goal_sync.repeats(summary.goal, now)  # questions without an answer
+        actions.sends.extend(
+            (Solicit(echo=echo, wants_goal=True), address) for echo, address in overdue
+        )
+        if now >= self._lists_at:
+            self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
+            self._ask_for_member_list(now, actions)
+        return actions
+
+    def _advance_claim(self, now: float, actions: PeerActions) -> None:
+        """Become the owner of the id once the claim is won; solicit at set times of the claim.
+
+        The answers to these solicits show the latches of the peers before the claim is won.
+        """
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._times.send_now(now)  # the first beacon of the owner
             actions.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
-            # Solicit at set times of the claim: the answers show the latches (held emergency stops)
-            # of the peers before the claim is won.
             self._solicits_at.pop(0)
             actions.sends.append((self._solicit(now), None))
 
-        # 2. Members whose lease (the longest silence of a robot that is alive) has ended.
-        if now >= self._members_at:
-            self._members_at = now + MEMBERS_PERIOD
-            self._advance_members(now, actions)
-
-        # 3. Beacon, latches and relayed stops, to all (address None). The beacon goes before the
-        # latches: peers compare its digest with the digest of their own latches.
-        self._times.note_latches(digest_of(summary.latches), now)
-        self._send_beacon_if_due(now, summary, actions)
-        self._send_latches_if_due(now, summary, actions)
-        # A stop is not sent if a later run, goal or reset has overtaken the stop.
-        stops = self._relay.advance(now, partial(self._is_overtaken, summary))
-        actions.sends.extend((stop, None) for stop in stops)
-
-        # 4. Goals: this robot may join the run of its goal once the goals and latches of all peers
-        # are known. Questions for goals are repeated if their answers are overdue.
-        self._join_if_settled(now, summary, actions)
-        actions.sends.extend(
-            (Solicit(echo=echo, wants_goal=True), address)
-            for echo, address in self._goal_sync.repeats(summary.goal, now)
-        )
-
-        # 5. Ask a random member for its member list, which shows robots that are not heard here.
-        if now >= self._lists_at:
-            self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
-            alive = sorted(self.membership.alive_addresses())
-            if alive:
-                request = self._solicit(now, members=True)
-                _, address = self._random.choice(alive)
-                actions.sends.append((request, address))
-        return actions
+    def _ask_for_member_list(self, now: float, actions: PeerActions) -> None:
+        """Ask a random member for its list, which shows robots that are not heard here."""
+        alive = sorted(self.membership.alive_addresses())
+        if alive:
+            request = self._solicit(now, members=True)
+            _, address = self._random.choice(alive)
+            actions.sends.append((request, address))
 
     def _advance_members(self, now: float, actions: PeerActions) -> None:
         """End leases, solicit silent members, and forget silent duplicates: 1 us a member."""
@@ -422,6 +411,43 @@ class Peer:
         return min(self._times.wake_at(), math.inf if relay is None else relay)
 
     # Parts
+
+    def _on_scout(self, source: Address, now: float, actions: PeerActions) -> None:
+        """Answer a program that looks for swarms with the name of this swarm."""
+        if self._answers.may_answer_scout(now):
+            actions.sends.append((self._swarm, source))
+
+    def _on_ack(self, ack: Ack, source: Address, actions: PeerActions) -> None:
+        """Hand on the ack of a stop that this robot relays, if the acking robot is a member."""
+        if self.membership.knows(ack.robot):
+            actions.sends.extend(self._relay.on_ack(ack, source))
+
+    def _on_latches(self, latches: Latches, actions: PeerActions) -> None:
+        """Take the emergency stops that a peer holds; a copy of the own datagram is ignored."""
+        if latches.instance != self._instance:
+            self._times.on_latches(latches.digest)
+            self._sync.on_latches(latches)
+            actions.latches = dict(latches.held)
+
+    def _on_message(self, message: Message, actions: PeerActions) -> None:
+        """Take the message of a peer's pattern, unless its number shows that it is no new one."""
+        if message.robot != self.robot:
+            is_new, actions.lost = self._windows.take(message)
+            if is_new:
+                actions.messages.append(message)
+
+    def _on_clock_query(
+        self, query: ClockQuery, source: Address, now: float, actions: PeerActions
+    ) -> None:
+        if self._claim is None and self._answers.may_answer(source, 1, now):
+            actions.sends.append((self._clocks.reply(query, now), source))
+
+    def _on_place(self, place: Place, now: float, actions: PeerActions) -> None:
+        """Take the place of a peer that is a member."""
+        if place.robot != self.robot and self.membership.knows(place.robot):
+            peer_place = self._places.take(place, now)
+            if peer_place is not None:
+                actions.places.append(peer_place)
 
     def _indirect_addresses(self, list_: MemberList) -> list[Address]:
         """The addresses of robots that the list's sender hears, and that this robot does not."""
@@ -454,24 +480,38 @@ class Peer:
             actions.changed.append(beacon.robot)
             self._new_peer_at = now  # a run is joined only JOIN_SETTLE later
 
-        # The digests of a robot count while it owns its id: after its claim, before its farewell.
+        # A robot owns its id after its claim and before its farewell.
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
-        actions.beacon = beacon if is_owner else None
-        # Heard only briefly: such a robot may be invented. Few strangers are asked at once, so that
-        # they do not take the place of known peers.
+        if is_owner:
+            actions.beacon = beacon
+            self._ask_for_latches(beacon, source, now, summary, actions)
+            self._ask_for_goal(beacon, source, now, summary, actions)
+
+    def _ask_for_latches(
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, actions: PeerActions
+    ) -> None:
+        """Solicit the latches of a peer if their digest differs from the own digest."""
+        # A robot that was heard only briefly may be invented: few such robots are asked at once.
         is_stranger = not self.membership.is_established(beacon.robot)
         digest, own_digest = beacon.digest(RecordKind.LATCH), digest_of(summary.latches)
-        if is_owner and self._sync.wants(
-            beacon.instance, digest, own_digest, now, is_stranger=is_stranger
-        ):
+        if self._sync.wants(beacon.instance, digest, own_digest, now, is_stranger=is_stranger):
             actions.sends.append((self._solicit(now, latches=True), source))
-        if is_owner and self._claim is None and self.is_in_sync(now):
-            goal_digest = beacon.digest(RecordKind.GOAL)
-            echo = self._goal_sync.wants(beacon.instance, goal_digest, source, summary.goal, now)
-            if echo is not None:
-                actions.sends.append((Solicit(echo=echo, wants_goal=True), source))
+
+    def _ask_for_goal(
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, actions: PeerActions
+    ) -> None:
+        """Solicit the goal of a peer if it may be greater; not before the own id and latches."""
+        if self._claim is not None or not self.is_in_sync(now):
+            return
+        digest = beacon.digest(RecordKind.GOAL)
+        echo = self._goal_sync.wants(beacon.instance, digest, source, summary.goal, now)
+        if echo is not None:
+            actions.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
     def _on_goal(self, report: GoalReport, now: float, actions: PeerActions) -> None:
+        """Take the goal of a peer once its signature is valid; the own datagram is ignored."""
+        if report.instance == self._instance:
+            return
         reported = self._goal_sync.on_report(report, now)
         if reported is None:
             return
@@ -502,12 +542,13 @@ class Peer:
     def _is_overtaken(self, summary: Summary, stop: Stop, issued: float) -> bool:
         """True if the stop, issued at `issued` s, must no longer be relayed.
 
-        An emergency stop: once it was reset at this robot. A stop: if any of these was requested
-        later than the stop, since the stop would end a run that an operator wanted after it:
+        An emergency stop is relayed until a reset has cleared it at this robot. Any other stop is
+        relayed until an operator has requested one of these after the stop, since a late copy of
+        the stop would undo the request:
 
         1. a goal for all robots that starts a pattern,
-        2. for a stop of all robots: this robot's run, or its last reset,
-        3. for a stop of named robots that names this robot: this robot's run.
+        2. for a stop of all robots: a run or a reset of this robot,
+        3. for a stop that names this robot: a run of this robot.
         """
         if stop.verb == "estop":
             return stop.id in summary.cleared and stop.id not in summary.latches
@@ -555,17 +596,16 @@ class Peer:
         if not is_for_this or not self._answers.may_answer(source, 1, now):
             return
 
-        # 1. While the id is claimed, answer only another claimer of the id, which asks whether this
-        # instance is alive.
+        # While this robot claims its id, it answers only another claimer of the id, which asks
+        # whether this instance is alive.
         if self._claim is not None:
             if solicit.robot is not None and is_robot:
                 rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
                 actions.sends.append((rival, source))
             return
 
-        # 2. The beacon. In a secured swarm the asker refuses messages of this instance up to the
-        # number `said`, and places from before `clock`: an attacker may have kept them for a
-        # replay.
+        # In a secured swarm the asker refuses messages of this instance up to the number `said`,
+        # and places from before `clock`: an attacker may have kept them for a replay.
         beacon = replace(
             self._beacon(summary, echo=solicit.echo, version=self._settings.version),
             said=self._message_sequence,
@@ -573,18 +613,20 @@ class Peer:
         )
         actions.sends.append((beacon, source))
 
-        # 3. The lists that the solicit asks for.
+        self._send_lists(solicit, source, now, summary, actions)
+
+    def _send_lists(
+        self, solicit: Solicit, source: Address, now: float, summary: Summary, actions: PeerActions
+    ) -> None:
+        """Send the member list, the goal and the latches, as far as the solicit asks for them."""
         if solicit.wants_members:
             parts = self._member_lists(solicit.echo, now)
             if not self._answers.may_answer(source, len(parts), now):
                 return
             actions.sends.extend((part, source) for part in parts)
-        if (
-            solicit.wants_goal
-            and summary.goal is not None
-            and self._answers.may_answer(source, 1, now)
-        ):
-            actions.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
+        goal = summary.goal
+        if solicit.wants_goal and goal is not None and self._answers.may_answer(source, 1, now):
+            actions.sends.append((self._goal_report(goal, solicit.echo, now), source))
         if solicit.wants_latches:
             latch_lists = latch_parts(self.robot, self._instance, summary.latches)
             actions.sends.extend((latches, source) for latches in latch_lists)

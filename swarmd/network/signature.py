@@ -11,10 +11,10 @@ A robot signs answers to an operator or viewer by ANSWER, and all other datagram
 operator or viewer signs by NAMED. A tag is keyed BLAKE2b (RFC 7693) of 8 bytes over head, body and
 the trailer up to the first tag. `datagram_keys.py` describes the keys.
 
-1. All robots can sign for a class (robots, operators, viewers). So the tag for a class does not
-   show which robot signed, and `Author` names only operators and viewers.
-2. Only one robot and one asker have the key of the tag for the asker alone. So this tag, and the
-   proof in an `Ack`, show which robot signed.
+1. All robots have the keys of the classes (robots, operators, viewers). A tag with such a key does
+   not show which robot signed. Therefore `Author` names only operators and viewers.
+2. Each robot shares a further key with each operator and viewer. A tag with this key, or the proof
+   in an `Ack`, shows which robot signed.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class Author(NamedTuple):
 class Signer:
     """Signs datagrams as the owner of `keys`.
 
-    `previous`: a signer with the keys of the roster before. It signs answers to an operator that
-    still has this older roster: the operator cannot verify newer keys, and must know that its stop
+    `previous`: a signer with the keys of the roster before, for answers to an operator that still
+    has this older roster. Such an operator cannot verify newer keys, but must learn that its stop
     has arrived.
     """
 

@@ -27,9 +27,9 @@ _NO_MESSAGES = cython.declare(object, MappingProxyType({}))
 class Effects:
     """The effects of one event at `now`, gathered until the robot makes `Actions` of them.
 
-    `is_routine`: the event is a tick, a scan or the answer to a step, and has changed nothing but
-    the requested command: the deadlines of the lifecycle need no new check. The fields from `trial`
-    on mean the same as in `Actions`.
+    `is_routine`: the event cannot have changed the lifecycle, so its deadlines need no new check:
+    a tick, a scan, or the answer to a step that ends no run. `is_latched`: the emergency stops that
+    hold the robot have changed. The fields from `trial` on mean the same as in `Actions`.
     """
 
     now = cython.declare(cython.double, visibility="readonly")

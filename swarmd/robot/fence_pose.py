@@ -90,37 +90,48 @@ class FencePose:
         if pose.frame != self._frame:
             self._forget(f"the fence is in the frame {self._frame!r}, the pose in {pose.frame!r}")
             return
-        # 1. The odometry at the time of the pose: `stamp` is that time on the clock of odometry's
-        # stamps. A pose without odometry, or older than the kept readings, is ignored.
+        odometry = self._odometry_at(at, odometry_at)
+        if odometry is not None:
+            error, yaw_error = errors
+            # The way at the time `at` is not kept: the present way is greater by the motion during
+            # the delay of the pose. Later errors of odometry are too small by ODOMETRY_SHARE of
+            # that motion.
+            way, turned = self._way, self._turned
+            self._take(_Fix(pose, odometry, error, yaw_error, at, way, turned))
+
+    def _odometry_at(self, at: float, newest_at: float) -> Pose | None:
+        """The pose by odometry at the time `at`; None if no kept reading is that old.
+
+        `newest_at`: when the newest reading arrived. Both times in s on the robot's clock.
+        """
         if not self._readings:
-            return
-        stamp = self._readings[-1].stamp + at - odometry_at
+            return None
+        stamp = self._readings[-1].stamp + at - newest_at  # `at` on the clock of the stamps
         if stamp < self._readings[0].stamp - MAX_EXTRAPOLATION:
-            return
-        odometry = _pose_at(self._readings, stamp)
-        # `_way` and `_turned` count until now, not until `at`: the way since this pose lacks the
-        # motion during the delay of the pose. So the error of odometry, a share of the way, is too
-        # small by the same share of the lacking motion.
-        fix = _Fix(pose, odometry, *errors, at, self._way, self._turned)
-        if self._used is not None and at - self._used.at > FORGET_TIME:
+            return None
+        return _pose_at(self._readings, stamp)
+
+    def _take(self, fix: _Fix) -> None:
+        """Use `fix`, or keep `fix` until enough poses of its place agree (rules 2 and 3)."""
+        if self._used is not None and fix.at - self._used.at > FORGET_TIME:
             self._used = None
-        # 2. The pose agrees with the pose in use, and takes its place.
         if self._used is not None and _agree(self._used, fix):
             self._use(fix)
-        # 3. The pose agrees with the pose before, of a place not in use so far. After enough such
-        # poses this place is used.
         elif self._new is not None and self._newest is not None and _agree(self._newest, fix):
             self._newest, self._agreeing = fix, self._agreeing + 1
-            if self._agreeing >= CONFIRMATIONS and at - self._new.at >= CONFIRM_TIME:
+            if self._agreeing >= CONFIRMATIONS and fix.at - self._new.at >= CONFIRM_TIME:
                 self._use(fix)
-        # 4. A jump, or the first pose: count the agreeing poses anew from this pose.
         else:
-            self._fault = "waits until poses agree"
-            if self._used is not None:
-                distance, _ = _difference(self._used, fix)
-                self._fault = f"the pose jumped by {distance:.2f} m; {self._fault}"
-            self._new = self._newest = fix
-            self._agreeing, self._is_used = 0, False
+            self._begin_new_place(fix)
+
+    def _begin_new_place(self, fix: _Fix) -> None:
+        """Count agreeing poses from `fix` on: the first pose, or the first after a jump."""
+        self._fault = "waits until poses agree"
+        if self._used is not None:
+            distance, _ = _difference(self._used, fix)
+            self._fault = f"the pose jumped by {distance:.2f} m; {self._fault}"
+        self._new = self._newest = fix
+        self._agreeing, self._is_used = 0, False
 
     def _use(self, fix: _Fix) -> None:
         self._used, self._new, self._newest = fix, None, None

@@ -14,7 +14,7 @@ from swarmd.core.goal import Goal, GoalState, HeldGoal
 from swarmd.core.messages import Epoch, Reason, Refusal, State
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.goals import Found
-from swarmd.robot.pattern_load import Wish
+from swarmd.robot.pattern_load import Loading, Wish
 from swarmd.robot.state import Lifecycle
 
 if TYPE_CHECKING:
@@ -42,9 +42,9 @@ class GoalHandler:
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
         """Take in a goal that a peer holds.
 
-        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all other
-        peers are known, too, so that the robot may join a run (run without a request of an
-        operator).
+        `age`: s since an operator set the goal, None if unknown. `may_join`: the goals of all peers
+        are known now, so that the robot may join its own goal. To join is to run a goal without a
+        request of an operator.
         """
         goals, now = self._goals, effects.now
         relation = goals.judge(goal)
@@ -62,17 +62,18 @@ class GoalHandler:
             self._is_settled = True
             self.join_if_settled(effects)
 
-    def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
+    def has_goal_by_peer(self, request: verbs.Request, quoted: Epoch | None) -> bool:
         """True if the epoch has risen only because a peer handed over the goal of this request.
 
-        An operator sends a run or goal request, and the goal may reach the robot by a peer before
-        the request. Then the request must not be refused as stale. `quoted`: the epoch of the robot
-        in the request. False if anything else has changed the robot since this epoch.
+        The goal of a run or goal request may reach the robot by a peer before the request arrives.
+        Then the request must not be refused as stale. `quoted`: the epoch of the robot in the
+        request. False if anything else has changed the robot since this epoch.
         """
-        known = self._peer_goal  # (goal, epoch before the goal came, revision after that)
+        known = self._peer_goal
         if known is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
             return False
-        return (request.goal, quoted, self._lifecycle.revision) == known
+        is_unchanged_since = self._lifecycle.revision == known.revision_after
+        return request.goal == known.goal and quoted == known.epoch_before and is_unchanged_since
 
     def on_new_code(self, pattern: str, effects: Effects) -> None:
         """Join the own goal if the goal waited for `pattern`, which has passed its trial."""
@@ -135,33 +136,28 @@ class GoalHandler:
         """Replace the own goal by the greater `goal`; end the run, and a load of a lesser goal.
 
         The own goal is the greatest goal that targets this robot. `age`: s since the goal was set,
-        None if unknown. `may_join`: a robot that is idle or running may run `goal` without a
-        request of an operator.
+        None if unknown. `may_join`: the robot may run `goal` without a request of an operator, if
+        its state permits that. A load of a greater goal than `goal` continues.
         """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
-        # 1. The goal of the present load, which was requested or joined, has only become known.
-        if loading is not None and loading.goal == goal:
+        if loading is not None and loading.goal == goal:  # the robot loads the pattern of `goal`
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        # 2. End the run and the load. A load of a goal that is greater than `goal` continues.
-        keeps_load = False
-        if loading is not None and loading.goal is not None:
-            # `order`: the key by which goals compare, which does not depend on the age (None).
-            order_of_load = HeldGoal.of(loading.goal, None).order
-            keeps_load = order_of_load > HeldGoal.of(goal, None).order
+        keeps_load = _is_for_greater_goal(loading, goal)
         ends_load = loading is not None and not keeps_load
-        ends_any = lifecycle.is_running or ends_load
+        ends_run_or_load = lifecycle.is_running or ends_load
         was_idle = lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
-        if ends_any:
+        if ends_run_or_load:
             lifecycle.raise_revision(goal.text)  # earlier requests become stale
             lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        # 3. Take `goal`. A robot that stood for another reason than being idle may not join.
-        can_join = (ends_any or was_idle) and not keeps_load and not lifecycle.battery.is_low
-        goals.adopt(goal, age, now, may_join=may_join and can_join)
+        # A stopped, estopped or faulted robot without a load waits for an operator.
+        waits_for_operator = not (was_idle or ends_run_or_load)
+        is_barred = waits_for_operator or keeps_load or lifecycle.battery.is_low
+        goals.adopt(goal, age, now, may_join=may_join and not is_barred)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Join the own goal: run it without a request of an operator, if all rules permit that.
@@ -170,39 +166,44 @@ class GoalHandler:
         the goal itself, such as its greatest age. During a load or a trial of new code the robot
         does not join: the caller calls again after the end of the load or trial.
         """
-        lifecycle, goals, now = self._lifecycle, self._goals, effects.now
-        # 1. Reasons of the goal not to join: another peer may hold a greater goal that is not known
-        #    yet, there is no goal to join, or the end conditions of the goal are invalid.
-        own_goal = goals.own
-        if not self._is_settled or own_goal is None or not goals.joins(now):
+        own_goal, now = self._goals.own, effects.now
+        # Until settled, a peer may hold a greater goal that this robot does not know yet.
+        if own_goal is None or not self._is_settled or not self._goals.joins(now):
             return
-        if fault_of(own_goal.goal.conditions):
+        goal, age = own_goal.goal, own_goal.age(now)
+        if fault_of(goal.conditions) or not self._can_start():
             return
-        # 2. Reasons of the robot not to join: a load or trial, a second robot with the same id, the
-        #    swarm has revoked this robot, or its battery is low.
-        is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
-        is_barred = lifecycle.duplicate is not None or bool(lifecycle.revoked)
-        if is_busy or is_barred or lifecycle.battery.is_low:
-            return
-        if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
-            return
-        # 3. Raise the revision, so that earlier requests are stale. Exception: a late request for
-        #    this same goal stays acceptable if nothing else has changed since the goal came.
-        #    (`_PeerGoal.revision_after`: the revision at which such a request is still taken.)
-        peer_goal, revision_before = self._peer_goal, lifecycle.revision
-        age_s = own_goal.age(now) or 0.0  # an unknown age counts as 0
-        lifecycle.raise_revision(own_goal.goal.text)
-        lifecycle.log(f"joins {own_goal.goal.text}, set {age_s:.1f} s ago", now)
-        if peer_goal is not None and peer_goal.goal == own_goal.goal:
-            has_changed_since = peer_goal.revision_after != revision_before
-            if not has_changed_since:
-                self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
-        # 4. Run for the rest of the goal's time, which counts from the time the goal was set.
-        seconds = own_goal.goal.seconds
-        seconds_left = None if seconds is None else seconds - age_s
+        assert age is not None  # `Goals.joins` demands a known age
+        self._raise_revision_to_join(goal)
+        self._lifecycle.log(f"joins {goal.text}, set {age:.1f} s ago", now)
+        # The time of the run counts from the time at which the goal was set.
+        seconds_left = None if goal.seconds is None else goal.seconds - age
         # The run counts as requested when the goal was set: a stop issued since then ends the run.
-        wish = Wish(now - age_s, own_goal.goal.text)
-        self._start(own_goal.goal, effects, wish, seconds_left, None)
+        wish = Wish(now - age, goal.text)
+        self._start(goal, effects, wish, seconds_left, None)
+
+    def _can_start(self) -> bool:
+        """True if the present state of the robot permits a run without a request."""
+        lifecycle = self._lifecycle
+        is_busy = lifecycle.pattern_run.loading is not None or lifecycle.trial is not None
+        is_excluded = lifecycle.duplicate is not None or bool(lifecycle.revoked)
+        is_blocked = lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED)
+        return not (is_busy or is_excluded or is_blocked or lifecycle.battery.is_low)
+
+    def _raise_revision_to_join(self, goal: Goal) -> None:
+        """Make earlier requests stale, except a late request for `goal` itself.
+
+        `has_goal_by_peer` accepts such a request at the revision `revision_after` of the peer's
+        goal. That revision follows the rise, unless something else has raised the revision since
+        `goal` came.
+        """
+        lifecycle, peer_goal = self._lifecycle, self._peer_goal
+        revision_before = lifecycle.revision
+        lifecycle.raise_revision(goal.text)
+        if peer_goal is None or peer_goal.goal != goal:
+            return
+        if peer_goal.revision_after == revision_before:
+            self._peer_goal = peer_goal._replace(revision_after=lifecycle.revision)
 
     def _start(
         self,
@@ -224,6 +225,14 @@ class GoalHandler:
             request=request,
             goal=goal,
         )
+
+
+def _is_for_greater_goal(loading: Loading | None, goal: Goal) -> bool:
+    """True if `loading` loads the pattern of a goal that is greater than `goal`."""
+    if loading is None or loading.goal is None:
+        return False
+    # Only the order of the goals is compared, for which no age is needed (None).
+    return HeldGoal.of(loading.goal, None).order > HeldGoal.of(goal, None).order
 
 
 def fault_of(until: tuple[str, ...]) -> str:

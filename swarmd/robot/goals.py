@@ -13,11 +13,11 @@ of a goal, without wall clocks. After a restart the age is unknown until a peer 
    after the pattern has come by a push or from a peer, and has passed its trial.
 4. The robot joins a goal with a lease only while the operator of that goal is heard.
 5. The robot joins no goal that was set before its last stop, emergency stop or reset.
-6. A stop or emergency stop of all robots makes a goal without a pattern, greater by 1 generation
-   than the held goal, so that no robot joins the held goal later. No such goal is made if the held
-   goal is newer than the stop. A held goal that came after the stop, from a peer that did not know
-   the age of the goal, may be newer or older. Then the stop stays undecided until a peer reports
-   the age, or a greater goal.
+6. A stop or emergency stop of all robots makes a goal without a pattern, one generation greater
+   than the held goal, so that no robot joins the held goal later. Two exceptions:
+   a. The held goal was set after the stop: no goal is made.
+   b. The age of the held goal is unknown, and this goal arrived after the stop: the goal may have
+      been set before or after the stop. The stop is undecided until a peer reports the age.
 """
 
 from __future__ import annotations
@@ -77,8 +77,7 @@ class Goals:
         self._robot = robot  # the name of this robot
         self._file_labels = labels
         self._set_labels = record.labels  # by an operator; None: the labels of the swarm file count
-        # Held: the greatest goal of the swarm. Own: the greatest that targets this robot. The age
-        # of a goal from disk is unknown until a peer reports it.
+        # The age of a goal from disk is unknown (None) until a peer reports the age.
         self.held = None if record.held is None else HeldGoal.of(record.held, None)
         self.own = None if record.own is None else HeldGoal.of(record.own, None)
         self.before = record.before  # the goal that `swarmctl goal undo` restores
@@ -91,19 +90,16 @@ class Goals:
         self.lease_until: float | None = None
         self._lease_count = -1  # the sequence number of the operator's newest lease message
         self._stops: dict[str, None] = {}  # ids of the last stops of all robots, oldest first
-        # By id: stops that may be older than the held goal, as long as the goal's age is unknown.
+        # By id: stops that may be older than the held goal (rule 6b).
         self._undecided: dict[str, _Undecided] = {}
-        self._held_since = now  # the held goal came, or was read, at this time: it was set before
+        self._held_since = now  # s, own clock: when the held goal arrived or was read from disk
         # Time of the last stop, emergency stop or reset of the robot, in s on the own clock.
         self._last_stop_at = -math.inf if record.stood is None else record.stood
         self._ended_during_run = record.ran  # the last daemon ended during a run of the own goal
-        # The content of a held goal of the greatest possible generation. A stop of all robots could
-        # not make a greater goal; instead the age of the held goal is ignored, so that no robot
-        # joins this goal.
-        self._stopped_content = b""
+        self._stopped_content = b""  # of a held goal that `_bar_greatest_goal` barred
         self.is_changed = False  # since the record was last written to disk
-        # The generation of the load that failed since the robot lacks the pattern. None: no such
-        # load, or a later load, run or label.
+        # The number of the load that failed for lack of the pattern; None without such a load, and
+        # after a later load, run or label.
         self._awaits_code: int | None = None
         self._has_retried = False  # the failed load has been repeated
         if self.own is not None:
@@ -249,10 +245,10 @@ class Goals:
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
         """Make a goal without a pattern, greater than the held goal, after a stop of all robots.
 
-        So no robot that joins later runs the held goal. All robots that hold the same goal make the
-        same new goal. `stop`: the id of the stop. `age`: s since the stop was issued. Returns False
-        if no goal is made: for a repeated stop, for a stop that is older than the held goal or may
-        be older, and if no goal can exceed the held goal.
+        So no robot that joins later runs the held goal (rule 6 of the file). All robots that hold
+        the same goal make the same new goal. `stop`: the id of the stop. `age`: s since the stop
+        was issued. Returns True if the goal is made now. False for a repeated stop, for the
+        exceptions of rule 6, and if no goal can exceed the held goal.
         """
         if stop in self._stops:
             return False
@@ -267,28 +263,37 @@ class Goals:
             self._stand_since(stop, details, now)
 
     def _stand_since(self, stop: str, details: _Undecided, now: float) -> bool:
-        """Make the goal of a stop that is newer than the held goal; True if the goal is made.
-
-        A stop is undecided while the age of the held goal is unknown: the stop is kept for later.
-        """
+        """Make the goal of a stop that is newer than the held goal; True if the goal is made."""
         held, generation = self.held, 1
         if held is not None:
-            is_newer = held.issued is not None and held.issued > details.issued
-            if is_newer or held.goal.id == stop:
+            is_held_newer = held.issued is not None and held.issued > details.issued
+            is_made_already = held.goal.id == stop
+            if is_held_newer or is_made_already:
                 return False
             if held.issued is None and self._held_since > details.issued:
-                self._undecided[stop] = details
-                while len(self._undecided) > MAX_STOPS:
-                    del self._undecided[next(iter(self._undecided))]
+                self._keep_undecided(stop, details)
                 return False
-            if held.goal.generation >= MAX_UNSIGNED:  # no unsigned goal can follow the held goal
-                self._stopped_content = held.content
-                self.held = held._replace(issued=None)  # no robot joins a goal of unknown age
+            if held.goal.generation >= MAX_UNSIGNED:
+                self._bar_greatest_goal(held)
                 return False
             generation = held.goal.generation + 1
         goal = Goal(generation=generation, issuer=details.operator[:MAX_ISSUER], id=stop)
         self.adopt(goal, now - details.issued, now, may_join=False)
         return True
+
+    def _keep_undecided(self, stop: str, details: _Undecided) -> None:
+        self._undecided[stop] = details
+        while len(self._undecided) > MAX_STOPS:
+            del self._undecided[next(iter(self._undecided))]
+
+    def _bar_greatest_goal(self, held: HeldGoal) -> None:
+        """Forget the age of the held goal, so that no robot joins it.
+
+        No unsigned goal can exceed this goal, which has the greatest possible generation. The age
+        that a peer reports later is ignored, too (`_stopped_content`).
+        """
+        self._stopped_content = held.content
+        self.held = held._replace(issued=None)
 
     # The robot's runs
 
@@ -342,8 +347,8 @@ class Goals:
         """Note that a run begins; `goal`: the goal of the run, None without a goal.
 
         `what`: the name of the pattern, for the status. `age`: s since the run was requested.
-        `is_resumed`: an earlier request set the goal (the robot resumes or joins it, or reloads its
-        pattern), so that this run does not renew the lease.
+        `is_resumed`: the request of this run did not set the goal, so this run does not renew the
+        lease. Such a run resumes or joins the goal, or follows a reload of the pattern.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was requested after the stops that are still undecided

@@ -38,11 +38,14 @@ class InputAges:
     """The arrival times of inputs, the holds that follow, and the context of decisions.
 
     - `_problem`: why the last scan is not usable; None for a usable scan.
-    - `_peers_due`: from this time on the place of a peer is too old, which holds the robot.
-    - `_fence_due`: from this time on the pose for the fence is too old, which holds the robot.
     - `_hazards_until`: a hazard holds the robot until this time.
-    - `_teller`: the `Peers` object, whose discs are obstacles; None while no place is known.
-    - `_ring`: the ring of range sensors, or None. `_fence`: the `FencePose`, or None.
+    - `_peers_due`: after this time the place of a peer is too old, which holds the robot.
+    - `_fence_due`: after this time the pose for the fence is too old, which holds the robot.
+    - `_teller`: the `Peers` object while it knows the place of a peer, which is an obstacle then.
+    - `_ring`: the `RangeRing` of a robot with such sensors.
+    - `_fence`: the `FencePose` of a robot with a fence.
+
+    An object that the robot does not have is None.
     """
 
     odometry = cython.declare(object, visibility="public")
@@ -217,10 +220,11 @@ class InputAges:
         """The age in s since arrival beyond which a scan is stale.
 
         This age is the platform's limit `stale_after` less the measured delay of scans, since the
-        rays of a delayed scan are older than its arrival. A pattern may permit a delay above the
-        platform's bound `max_scan_delay`. Only the bound is then subtracted.
+        rays of a delayed scan are older than its arrival. If the running pattern permits the delay,
+        at most the platform's bound `max_scan_delay` is subtracted.
         """
-        added: cython.double = self._added
-        if added <= self.permitted_delay and self._max_delay < added:
-            added = self._max_delay
-        return self._stale_after - added
+        delay: cython.double = self._added
+        is_permitted: cython.bint = delay <= self.permitted_delay
+        if is_permitted and delay > self._max_delay:
+            delay = self._max_delay
+        return self._stale_after - delay

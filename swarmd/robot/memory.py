@@ -2,8 +2,13 @@
 
 The bytes are compressed MessagePack: a table of kinds (types), and nodes. A node is one object or
 value: the index of its kind, and its parts. A part is an atom (bool, float, int, str, None) or the
-place of another node: its index, in a 1-tuple to tell it from an int. An object to which two others
-refer is written once, and both refer to the same object after reading.
+place of another node. A place is a tuple of one int, the index of the node: a bare int is an atom.
+An object to which two others refer is written once, and both refer to the same object after
+reading.
+
+A value is a built-in container, an array, bytes, or an instance of a class of values (a struct, an
+enum, a named tuple, a dataclass with slots). An object is an instance of any other class. Objects
+may refer to one another in a circle. A value refers only to objects and to earlier values.
 
 A recording may come from an untrusted machine. `recall` therefore makes only plain values and
 objects of the listed modules of a robot, with the fields of these classes. The bytes can name no
@@ -28,7 +33,7 @@ from math import prod
 from pickle import PickleError
 from random import Random
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -140,8 +145,8 @@ def recall(data: bytes, settings: RobotSettings) -> Robot:
 class _Writer:
     """Serialises the state of one robot.
 
-    An object gets an empty node first, and its parts later, since objects may refer to each other
-    in circles. Values cannot refer in circles: their parts are written at once.
+    `_place` adds the node of a value with its parts, and the node of an object without parts.
+    `memory` adds the parts of objects, since objects may refer to one another in a circle.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -192,46 +197,42 @@ class _Writer:
         return parts
 
     def _place(self, value: Any) -> tuple[int]:
-        """The place of the node of `value`: the index in `_nodes`, in a 1-tuple.
-
-        In the parts of another node, the tuple tells a place from an int. If `value` has no node
-        yet, the method adds a node:
-
-        - for a value (a container, an array, bytes, an instance of a class of values): with parts,
-        - for an object (an instance of any other class): empty. `memory` adds the parts later,
-          since objects may refer to one another in a circle.
-        """
+        """The place of the node of `value`; adds the node if `value` has none yet."""
         known_place = self._places.get(id(value))
         if known_place is not None:
             return known_place
         cls = type(value)
-        # 1. The table of handlers and the settings have no parts: `recall` takes the table of its
-        #    own version, and the settings that its caller gives.
+        # `recall` takes the handlers of its own version, and the settings that its caller gives.
         if value is HANDLERS:
             return self._add(value, self._kind("handlers"), [])
         if cls is RobotSettings:
             return self._add(value, self._kind("settings"), [])
-        # 2. Built-in containers, arrays, bytes and numpy scalars.
         if cls in _TYPES:
-            parts_of, _ = _TYPES[cls]  # functions: value to parts, and (for the reader) back
+            parts_of, _ = _TYPES[cls]
             return self._add(value, self._kind(cls.__name__), self._parts(parts_of(value)))
         if isinstance(value, np.ndarray) or _is_view(value):
             return self._array(value)
-        if cls is bytes:  # the node has the length only; `_numbers` joins all bytes at the end
-            self._numbers.append(value)
-            return self._add(value, self._kind("bytes"), [len(value)])
+        if cls is bytes:
+            return self._add_bytes(value)
         if isinstance(value, np.generic):
             parts = self._parts((value.dtype.str, value.tobytes()))
             return self._add(value, self._kind("scalar"), parts)
-        # 3. Classes of swarmd. For a class of values `field_names` gives the parts. For a class of
-        #    objects `field_names` is None, and `memory` later fills the node with kind and parts.
-        class_name, field_names = self._class_of(cls)
-        if field_names is not None:
-            parts = self._parts([getattr(value, name) for name in field_names])
-            return self._add(value, self._kind(class_name, field_names), parts)
-        place = self._add(value, 0, [])
-        self._objects.append((self._nodes[-1], value))
-        return place
+        return self._add_instance(value)
+
+    def _add_bytes(self, value: bytes) -> tuple[int]:
+        """Add a node with the length alone; `_numbers` joins the content of all nodes."""
+        self._numbers.append(value)
+        return self._add(value, self._kind("bytes"), [len(value)])
+
+    def _add_instance(self, value: Any) -> tuple[int]:
+        """Add the node of an instance of a class of swarmd; an object gets its parts later."""
+        class_name, field_names = self._class_of(type(value))
+        if field_names is None:  # an object
+            place = self._add(value, 0, [])
+            self._objects.append((self._nodes[-1], value))
+            return place
+        parts = self._parts([getattr(value, name) for name in field_names])
+        return self._add(value, self._kind(class_name, field_names), parts)
 
     def _add(self, value: object, kind: int, parts: list[Any]) -> tuple[int]:
         place = self._places[id(value)] = (len(self._nodes),)
@@ -265,6 +266,29 @@ class _Writer:
         return self._buffers[id(base)]
 
 
+class _Maker(NamedTuple):
+    """The function `make(parts)` for the nodes of one kind.
+
+    For a kind of values `make` returns the value. For a kind of objects `make` returns the empty
+    object, and a function that sets the fields of this object.
+    """
+
+    is_of_objects: bool
+    make: Callable[[list[Any]], Any]
+
+
+class _MadeObject(NamedTuple):
+    """An object without fields, the function that sets its fields, and the parts for them."""
+
+    object: Any
+    set_fields: Callable[[Any, list[Any]], None]
+    parts: list[Any]
+
+
+# Count of parts and depth. An object adds nothing to the extent of a value that refers to it.
+_EXTENT_OF_OBJECT = (0, 0)
+
+
 class _Reader:
     """Makes the robot of one memory; raises one of `_FAULTS` for an invalid memory."""
 
@@ -290,43 +314,45 @@ class _Reader:
 
         ValueError or TypeError for invalid bytes, which may come from an untrusted machine.
         """
-        nodes = self._memory.nodes
         makers = [self._maker(kind) for kind in self._memory.kinds]  # by index of the kind
-        # 1. All objects, still empty, since values may refer to any object. For an object `make`
-        #    returns the object, and the function that later sets its fields from the parts.
-        objects: list[tuple[Any, Callable[[Any, list[Any]], None], list[Any]]] = []
-        for place, node in enumerate(nodes):
-            is_object, make = makers[node.kind]
-            if is_object:
-                if len(objects) == MAX_OBJECTS:
-                    raise ValueError(f"it has more than {MAX_OBJECTS} objects")
-                empty_object, set_fields = make(node.parts)
-                self._made[place] = empty_object
-                # The extent of a value: the count of its parts, and their depth, which are bounded.
-                # An object adds nothing to the extent of a value that refers to it.
-                self._extents[place] = (0, 0)
-                objects.append((empty_object, set_fields, node.parts))
-        # 2. Values in the order of their nodes: a value refers only to values before it.
-        for place, node in enumerate(nodes):
-            if self._extents[place] is None:
-                extent = self._extent(node.parts, self._memory.kinds[node.kind].name)
-                _, make = makers[node.kind]
-                self._made[place] = make(self._resolved(node.parts))
-                self._extents[place] = extent
-        # 3. The fields of the objects.
-        for obj, set_fields, parts in objects:
-            set_fields(obj, self._resolved(parts))
-        # 4. The arrays that were read-only become so again. Compiled code does not check indices,
-        #    so an object checks those that it has read: none may lie beyond its arrays.
+        objects = self._make_objects(makers)
+        self._make_values(makers)
+        for made in objects:
+            made.set_fields(made.object, self._resolved(made.parts))
         for array_ in self._fixed:
             array_.flags.writeable = False
-        for obj, _, _ in objects:
-            if hasattr(obj, "check_indices"):
-                obj.check_indices()
+        # Compiled code does not check indices: an object checks that each index that it has read
+        # lies in its arrays.
+        for made in objects:
+            if hasattr(made.object, "check_indices"):
+                made.object.check_indices()
         robot = self._made[0]
         if not isinstance(robot, Robot):
             raise TypeError(f"it is a {type(robot).__name__}; expected a Robot")
         return robot
+
+    def _make_objects(self, makers: list[_Maker]) -> list[_MadeObject]:
+        """Make all objects, empty: values and fields of objects may refer to any of them."""
+        objects: list[_MadeObject] = []
+        for place, node in enumerate(self._memory.nodes):
+            maker = makers[node.kind]
+            if maker.is_of_objects:
+                if len(objects) == MAX_OBJECTS:
+                    raise ValueError(f"it has more than {MAX_OBJECTS} objects")
+                empty_object, set_fields = maker.make(node.parts)
+                self._made[place] = empty_object
+                self._extents[place] = _EXTENT_OF_OBJECT
+                objects.append(_MadeObject(empty_object, set_fields, node.parts))
+        return objects
+
+    def _make_values(self, makers: list[_Maker]) -> None:
+        """Make all values in the order of their nodes: a value refers only to earlier values."""
+        for place, node in enumerate(self._memory.nodes):
+            maker = makers[node.kind]
+            if not maker.is_of_objects:
+                extent = self._extent(node.parts, self._memory.kinds[node.kind].name)
+                self._made[place] = maker.make(self._resolved(node.parts))
+                self._extents[place] = extent
 
     def _resolved(self, parts: list[Any]) -> list[Any]:
         return [self._made[part[0]] if type(part) is tuple else part for part in parts]
@@ -354,21 +380,17 @@ class _Reader:
             raise ValueError(f"values within values: {depth} deep, of {self._size} parts")
         return size, depth + 1
 
-    def _maker(self, kind: _Kind) -> tuple[bool, Callable[[list[Any]], Any]]:
-        """Returns (is_object, make) for the nodes of `kind`; `is_object`: a class of objects.
-
-        `make(parts)` returns the value. For a class of objects it returns the empty object, and a
-        function that sets the fields of that object.
-        """
+    def _maker(self, kind: _Kind) -> _Maker:
+        """The maker for the nodes of `kind`."""
         if kind.name in self._makers:
-            return False, self._makers[kind.name]
+            return _Maker(False, self._makers[kind.name])
         cls = _class_named(kind.name)
         names = _fields_of(cls)
         if names is None:
-            return True, _object_maker(cls, kind)
+            return _Maker(True, _object_maker(cls, kind))
         if names != kind.fields:
             raise ValueError(f"{kind.name} has the fields {kind.fields}; expected {names}")
-        return False, partial(_value, cls, names)
+        return _Maker(False, partial(_value, cls, names))
 
     def _bytes(self, parts: list[Any]) -> bytes:
         """The next bytes of `numbers`; the only part is their count."""

@@ -21,8 +21,8 @@ class Wish(Struct, frozen=True):
     - A joined goal (run without a request) counts from the time at which the goal was set.
     - The run after a reload counts from the reload request.
     - A restart after a fault keeps the wish of the failed run.
-    - A low battery ends a run and begins another run, which keeps the time of the first run: a stop
-      that would have ended the first run ends the second run, too.
+    - The run of the setting `on_low_battery`, which replaces another run, keeps the time of that
+      run: a stop that would have ended the replaced run ends this run, too.
     """
 
     at: float

@@ -3,8 +3,8 @@
 A kernel (see `core/kernels.py`), compiled into one library with ticker.py. Times are in s on the
 robot's clock. A deadline that is not set is inf.
 
-1. A requested command expires three periods after the start of the step that returned it, and
-   never before MIN_EXPIRY.
+1. A requested command expires three periods after the start of the step that returned it, or after
+   MIN_EXPIRY if that is longer.
 2. A step is due after a period, or with a new scan. The host computes one step at a time: a step
    that becomes due during another step stays due.
 3. After a fault the pattern is restarted after FIRST_BACKOFF. Each further fault within
@@ -206,11 +206,11 @@ class PatternRun:
     @cython.cfunc
     @cython.exceptval(check=False)
     def lifecycle_due_at(self) -> cython.double:
-        """The next deadline of load and run in s, the next step excepted; inf without a deadline.
+        """The next deadline of the host's answer and of the run in s; inf without a deadline.
 
-        During a load: -inf, since a load is checked at each tick. The deadline `restart_at` is left
-        out: until then the robot has the hold `pattern_restarting`, and under a hold the caller
-        checks all deadlines at each tick.
+        -inf during a load, which the caller checks at each tick. Two deadlines do not count:
+        `step_due_at` has the next step, and `restart_at` lies in the hold `pattern_restarting`,
+        under which the caller checks all deadlines at each tick.
         """
         running = self.running
         if self.loading is not None:

@@ -54,27 +54,22 @@ class _PeerDisc(NamedTuple):
 
 
 class _OwnPose(NamedTuple):
-    """The own pose in a shared frame at the time `at` in s.
-
-    A pose is measured at most FASTEST_POSE before it arrives. `at` is the middle of this interval:
-    the true time differs from `at` by at most half of FASTEST_POSE. In this half the robot moves by
-    at most `shift` m and turns by at most `turn` rad.
-    """
+    """The own pose in a shared frame, and the errors that follow from its uncertain time."""
 
     shared: SharedPose
-    at: float
-    shift: float
-    turn: float
+    at: float  # s, assumed time of the pose; the true time differs by at most FASTEST_POSE / 2
+    shift: float  # m, that the robot moves in FASTEST_POSE / 2
+    turn: float  # rad, that the robot turns in FASTEST_POSE / 2
 
 
 class Peers:
     """Findings about peers, and the places of the peers that the lidar may miss.
 
-    Protection assumes that the lidar sees all robots, and that they are not too fast. A finding is
-    a property of a peer that contradicts this assumption, such as a body below the scan plane. All
-    times are in s on the robot's monotonic clock and come with each call. With `tells_pose` the
-    robot sends its pose to its peers in any case. Without `tells_pose` the robot sends the pose
-    only if the lidar of a peer may miss this robot.
+    Protection assumes that the lidar sees all robots, and that no robot is faster than the setting
+    `others_speed`. A finding is a property of a peer that contradicts one of these assumptions,
+    such as a body below the scan plane. All times are in s on the robot's monotonic clock and come
+    with each call. `tells_pose`: the robot always sends its pose to its peers. By default the robot
+    sends its pose only if the lidar of a peer may miss this robot.
     """
 
     def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
@@ -111,9 +106,19 @@ class Peers:
         """
         if bodies == self._bodies:
             return []
-        # 1. Findings of all peers. With the protection mode `off` no finding holds the robot.
         earlier_findings = set(self._findings)
         self._bodies = dict(bodies)
+        self._findings = self._findings_of(bodies)
+        may_be_unseen = {f.robot for f in self._findings if f.kind in ("unseen", "unknown")}
+        self._use_places_of(may_be_unseen)
+        reported = [body for body in bodies.values() if body is not None]
+        # `sees` is None if a height is unknown: the peer may miss this robot.
+        self._is_missed = any(sees(body, self.own) is not True for body in reported)
+        self._set_holds()
+        return [finding for finding in self._findings if finding not in earlier_findings]
+
+    def _findings_of(self, bodies: Mapping[str, Body | None]) -> tuple[PeerFinding, ...]:
+        """The findings about all peers. With the protection mode `off` none holds the robot."""
         present = [
             finding
             for robot, body in sorted(bodies.items())
@@ -121,31 +126,21 @@ class Peers:
         ]
         if self._is_off:
             present = [structs.replace(finding, holds=False) for finding in present]
-        self._findings = tuple(present)
+        return tuple(present)
 
-        # 2. The peers whose places are used.
-        missed = {finding.robot for finding in present if finding.kind != "faster"}
-        self._use_places_of(missed)
-
-        # 3. A peer whose lidar may miss this robot needs the pose of this robot. `sees` is None if
-        #    a height is unknown: the peer may miss this robot then, too.
-        reported = [body for body in bodies.values() if body is not None]
-        self._is_missed = any(sees(body, self.own) is not True for body in reported)
-
-        # 4. What holds this robot: a finding `unseen` until the place of the peer is known, a
-        #    finding `faster` always.
-        holding = [finding for finding in present if finding.holds]
+    def _set_holds(self) -> None:
+        """A finding `faster` holds always, a finding `unseen` until the peer's place is known."""
+        holding = [finding for finding in self._findings if finding.holds]
         self._unseen = tuple(finding.robot for finding in holding if finding.kind == "unseen")
         self._holds_always = any(finding.kind == "faster" for finding in holding)
         self._update_places_until()
-        return [finding for finding in present if finding not in earlier_findings]
 
     def _use_places_of(self, missed: Collection[str]) -> None:
         """Choose the peers whose measured or reported places are obstacles (`_radii`).
 
-        `missed`: the peers that the lidar may miss. In the blind zone around the lidar any near
-        peer may vanish. So with a blind zone the places of all peers are used, and the places of
-        peers that the lidar sees (`_seen_beyond`) only inside the zone.
+        `missed`: the peers that the lidar may miss. Their places are always obstacles. A lidar with
+        a blind zone near the sensor may lose any peer in that zone. So there the places of the
+        other peers (`_seen_beyond`) are obstacles inside the zone.
         """
         radii = {robot: body.radius for robot, body in self._bodies.items() if body is not None}
         self._radii = {robot: radius for robot, radius in radii.items() if robot in missed}
@@ -159,42 +154,26 @@ class Peers:
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
         """Take in the measured range (m) and bearing (rad) of neighbours that the lidar may miss.
 
-        Each such neighbour becomes a disc in the base frame. The disc contains the body of the
+        Each such neighbour becomes a disc in the base frame, which contains the body of the
         neighbour and the errors of range and bearing. Skips a neighbour without range or bearing,
-        and numbers that are not finite or too large. Returns True if any such disc is stored, also
-        from an earlier call.
+        and numbers that are not finite or too large. Returns True if any disc is stored, also from
+        an earlier call.
         """
         if not self._radii:
             return False
         for neighbor in neighbors:
-            body_radius = self._radii.get(neighbor.id)  # None: the lidar sees this neighbour
-            distance, bearing = neighbor.distance, neighbor.bearing
-            if body_radius is None or distance is None or bearing is None:
-                continue
-            if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):
-                continue
-            if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
-                continue
-            measured_at = now - max(neighbor.age, 0.0)
-            # Errors in m along the line of sight, and across it (the arc of the bearing's error).
-            radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
-            error = math.hypot(radial_error, ANGLE_ERROR * distance)
-            disc = _PeerDisc(
-                x=distance * math.cos(bearing),
-                y=distance * math.sin(bearing),
-                radius=body_radius + error,
-                at=measured_at,
-                until=measured_at + TOLD_TIMEOUT,
-            )
-            _keep_newer(self._sensed, neighbor.id, disc)
+            body_radius = self._radii.get(neighbor.id)  # of a neighbour whose place is used
+            disc = None if body_radius is None else _disc_of(neighbor, body_radius, now)
+            if disc is not None:
+                _keep_newer(self._sensed, neighbor.id, disc)
         self._update_places_until()
         return bool(self._sensed)
 
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> float | None:
         """Take in the own pose in a shared frame; returns the time of the pose in s.
 
-        `twist`: the measured twist, None without fresh odometry. Returns None, and ignores the
-        pose, if the pose is invalid or its stamp is not newer than the last stamp.
+        `twist`: the measured twist, None without fresh odometry. A pose that is invalid, or whose
+        stamp is not newer than the last stamp, is ignored: the method then returns None.
         """
         if not pose.is_valid:
             return None
@@ -237,34 +216,19 @@ class Peers:
         of its own last pose. False without a fresh own pose in the same frame, for an old report,
         for a peer that is far away, and for a peer that the lidar sees.
         """
-        # `_radii` has only the peers whose places are used, since the lidar may miss them.
-        own_pose, body_radius = self._own_pose, self._radii.get(place.robot)
-        body = self._bodies.get(place.robot)
-        if own_pose is None or body_radius is None or body is None:
+        own_pose, body = self._own_pose, self._bodies.get(place.robot)
+        if own_pose is None or body is None or not _is_usable(place, own_pose, now):
             return False
-        if place.frame != own_pose.shared.frame:
+        body_radius = self._radii.get(place.robot)
+        if body_radius is None:  # the lidar sees the peer
             return False
-        if now - own_pose.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT:
-            return False
-        reported_at = now - place.age
-        pose = own_pose.shared.pose
+        pose, reported_at = own_pose.shared.pose, now - place.age
         dx, dy = place.x - pose.x, place.y - pose.y  # m in the shared frame, from own to peer
-        if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
-            return False
-        # The disc grows by three errors. 1. The errors of both places, and the own motion `shift`
-        # in m while the time of the own pose is uncertain.
-        error = own_pose.shared.error + own_pose.shift + place.error
-        # 2. The arc, at the distance of the peer, of the own yaw error and of the own turn in rad.
-        error += (own_pose.shared.yaw_error + own_pose.turn) * math.hypot(dx, dy)
-        # 3. The motion of the peer from an older report until the time of the own pose. A newer
-        # report needs no growth: the disc counts as old as the own pose, and protection lets the
-        # object move for this whole age.
-        error += body.surface_speed * max(own_pose.at - reported_at, 0.0)
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         disc = _PeerDisc(
             x=cos * dx + sin * dy,  # rotated by -yaw, from the shared frame to the base frame
             y=cos * dy - sin * dx,
-            radius=body_radius + error,
+            radius=body_radius + _place_error(place, reported_at, own_pose, body),
             at=own_pose.at,
             until=min(own_pose.at, reported_at) + TOLD_TIMEOUT,  # from the older of the two poses
         )
@@ -293,8 +257,8 @@ class Peers:
         """True if a peer makes this robot stand.
 
         This robot stands for a peer that is faster than protection assumes, and for a peer that the
-        lidar misses while no place of that peer is known. It never stands for a peer whose platform
-        the operator accepted (`accepts`).
+        lidar misses while no place of that peer is known. This robot never stands for a peer whose
+        platform the operator accepted (`accepts`).
         """
         return self._holds_always or now > self._places_until
 
@@ -326,6 +290,51 @@ class Peers:
         )
 
 
+def _disc_of(neighbor: Neighbor, body_radius: float, now: float) -> _PeerDisc | None:
+    """The disc around a neighbour by range and bearing; None without usable numbers."""
+    distance, bearing = neighbor.distance, neighbor.bearing
+    if distance is None or bearing is None:
+        return None
+    if not (math.isfinite(bearing) and math.isfinite(neighbor.age)):
+        return None
+    if not 0.0 <= distance <= MAX_TOLD_DISTANCE:  # also a distance that is NaN
+        return None
+    measured_at = now - max(neighbor.age, 0.0)
+    # Errors in m along the line of sight, and across it (the arc of the bearing's error).
+    radial_error = DISTANCE_ERROR + DISTANCE_SHARE * distance
+    error = math.hypot(radial_error, ANGLE_ERROR * distance)
+    return _PeerDisc(
+        x=distance * math.cos(bearing),
+        y=distance * math.sin(bearing),
+        radius=body_radius + error,
+        at=measured_at,
+        until=measured_at + TOLD_TIMEOUT,
+    )
+
+
+def _is_usable(place: PeerPlace, own_pose: _OwnPose, now: float) -> bool:
+    """True if own pose and reported place are fresh, in one frame, and not too far apart."""
+    pose = own_pose.shared.pose
+    is_old = now - own_pose.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT
+    is_far = math.hypot(place.x - pose.x, place.y - pose.y) > MAX_TOLD_DISTANCE
+    return place.frame == own_pose.shared.frame and not is_old and not is_far
+
+
+def _place_error(place: PeerPlace, reported_at: float, own_pose: _OwnPose, body: Body) -> float:
+    """The bound in m of the error of a peer's place in the base frame, at the time of `own_pose`.
+
+    `reported_at`: the time in s of the pose that the peer reports.
+    """
+    shared = own_pose.shared
+    distance = math.hypot(place.x - shared.pose.x, place.y - shared.pose.y)
+    position_error = shared.error + own_pose.shift + place.error
+    arc_of_yaw_error = (shared.yaw_error + own_pose.turn) * distance
+    # The peer moves after an older report until the time of the own pose. A newer report needs no
+    # such growth: protection assumes that the peer has moved since the time of the own pose.
+    motion_of_peer = body.surface_speed * max(own_pose.at - reported_at, 0.0)
+    return position_error + arc_of_yaw_error + motion_of_peer
+
+
 def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> None:
     """Store the disc of a peer unless the stored disc is newer."""
     known = discs.get(robot)
@@ -336,8 +345,8 @@ def _keep_newer(discs: dict[str, _PeerDisc], robot: str, disc: _PeerDisc) -> Non
 def _told_within(platform: Platform) -> float:
     """The distance in m from axle to disc rim beyond which a peer's disc limits no command.
 
-    The distance is valid for a disc of any age up to TOLD_TIMEOUT, after which a disc is not used.
-    -inf in a protection mode that uses no discs.
+    Computed for a disc of the age TOLD_TIMEOUT: an older disc is not used, and a newer disc limits
+    commands only at a smaller distance. -inf in a protection mode that uses no discs.
     """
     barrier = barrier_settings(platform)
     if barrier is None:

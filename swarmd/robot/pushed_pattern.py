@@ -2,15 +2,16 @@
 
 ::
 
-    push that passed its trial               -> provisional, current
-    60 s of runs without a fault             -> held: kept from now on
-    fault while provisional                  -> returned: the version before is current again
-    3 ends of the daemon during runs         -> returned: the version before is current again
-      while provisional
-    removal                                  -> gone
+    push that passed its trial               -> provisional: current, but on trial
+    60 s of runs without a fault             -> held: current, and kept after a fault
+    fault of a provisional version           -> returned: the version before is current again
+    3 ends of the daemon during runs of a    -> returned: the version before is current again
+      provisional version
+    removal                                  -> no version of the pattern is left
 
-An end of the daemon during a run counts since the code may be its cause. A fault of a held version
-changes nothing here: the pattern is restarted and quarantined like any other.
+The end of the daemon during a run counts like a fault, since the code may have caused that end. A
+fault of a held version changes no version: the robot restarts the pattern, and quarantines the
+pattern after several faults.
 """
 
 from __future__ import annotations

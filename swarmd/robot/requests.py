@@ -4,16 +4,18 @@ No late request starts motion: run, reset, reload and param quote the epoch that
 and the robot refuses any other epoch. The robot obeys stop and estop in every state and at every
 epoch.
 
-A stop may arrive late. The robot compares the time at which the stop was issued with the `Wish` of
-the present run or load (the time at which that run was requested):
+A stop may arrive late. A run and a load (of the pattern for the next run) each have a `Wish`: the
+time at which that run was requested. The robot compares the time at which the stop was issued with
+these wishes:
 
 =====================================  ==========================================================
-no run and no load                     the robot stays stopped; a trial or reset that was requested
-                                       after this stop, or after a later stop, is left alone
-stop issued after the wish             run and load end
-stop issued before the wish            refused (`overtaken`): run and load continue
-stop issued after the wish of the run  refused: the run ends, the load continues
+stop issued after all wishes           run and load end
+stop issued before all wishes          refused (`overtaken`): run and load continue
+stop issued after the wish of the run  refused (`overtaken`): the run ends, the load continues
 and before the wish of the load
+no run and no load, new stop           a trial of new code ends; an idle robot becomes stopped
+no run and no load, stop issued        applied without a change: a trial or reset may have been
+before an obeyed stop or a reset       requested after this stop
 =====================================  ==========================================================
 
 The age of a stop does not include its time on the network. A stop may therefore seem to be issued
@@ -28,7 +30,7 @@ from __future__ import annotations
 
 import math
 from hashlib import sha256
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core import verbs
 from swarmd.core.goal import GoalState
@@ -55,6 +57,22 @@ _REST_SPEED, _REST_TURN = (
 )  # m/s and rad/s, at most, that odometry shows of a base at rest
 MIN_RUN_TIME = 1e-3  # s: a run for no time is no valid run
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
+
+
+class _StopTime(NamedTuple):
+    """When a stop was issued, and whether the robot carried out an earlier copy of this stop."""
+
+    issued_at: float  # s, own clock
+    is_copy: bool
+
+    def is_before(self, wish: Wish) -> bool:
+        """True if the run of `wish` was requested after the stop, which must not end this run.
+
+        For a copy also at equal times: the first copy ended each run that was requested until then,
+        so the run was requested after the first copy. The first copy itself counts as newer than a
+        wish of the same time: in doubt the robot stops.
+        """
+        return self.issued_at <= wish.at if self.is_copy else self.issued_at < wish.at
 
 
 class RequestHandler:
@@ -98,7 +116,7 @@ class RequestHandler:
             return Refusal.REVOKED, f"{revoked}; it is no longer a robot of this swarm"
         # Only the goal of this same request, received from a peer, may have changed the epoch.
         is_same = quoted == self._lifecycle.epoch
-        if not is_same and not self._goals.is_of_found_goal(request, quoted):
+        if not is_same and not self._goals.has_goal_by_peer(request, quoted):
             text = f"robot changed since you looked, by {self._lifecycle.changed_by}"
             return Refusal.STALE_EPOCH, text
         return None
@@ -106,52 +124,54 @@ class RequestHandler:
     # Requests, by the names of their verbs
 
     def on_stop(self, request: verbs.StopRequest, effects: Effects) -> None:
-        """Stop; refuse (`overtaken`) if the present run was requested after the stop was issued.
+        """Stop; refuse (`overtaken`) if the next run was requested after the stop was issued.
 
-        A stop may arrive late, or as a copy that a robot relays or the operator repeats. A run and
-        a load (the pattern of the next run) each have a `wish`: the time at which that run was
-        requested. Each ends only if the stop is not older than its wish.
+        A stop may arrive late, or as a copy that a robot relays or the operator repeats. The table
+        of the module lists the cases.
         """
-        lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
-        cause, detail = f"{request.operator} (stop)", f"by {request.operator}"
-        # 1. The time of issue. A copy of an executed stop was issued before that execution,
-        #    whatever age the copy states. The age of a refused copy is not kept: a forged copy
-        #    would make the true stop look older.
-        is_copy = request.id in self._executed
-        issued_at = now - request.age
-        if is_copy:
-            issued_at = min(issued_at, self._executed[request.id])
-
-        def is_older_than(wish: Wish) -> bool:
-            """True if the stop is older than `wish`.
-
-            At equal times: False for the first copy of the stop, since in doubt the robot stops;
-            True for a later copy. The first copy ended every run that was requested at that time,
-            so that a later copy meets a run that was requested after the stop.
-            """
-            return issued_at < wish.at or (is_copy and issued_at == wish.at)
-
-        # 2. A stop that is older than the wish of the load (of the run, if there is no load) is
-        #    refused. A run that continues beside the load has a wish of its own: if the stop is
-        #    newer than that wish, the run ends and the load continues.
-        if run.wish is not None and is_older_than(run.wish):
-            if run.running is not None and not is_older_than(run.running.wish):
-                lifecycle.raise_revision(cause)
-                lifecycle.stop(Reason.OPERATOR, detail, effects, keeps_load=True)
-            text = f"run again since, by {run.wish.by}"
-            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
+        lifecycle, next_wish = self._lifecycle, self._lifecycle.pattern_run.wish
+        stop = self._time_of(request, effects.now)
+        if next_wish is not None and stop.is_before(next_wish):
+            self._refuse_stop(request, stop, next_wish, effects)
             return
-        # 3. A stop that is newer than run and load ends both. A robot without run and load obeys a
-        #    new stop, too, but not a known stop: robots relay a stop for a minute, and a copy must
-        #    not end a trial or reset that was requested after the first copy.
-        is_known = is_copy or issued_at <= self._obeyed_until
-        self._obeyed_until = max(self._obeyed_until, issued_at)
-        if run.wish is not None or not is_known:
-            self._epoch_raised_at = now
-            lifecycle.raise_revision(cause)
-            lifecycle.stop(Reason.OPERATOR, detail, effects)
+        # Robots relay copies of a stop for a minute. Without run and load, a copy must not end a
+        # trial or reset that was requested after the first copy.
+        is_obeyed_already = stop.is_copy or stop.issued_at <= self._obeyed_until
+        self._obeyed_until = max(self._obeyed_until, stop.issued_at)
+        if next_wish is not None or not is_obeyed_already:
+            self._epoch_raised_at = effects.now
+            lifecycle.raise_revision(f"{request.operator} (stop)")
+            lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects)
         self._goals.on_stop(request, effects)
         self._answer_stop(request, effects)
+
+    def _time_of(self, request: verbs.StopRequest, now: float) -> _StopTime:
+        """The time of issue by the age that the request states.
+
+        A copy was issued before the first copy was carried out, whatever age the copy states.
+        """
+        stated = now - request.age
+        # Only a stop that was carried out is in `_executed`. The age of a refused copy is not kept:
+        # a forged copy would make the true stop look older.
+        executed_at = self._executed.get(request.id)
+        if executed_at is None:
+            return _StopTime(stated, is_copy=False)
+        return _StopTime(min(stated, executed_at), is_copy=True)
+
+    def _refuse_stop(
+        self, request: verbs.StopRequest, stop: _StopTime, next_wish: Wish, effects: Effects
+    ) -> None:
+        """Refuse a stop that is older than `next_wish`: of the load, without a load of the run.
+
+        A run beside a load has a wish of its own. If the stop is newer than that wish, the run
+        ends, and the load continues.
+        """
+        lifecycle, running = self._lifecycle, self._lifecycle.pattern_run.running
+        if running is not None and not stop.is_before(running.wish):
+            lifecycle.raise_revision(f"{request.operator} (stop)")
+            lifecycle.stop(Reason.OPERATOR, f"by {request.operator}", effects, keeps_load=True)
+        text = f"run again since, by {next_wish.by}"
+        lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
 
     def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
         """Latch the emergency stop; a relayed copy of an estop that was reset is refused."""
@@ -207,10 +227,10 @@ class RequestHandler:
     def _answer_stop(self, request: verbs.Request, effects: Effects) -> None:
         """Reply to a stop. `is_moving` of the reply is True while the base is not known to rest.
 
-        The operator repeats the stop until the base rests. If the base is not known to rest
-        STOP_TIME after the stop, the reply is the failure NOT_STOPPED: zero commands do not reach
-        the base, or the base moves on. A base that the driver has not reached yet may still move
-        by a command of an earlier daemon process.
+        The operator repeats the stop until the base rests. The reply becomes the failure
+        NOT_STOPPED if the base is not known to rest STOP_TIME after the stop. Causes: zero commands
+        do not reach the base, or the base does not obey them. A base that the driver has not
+        reached yet may still move by a command of an earlier daemon process.
         """
         now, sensors, lifecycle = effects.now, self._sensors, self._lifecycle
         executed_at = self._executed.setdefault(request.id, now)
@@ -226,8 +246,8 @@ class RequestHandler:
     def _is_at_rest(self, now: float) -> bool:
         """True if odometry measured the base at rest, after the last command to move took effect.
 
-        Without odometry: True once the robot is older than STOP_TIME. The text of the reply then
-        says that there is no odometry.
+        Without odometry: True once STOP_TIME has passed since the start of the daemon. The text of
+        the reply then says that there is no odometry.
         """
         odometry, age = self._sensors.odometry, self._sensors.odometry_age(now)
         if odometry is None or age is None:
@@ -272,8 +292,9 @@ class RequestHandler:
     ) -> Wish:
         """When (s on the own clock) and by whom the request was issued.
 
-        A stop, estop or reset that is carried out raises the epoch, and this request quotes the
-        present epoch. So it was issued after the last of these, even if its age says otherwise.
+        A stop, estop or reset that changes the robot raises the epoch, and `request` quotes the
+        present epoch. So the operator issued `request` after the last such rise. If the age of
+        `request` states an earlier time, the time of that rise counts.
         """
         return Wish(max(now - request.age, self._epoch_raised_at), request.operator)
 
@@ -297,57 +318,65 @@ class RequestHandler:
         never starts motion.
         """
         lifecycle = self._lifecycle
-        state = lifecycle.state_machine.state
-        cause = f"{request.operator} (reset)"
-        # 1. Refusals that change nothing: a second robot with this id, or a finding to be cleared
-        #    while the robot runs.
-        if lifecycle.duplicate is not None:
-            text = f"this id is still held by {lifecycle.duplicate}"
-            lifecycle.refuse(effects, request, Refusal.DUPLICATE_ID, text)
-            return
         findings = [text for text in self._protection.findings if text in request.findings]
-        if findings and lifecycle.is_running:
-            text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
-            lifecycle.refuse(effects, request, Refusal.BUSY, text)
+        if refusal := self._refusal_to_reset(findings):
+            lifecycle.refuse(effects, request, *refusal)
             return
-        # 2. Clear the named latches. If a latch remains that the request does not name, the robot
-        #    stays estopped, and the request is refused.
-        latches_cleared = [latch for latch in request.ids if latch in lifecycle.latches.held]
-        if latches_cleared:
-            lifecycle.latches.clear(latches_cleared)
-            effects.is_latched = True
-        if lifecycle.latches.held:
+        self._clear_latches(request, effects)
+        if lifecycle.latches.held:  # latches that the request does not name
             text = f"still estopped {lifecycle.latches.text}; look again and reset once more"
-            if latches_cleared:
-                lifecycle.raise_revision(cause)
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
-            return
-        # 3. A running or idle robot keeps its state, but joins no goal that was set before now
-        #    (`bar`). `is_joining`: the robot itself began the present load for a peer's goal. Its
-        #    state may still be idle, but case 4 ends that load.
-        loading = lifecycle.pattern_run.loading
-        is_joining = loading is not None and loading.goal is not None and loading.request is None
-        if state is State.RUNNING:
-            lifecycle.goals.bar(effects.now)
+        elif lifecycle.is_running:
+            lifecycle.goals.bar(effects.now)  # the robot joins no goal that was set before now
             lifecycle.applied(effects, request, "running: nothing to reset")
-        elif state is State.IDLE and not is_joining:
-            lifecycle.goals.bar(effects.now)
-            # A copy of a stop before this time counts as known, and does not undo the reset.
-            self._obeyed_until = self.reset_at = effects.now
-            if findings:
-                lifecycle.raise_revision(cause)
-                self._epoch_raised_at = effects.now
-                self._end_findings(findings, request, effects)
-            text = f"{len(findings)} findings ended" if findings else "nothing to reset"
-            lifecycle.applied(effects, request, f"idle: {text}")
-        # 4. An estopped, stopped, faulted or joining robot becomes idle. The load of a joined goal
-        #    ends.
-        else:
-            lifecycle.raise_revision(cause)
+        elif lifecycle.state_machine.state is State.IDLE and not self._is_joining:
+            self._reset_idle_robot(findings, request, effects)
+        else:  # estopped, stopped, faulted, or joining a goal, whose load `reset` ends
+            lifecycle.raise_revision(_cause_of_reset(request))
             self._end_findings(findings, request, effects)
             lifecycle.reset(request.reason or f"by {request.operator}", effects)
             lifecycle.applied(effects, request, "idle")
             self._obeyed_until = self._epoch_raised_at = self.reset_at = effects.now
+
+    def _refusal_to_reset(self, findings: list[str]) -> tuple[Refusal, str] | None:
+        """Why a reset that ends `findings` is refused before it changes anything, else None."""
+        if self._lifecycle.duplicate is not None:
+            return Refusal.DUPLICATE_ID, f"this id is still held by {self._lifecycle.duplicate}"
+        if findings and self._lifecycle.is_running:
+            text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
+            return Refusal.BUSY, text
+        return None
+
+    def _clear_latches(self, request: verbs.ResetRequest, effects: Effects) -> None:
+        """Clear the named latches. If other latches remain, make earlier requests stale."""
+        lifecycle = self._lifecycle
+        named = [latch for latch in request.ids if latch in lifecycle.latches.held]
+        if named:
+            lifecycle.latches.clear(named)
+            effects.is_latched = True
+            if lifecycle.latches.held:
+                lifecycle.raise_revision(_cause_of_reset(request))
+
+    @property
+    def _is_joining(self) -> bool:
+        """True while the robot loads the pattern of a goal without a request of an operator."""
+        loading = self._lifecycle.pattern_run.loading
+        return loading is not None and loading.goal is not None and loading.request is None
+
+    def _reset_idle_robot(
+        self, findings: list[str], request: verbs.ResetRequest, effects: Effects
+    ) -> None:
+        """End `findings` of an idle robot, which joins no goal that was set before now."""
+        lifecycle, now = self._lifecycle, effects.now
+        lifecycle.goals.bar(now)
+        # A copy of an earlier stop counts as obeyed, and does not undo the reset.
+        self._obeyed_until = self.reset_at = now
+        if findings:
+            lifecycle.raise_revision(_cause_of_reset(request))
+            self._epoch_raised_at = now
+            self._end_findings(findings, request, effects)
+        text = f"{len(findings)} findings ended" if findings else "nothing to reset"
+        lifecycle.applied(effects, request, f"idle: {text}")
 
     def _end_findings(
         self, ended: list[str], request: verbs.ResetRequest, effects: Effects
@@ -390,42 +419,52 @@ class RequestHandler:
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
         """Act on the end of the trial of new code that a reload request started.
 
-        `event.text`: why the trial failed; empty if it passed. The end of an earlier trial is
-        ignored. After a passed trial the next run of the pattern takes the new code. A push keeps
-        the present run (`keeps_running`). A reload, or a push that asks for a new run, ends the run
-        of this pattern. A robot without a run may then join a goal, which waits during a trial.
+        After a passed trial the next run of the pattern takes the new code. A present run of the
+        pattern ends, unless a push keeps this run (`keeps_running`). The end of an earlier trial
+        is ignored.
         """
         lifecycle, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
             return
-        if event.text:
+        has_failed = bool(event.text)
+        if has_failed:
             lifecycle.end_trial(event.refusal, event.text, effects)
-            self._goals.join_if_settled(effects)
+            self._goals.join_if_settled(effects)  # a goal waits for the end of the trial
             return
         lifecycle.trial = None
-        request, run = trial.request, lifecycle.pattern_run
-        running = run.running
-        reply_text = f"a run of {request.pattern} takes the new code"
+        request, running = trial.request, lifecycle.pattern_run.running
         if running is None:
-            # No run: the pattern host is replaced by the process of the trial, which has imported
-            # the new code.
-            effects.command_host(KillHost())
-            state = lifecycle.state_machine.state
-            lifecycle.applied(effects, request, f"{reply_text}; {state}, as before")
-            if request.keeps_running:  # the code was pushed: a goal may have waited for it
-                self._goals.on_new_code(request.pattern, effects)
-            self._goals.join_if_settled(effects)
+            self._replace_idle_host(request, effects)
         elif running.pattern == request.pattern and not request.keeps_running:
             self._replace(trial, effects)
         else:
-            # The run, of this pattern or of another, continues in the present host. That host may
-            # contain the old code from an earlier load, so the next load gets a fresh host. The
-            # process of the trial ends. The robot joins no goal: a run goes on.
-            run.is_outdated = True
-            effects.trial = CancelTrial()
-            old_code = " with the old code" if running.pattern == request.pattern else ""
-            text = f"{reply_text}; {running.pattern} goes on{old_code}"
-            lifecycle.applied(effects, request, text)
+            self._keep_run(request, running.pattern, effects)
+
+    def _replace_idle_host(self, request: verbs.ReloadRequest, effects: Effects) -> None:
+        """End the host, which runs nothing; then join a goal that waited for the trial.
+
+        The process of the trial, which has imported the new code, becomes the pattern host.
+        """
+        lifecycle = self._lifecycle
+        effects.command_host(KillHost())
+        text = f"{_new_code_text(request)}; {lifecycle.state_machine.state}, as before"
+        lifecycle.applied(effects, request, text)
+        if request.keeps_running:  # the code was pushed: a goal may have waited for this code
+            self._goals.on_new_code(request.pattern, effects)
+        self._goals.join_if_settled(effects)
+
+    def _keep_run(
+        self, request: verbs.ReloadRequest, running_pattern: str, effects: Effects
+    ) -> None:
+        """Keep the run in its host, and end the process of the trial.
+
+        The host may contain the old code of the pattern, so the next load gets a fresh host.
+        """
+        self._lifecycle.pattern_run.is_outdated = True
+        effects.trial = CancelTrial()
+        old_code = " with the old code" if running_pattern == request.pattern else ""
+        text = f"{_new_code_text(request)}; {running_pattern} goes on{old_code}"
+        self._lifecycle.applied(effects, request, text)
 
     def advance(self, effects: Effects) -> None:
         """End a trial that takes longer than TRIAL_TIMEOUT."""
@@ -468,6 +507,14 @@ class RequestHandler:
         else:
             effects.command_host(KillHost())
             lifecycle.applied(effects, request, "reloaded, and stopped")
+
+
+def _cause_of_reset(request: verbs.ResetRequest) -> str:
+    return f"{request.operator} (reset)"
+
+
+def _new_code_text(request: verbs.ReloadRequest) -> str:
+    return f"a run of {request.pattern} takes the new code"
 
 
 def under_way(lifecycle: Lifecycle) -> str:

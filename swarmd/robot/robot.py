@@ -58,9 +58,9 @@ else:
 class Robot(Ticker):
     """Lifecycle, sensors, protection and status of one robot.
 
-    `seed` makes the random choices of patterns repeatable. `instance` identifies this daemon
-    process. `now` is in s on a monotonic clock. `earlier`: the records of earlier processes on
-    disk. `decision`: the last decision of protection, made at `decided_at` (s).
+    `seed` makes the random choices of patterns and protection repeatable. `instance`: the id of
+    this daemon process. `now`: s on a monotonic clock. `earlier`: the records on disk of earlier
+    daemon processes. `decision`: the last decision of protection, made at `decided_at` (s).
     """
 
     decision: Decision
@@ -82,30 +82,27 @@ class Robot(Ticker):
         now: float,
         earlier: EarlierLives = EarlierLives(),  # noqa: B008  # it is frozen
     ) -> None:
-        """Make the robot at rest, with the counts, latches and goals of earlier daemon processes.
-
-        `seed`: of the random choices of this robot. `instance`: the id of this daemon process.
-        `now`: s on the own clock. `earlier`: the records on disk.
-        """
+        """Make the robot at rest, with the counts, latches and goals of earlier processes."""
         super().__init__()
         self.id = id
         self.platform, self.fence = platform, settings.fence
-        self._last_tick, self._handlers = now, HANDLERS
+        self._last_tick = now
+        self._handlers = HANDLERS
         self._sensors = Sensors(
             platform, settings.accepts, tells_pose=settings.tells_pose, fence=settings.fence
         )
         self._protection = Protection(platform, f"{seed}/{id}", settings.fence)
-        # The lifecycle (state, runs, requests) continues the counts of earlier daemon processes, so
-        # that no old request or answer seems new.
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, earlier.latches, earlier.goals, now)
+        # The counts continue, so that no request or answer to an earlier process seems new.
         self._lifecycle.revision = earlier.revision
         self._lifecycle.pattern_run.generation = earlier.generation
         self._events = EventLimit(self._lifecycle)
-        # Parts of the lifecycle that each tick needs, without a look-up. `_kept_goals`: the goals;
-        # `_goals`: the handler that applies them.
-        self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
-        self._kept_goals, self._goals = self._lifecycle.goals, GoalHandler(self._lifecycle)
+        # Parts of the lifecycle as fields, since each tick reads them.
+        self._machine = self._lifecycle.state_machine
+        self._run = self._lifecycle.pattern_run
+        self._kept_goals = self._lifecycle.goals
+        self._goals = GoalHandler(self._lifecycle)
         self._requests = RequestHandler(
             id, self._lifecycle, self._goals, self._protection, self._sensors, now
         )
@@ -452,20 +449,27 @@ class Robot(Ticker):
                 is_restart=True,
             )
 
-    def _has_new_status(self, now: float) -> bool:
-        """True if the status must be published at `now`; the caller must then publish it.
+    def _take_due_status(self, now: float) -> bool:
+        """True if the caller must publish the status at `now`; the status then counts as published.
 
-        The status is due if a value that peers act on has changed, or after STATUS_PERIOD. A status
-        that is due counts as published by this call, so that the next call returns False. Clears
-        `_is_status_due`: the flag that something may have changed.
+        The status is due if a value that peers act on has changed, or after STATUS_PERIOD.
         """
-        self._is_status_due = False
+        self._is_status_due = False  # nothing has changed since this check
+        current_values = self._status_values()
+        is_recent = now - self._published_at < STATUS_PERIOD
+        if current_values == self._published and is_recent:
+            return False
+        self._published, self._published_at = current_values, now
+        return True
+
+    def _status_values(self) -> tuple[object, ...]:
+        """The values whose change must be published before STATUS_PERIOD has passed."""
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
-            reason = None  # may change with every scan: no reason for a status out of turn
+            reason = None  # may change with every scan: not worth a status before its time
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
-        current_values = (
+        return (
             machine.state,
             reason,
             machine.detail,
@@ -477,11 +481,6 @@ class Robot(Ticker):
             self._sensors.is_driver_up,
             self._sensors.hazards.present,
         )
-        is_recent = now - self._published_at < STATUS_PERIOD
-        if current_values == self._published and is_recent:
-            return False
-        self._published, self._published_at = current_values, now
-        return True
 
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {

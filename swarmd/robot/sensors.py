@@ -87,26 +87,15 @@ class Sensors(InputAges):
         tells_pose: bool = False,
         fence: FenceSettings | None = None,
     ) -> None:
-        """Begin without any input; the parts follow from the sensors of `platform`."""
+        """Begin without any input; the parts follow from the sensors of `platform`.
+
+        `accepts`, `tells_pose`, `fence`: see `RobotSettings`.
+        """
         super().__init__()
-        # The lidar: validity of a scan, its delay, and its correction by the motion of the base.
-        self._stale_after = platform.scan.stale_after
-        self._max_delay = platform.scan.max_scan_delay
-        self._needs_odometry = "odometry" in platform.provides
-        # Obstacles that vanish in the blind zone of the lidar: the protection mode `barrier`
-        # remembers them itself, more precisely than the conditioner.
-        guesses_near = platform.protection.get("mode") != "barrier"
-        self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
-        self.scan_delay = ScanDelay(platform.scan)
-        self._history = OdometryHistory(self.scan_delay)
-        self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
-        # Segments of a turn; None if the driver hands over whole turns alone.
-        self._segments = SegmentCheck(platform.scan) if platform.scan.segments else None
-        self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)  # of arrival, for the scan rate
-        ring = platform.ranges  # single range sensors around the base; None without them
+        self._begin_lidar(platform)
+        ring = platform.ranges
         self._ring = None if ring is None else RangeRing(platform, ring)
-        # Neighbours and peers.
-        self._given: tuple[Neighbor, ...] = ()  # as the driver sent them
+        self._given: tuple[Neighbor, ...] = ()  # neighbours as the driver sent them
         self._neighbor_ids: frozenset[str] | None = None  # None until the next message needs it
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._fence = None if fence is None else FencePose(fence, POSE_TIMEOUT)
@@ -117,7 +106,26 @@ class Sensors(InputAges):
         self._inbox_bytes = 0
         self.overflowed = 0  # messages that the inbox did not hold
         self.rejected = 0  # messages whose sender is no neighbour
-        # All else that the driver reports.
+        self._begin_driver_reports()
+
+    def _begin_lidar(self, platform: Platform) -> None:
+        """Make the parts that check a scan, measure its delay, and correct it by odometry."""
+        self._stale_after = platform.scan.stale_after
+        self._max_delay = platform.scan.max_scan_delay
+        self._needs_odometry = "odometry" in platform.provides
+        # The protection mode `barrier` remembers obstacles that vanish in the blind zone of the
+        # lidar, and does so more precisely than the conditioner.
+        guesses_near = platform.protection.get("mode") != "barrier"
+        self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
+        self.scan_delay = ScanDelay(platform.scan)
+        self._history = OdometryHistory(self.scan_delay)
+        self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
+        # Segments of a turn; None if the driver hands over whole turns alone.
+        self._segments = SegmentCheck(platform.scan) if platform.scan.segments else None
+        self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)  # of arrival, for the scan rate
+
+    def _begin_driver_reports(self) -> None:
+        """Set hazards, readings, own pose and driver state to the values before any report."""
         self.hazards = HazardHolds()
         self.readings = {}  # scalar sensors, by name
         self._forget_option_inputs()  # sets detections and other optional inputs to None
@@ -237,8 +245,8 @@ class Sensors(InputAges):
         """Keep a message from `sender` for the next step of the own pattern.
 
         False (rejected) if the sender is neither a neighbour nor a program (`is_program`). `size`:
-        bytes of the encoded value, or 0 if unknown. The function then encodes the value to measure
-        the size, and raises CodecError for a value that is too large.
+        bytes of the encoded value. If `size` is 0 (unknown), the method encodes the value to
+        measure the size, and raises CodecError for a value that is too large.
         """
         if self._neighbor_ids is None:
             self._neighbor_ids = frozenset(neighbor.id for neighbor in self._neighbors)
@@ -291,8 +299,8 @@ class Sensors(InputAges):
     def scan_age(self, now: float) -> float | None:
         """The age of the last valid scan in s; None before the first scan.
 
-        The age counts from the arrival of the scan. If a sector without valid rays was filled with
-        rays of an earlier scan, the age counts from the time at which that sector was measured.
+        The age counts from the arrival of the scan. Rays of earlier scans fill a wide sector
+        without valid rays: then the age counts from the time at which this sector was known last.
         """
         return None if self._scan_at == -math.inf else now - self._scan_at
 
@@ -373,14 +381,14 @@ class RangeRing:
         return None if self._known_at is None else self._known_at + self._spec.stale_after
 
     def obstacles(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The returns of the ring as discs with their ages, for protection.
+        """The returns of the ring as discs, each with the age of the oldest value, for protection.
 
         The radius includes the barrier's `unseen_extent`: how far an obstacle may extend beside the
-        measured point. `latency` is the mean age of the values at arrival. The sensors measure in
-        turn, one period long, so the oldest value is half a period older than the mean.
+        measured point. The sensors of a ring measure one after another during one period (1 /
+        `rate`). The oldest value is half a period older than `latency`, the mean age at arrival.
         """
         if self._known_at is None:
             return ()
-        age, radius = now - self._known_at + self._spec.latency, self._radius
+        age = now - self._known_at + self._spec.latency
         age += 0.5 / self._spec.rate
-        return tuple(ToldObstacle(x, y, radius, age) for x, y in self._places)
+        return tuple(ToldObstacle(x, y, self._radius, age) for x, y in self._places)

@@ -28,7 +28,8 @@ methods. Only `StateMachine.apply` changes the state. Every trigger is fired in 
 
 Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. Loads that end in
 RUN come from the requests `run` and `resume`, a reload with a new run, a goal with `on_join: run`,
-the restart of a failed pattern, and a low battery, whose pattern follows a run at once.
+the restart of a failed pattern, and a battery that becomes low during a run: the pattern of the
+setting `on_low_battery` replaces that run.
 """
 
 from __future__ import annotations
@@ -180,16 +181,20 @@ class Lifecycle:
         goals: GoalRecord | None,
         now: float,
     ) -> None:
+        """Begin idle, or estopped if a latch on disk holds the robot.
+
+        `latches`, `goals`: the records on disk of earlier daemon processes, None without a file.
+        """
         self.identity = identity
         self.born = now  # s; for the uptime
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
-        self.latches = Latches(latches)  # emergency stops from the disk and since then
+        self.latches = Latches(latches)  # the emergency stops that hold the robot
         self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()  # limits the messages of the pattern
         self.revision = 0  # part of the epoch: each change makes earlier requests stale
         self.changed_by = "no one yet"  # the cause of the last change of `revision`, as text
-        self.duplicate: str | None = None  # the daemon instance that uses the same robot id
+        self.duplicate: str | None = None  # another daemon process that uses this robot's id
         self.revoked = ""  # why this robot no longer belongs to its swarm; empty if it belongs
         self.report: Mapping[str, Scalar] = {}  # the last report of the pattern
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
@@ -306,30 +311,19 @@ class Lifecycle:
     def _begin_run(self, event: host_messages.Loaded, effects: Effects) -> None:
         """Enter state running with the pattern that the host has loaded.
 
-        A restart after a failure continues the failed run; any other load begins a new run. Both
-        get a new permit: what protection may do and allow for this pattern, such as a touch zone,
-        or scans that are later than the platform permits (`scan_delay`).
+        A restart after a failure continues the failed run; any other load begins a new run. In both
+        cases the pattern gets a new permit. A permit lists what protection may allow this pattern,
+        such as a touch zone, or scans that are later than the platform permits (`scan_delay`).
         """
         now = effects.now
         loading = self.pattern_run.ready(event, now)  # sets `pattern_run.running`, too
-        running = self.pattern_run.running
-        assert running is not None
         self.hold_since = math.inf
         self.state_machine.apply(Trigger.RUN, None, "", now)
         if loading.is_restart:
             self.log(f"{loading.pattern} restarted", now)
         else:
             self._on_new_run(loading, event.note, effects)
-        # A touch zone is the part of the outline that may touch objects, as far as the operator
-        # granted it to this pattern. The grant ends with this generation of the pattern.
-        granted = self.identity.settings.touch.get(loading.pattern)
-        zone, zone_text = effective_zone(loading.pattern, event.touches, granted)
-        running.permit = _permit(event.params, zone, event.scan_delay)
-        if zone_text:
-            self.log(f"{loading.pattern} {zone_text}", now)
-        if event.scan_delay > 0.0:
-            delay_text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
-            self.log(f"{loading.pattern} {delay_text}", now)
+        _give_permit(self, loading.pattern, event, now)
 
     def _on_new_run(self, loading: Loading, note: str, effects: Effects) -> None:
         """Tell the goals of the new run, and answer its request; `note`: remark of the host."""
@@ -477,27 +471,18 @@ class Lifecycle:
         *,
         keeps_load: bool = False,
     ) -> None:
-        """End the run, if any, and fire a trigger; no pattern is stepped afterwards.
+        """End the run and the load, if any, and fire a trigger; no pattern is stepped afterwards.
 
-        A load of the next run ends, too. Two cases keep a load that an operator requested:
-        `keeps_load`, and a trigger that concerns the run alone (`_ENDS_RUN_ALONE`, such as the end
-        of its time). The triggers of `_ENDS_TRIAL` end a trial of new code. A request whose load or
-        trial ends is refused as `overtaken`.
+        A load that an operator requested continues with `keeps_load`, and after a trigger of
+        `_ENDS_RUN_ALONE` (such as the end of the run's time). A request that waits for a load, a
+        trial or parameters that end here is refused as `overtaken`.
         """
-        # 1. The run and the load. The state changes in step 3 only.
         loading = self.pattern_run.loading
         is_requested = loading is not None and loading.request is not None
         if is_requested and (keeps_load or trigger in _ENDS_RUN_ALONE):
             self.pattern_run.end_running()
         else:
-            if loading is not None:
-                effects.command_host(host_messages.KillHost())
-                if loading.request is not None:
-                    text = f"{reason} while it was being loaded"
-                    text = shortened(f"{text}: {detail}" if detail else text, MAX_TEXT)
-                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
-            self.pattern_run.end()
-        # 2. The trial, and a parameter request that the pattern has not answered.
+            self._end_run_and_load(reason, detail, effects)
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"
             self.end_trial(Refusal.OVERTAKEN, text, effects)
@@ -505,15 +490,28 @@ class Lifecycle:
             request, self.params_request = self.params_request.request, None
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
-        # 3. The state.
+        self._leave_state(trigger, reason, detail, effects)
+
+    def _end_run_and_load(self, reason: Reason, detail: str, effects: Effects) -> None:
+        """End the run, and the load with its host; refuse the request that waits for the load."""
+        loading = self.pattern_run.loading
+        if loading is not None:
+            effects.command_host(host_messages.KillHost())
+            if loading.request is not None:
+                text = f"{reason} while it was being loaded"
+                text = shortened(f"{text}: {detail}" if detail else text, MAX_TEXT)
+                self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
+        self.pattern_run.end()
+
+    def _leave_state(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
+        """Change the state by `trigger`, and tell goals, log and shell of the end of the run."""
         self.hold_since = math.inf  # no hold: a hold is a reason for which a running robot stands
         state_before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, shortened(detail, MAX_TEXT), effects.now)
         end_text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
-        # 4. The goals, the log, and the end of the run as an effect.
         if reason is not Reason.LEAVING:  # when the daemon ends, the robot keeps its goal
             self.goals.on_end(shortened(end_text, MAX_TEXT))
-        if reason in _BARS_GOALS:  # the robot joins no goal that was set before this stop
+        if reason in _BARS_GOALS:  # the robot joins no goal that was set before now
             self.goals.bar(effects.now)
         if self.state_machine.state is not state_before:
             self.log(end_text, effects.now)
@@ -619,8 +617,8 @@ class Lifecycle:
         """Act on a stall: the loop of the daemon did not run for `late` s. End the run.
 
         Requests that quote an earlier epoch are refused from now on. An idle robot without a load
-        or trial stays idle: there is nothing to end. (A busy computer stalls most while the daemon
-        starts.)
+        or trial stays idle: there is nothing to end, and stalls are frequent while the daemon
+        starts on a busy computer.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
@@ -644,36 +642,24 @@ class Lifecycle:
         self.goals.bar(effects.now)
 
     def on_battery(self, settings: LowBatterySettings, effects: Effects) -> None:
-        """Act on a battery that has become low, or note that it is no longer low.
+        """Act on a battery that has become low, or log that the battery is no longer low.
 
-        A low battery ends the run or the load, and the robot joins no goal that was set before. A
-        robot that ran then runs the pattern of `on_low_battery`, unless its run had a lease: the
-        operator of a lease wants a robot that stands once the operator is not heard.
+        A low battery ends the run or the load, and the robot joins no goal that was set before.
         """
         battery, now = self.battery, effects.now
         if not battery.is_low:
             self.log(f"the battery is no longer low{battery.charge_text}", now)
             return
         text = f"the battery is below {settings.below:g}{battery.charge_text}"
-        run = self.pattern_run
-        running, has_lease = run.running, self.goals.lease_ends is not None  # `_end` ends both
-        if running is None and run.loading is None:
+        running, loading = self.pattern_run.running, self.pattern_run.loading
+        if running is not None and loading is None and running.wish.is_own:
+            return  # the run of `on_low_battery` goes on: the charge rose and fell again meanwhile
+        if running is None and loading is None:
             self.log(text, now)
             self.goals.on_end(text)
             self.goals.bar(now)  # the robot joins no goal that was set before
             return
-        if running is not None and running.wish.is_own and run.loading is None:
-            return  # the run of `on_low_battery` goes on: the charge rose and fell again meanwhile
-        self.raise_revision("a low battery")
-        self._end(Trigger.STOP, Reason.LOW_BATTERY, text, effects)
-        if running is not None and settings.pattern is not None and not has_lease:
-            self.start_run(
-                settings.pattern,
-                settings.params,
-                effects,
-                wish=Wish(running.wish.at, "its low battery", is_own=True),
-                seconds=settings.seconds,
-            )
+        _end_for_low_battery(self, settings, text, effects)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """After a change of the daemon's network: end the run, make earlier epochs stale."""
@@ -706,17 +692,36 @@ class Lifecycle:
         sensors, None without one. `hold_text`: the detail of this hold, used if the hold ends the
         run. Returns the hold of the sensors, else of the pattern; None without a hold or a run.
         """
+        now = effects.now
+        self._advance_load(effects)
+        self._advance_answers(effects)
+        running = self.pattern_run.running
+        if not self.is_running or running is None:
+            return None
+        if now >= running.finish_at:
+            self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
+            return None
+        lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
+        if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
+            _end_lease(self, own_goal.goal, effects)
+            return None
+        return self._present_hold(hold, effects, hold_text)
+
+    def _advance_load(self, effects: Effects) -> None:
+        """Begin the run of a loaded pattern at `start_at`; end a load that takes too long."""
+        loading, now = self.pattern_run.loading, effects.now
+        if loading is None:
+            return
+        if loading.loaded is None:
+            if now - loading.since >= LOAD_TIMEOUT:
+                self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
+        # A timer that wakes at `start_at` may be early by a rounding error.
+        elif loading.start_at is None or now >= loading.start_at - ROUNDING:
+            self._on_loaded(loading.loaded, effects)
+
+    def _advance_answers(self, effects: Effects) -> None:
+        """End a host that does not answer a step; fail a parameter request without an answer."""
         run, now = self.pattern_run, effects.now
-        # 1. The load. A pattern that is loaded begins to run at `start_at`. A pattern that is not
-        #    loaded yet times out.
-        loading = run.loading
-        if loading is not None and loading.loaded is not None:
-            # A timer that wakes at `start_at` may be early by a rounding error.
-            if loading.start_at is None or now >= loading.start_at - ROUNDING:
-                self._on_loaded(loading.loaded, effects)
-        elif loading is not None and now - loading.since >= LOAD_TIMEOUT:
-            self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
-        # 2. The host's answers to a step and to a parameter request.
         if now - run.awaiting_since >= STEP_TIMEOUT:
             run.awaiting_since = math.inf
             self._end_silent_host(effects)
@@ -725,21 +730,6 @@ class Lifecycle:
             self.params_request = None
             text = "the pattern did not answer"
             self.fail(effects, pending.request, Refusal.PATTERN_FAILED, text)
-        # 3. The run: its longest time, its lease (while the operator is heard), holds that last.
-        running = run.running
-        if not self.is_running or running is None:
-            return None
-        if now >= running.finish_at:
-            self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
-            return None
-        lease_ends_at, own_goal = self.goals.lease_ends, self.goals.own
-        if lease_ends_at is not None and own_goal is not None and now >= lease_ends_at:
-            text = f"{own_goal.goal.issuer} was not heard for {own_goal.goal.lease:g} s"
-            # Earlier requests become stale: their operators do not know of this end.
-            self.raise_revision(f"the end of the run lease of {own_goal.goal.issuer}")
-            self.stop(Reason.LEASE_ENDED, text, effects)
-            return None
-        return self._present_hold(hold, effects, hold_text)
 
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits for this host gets a fresh host."""
@@ -770,6 +760,56 @@ class Lifecycle:
             self._end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold
+
+
+def _give_permit(
+    lifecycle: Lifecycle, pattern: str, event: host_messages.Loaded, now: float
+) -> None:
+    """Set the permit of the running pattern, which ends with this load of the pattern.
+
+    A pattern may want a touch zone (`event.touches`): a part of the outline that may touch objects.
+    The permit contains as much of this zone as the operator granted the pattern.
+    """
+    running = lifecycle.pattern_run.running
+    assert running is not None
+    granted = lifecycle.identity.settings.touch.get(pattern)
+    zone, zone_text = effective_zone(pattern, event.touches, granted)
+    running.permit = _permit(event.params, zone, event.scan_delay)
+    if zone_text:
+        lifecycle.log(f"{pattern} {zone_text}", now)
+    if event.scan_delay > 0.0:
+        delay_text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
+        lifecycle.log(f"{pattern} {delay_text}", now)
+
+
+def _end_for_low_battery(
+    lifecycle: Lifecycle, settings: LowBatterySettings, text: str, effects: Effects
+) -> None:
+    """End run and load; a robot that ran then runs the pattern of `on_low_battery`.
+
+    A run with a lease has no such successor: the operator of a lease wants a robot that stands
+    once the operator is not heard.
+    """
+    ended_run = lifecycle.pattern_run.running
+    had_lease = lifecycle.goals.lease_ends is not None
+    lifecycle.raise_revision("a low battery")
+    lifecycle.stop(Reason.LOW_BATTERY, text, effects)
+    if ended_run is not None and settings.pattern is not None and not had_lease:
+        lifecycle.start_run(
+            settings.pattern,
+            settings.params,
+            effects,
+            wish=Wish(ended_run.wish.at, "its low battery", is_own=True),
+            seconds=settings.seconds,
+        )
+
+
+def _end_lease(lifecycle: Lifecycle, goal: Goal, effects: Effects) -> None:
+    """Stop the run of `goal`, since its operator was not heard for the time of the lease."""
+    # Earlier requests become stale: their operators do not know of this end.
+    lifecycle.raise_revision(f"the end of the run lease of {goal.issuer}")
+    text = f"{goal.issuer} was not heard for {goal.lease:g} s"
+    lifecycle.stop(Reason.LEASE_ENDED, text, effects)
 
 
 def _permit(

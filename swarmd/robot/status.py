@@ -61,22 +61,7 @@ def make_status(
     """
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
-    loading = lifecycle.pattern_run.loading
-    # `detail` explains the reason: what a load waits for, else which hazard holds the run, else
-    # the text of the last change of state.
-    reason, detail = status_reason(lifecycle, decision), machine.detail
-    if loading is not None:
-        detail = _loading_text(loading, now)
-    elif reason is Reason.NO_POSE and lifecycle.is_running:
-        detail = sensors.fence_text(now)[:MAX_VALUE]
-    elif reason is Reason.HAZARD and lifecycle.is_running:
-        detail = sensors.hazard_text(now)[:MAX_VALUE]
-    dropped_messages = {
-        "msg:inbox_full": sensors.overflowed,
-        "msg:not_a_neighbor": sensors.rejected,
-        "msg:wrong_type": lifecycle.wrong_type_count,
-        "msg:too_much_said": lifecycle.outbox.dropped,
-    }
+    reason = status_reason(lifecycle, decision)
     return Status(
         robot=identity.robot,
         instance=identity.instance,
@@ -87,7 +72,7 @@ def make_status(
         is_secured=settings.is_secured,
         state=machine.state,
         reason=reason,
-        detail=detail,
+        detail=_detail(lifecycle, sensors, reason, now),
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
         since=max(now - machine.since, 0.0),
@@ -98,13 +83,7 @@ def make_status(
         params={} if running is None else _params(running.values),
         report=_clean(lifecycle.report),
         decision=decision_summary(decision, duty, sensors, now),
-        health=Health(
-            scan_rate=sensors.scan_rate(now),
-            host_restarts=lifecycle.pattern_run.restarts,
-            driver=sensors.driver_text[:MAX_VALUE],
-            driver_up=sensors.is_driver_up,
-            dropped={kind: count for kind, count in dropped_messages.items() if count},
-        ),
+        health=_health(lifecycle, sensors, now),
         uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),
         stale_readings=tuple(name[:MAX_NAME] for name in sensors.stale_readings[:MAX_REPORTED]),
@@ -123,6 +102,35 @@ def make_status(
         neighbors=tuple(neighbor.id for neighbor in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
         words=dict(identity.platform.words.get(settings.driver, {})),
+    )
+
+
+def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: float) -> str:
+    """What a load waits for, else why the run is held, else the last change of state, as text."""
+    loading = lifecycle.pattern_run.loading
+    if loading is not None:
+        return _loading_text(loading, now)
+    if reason is Reason.NO_POSE and lifecycle.is_running:
+        return sensors.fence_text(now)[:MAX_VALUE]
+    if reason is Reason.HAZARD and lifecycle.is_running:
+        return sensors.hazard_text(now)[:MAX_VALUE]
+    return lifecycle.state_machine.detail
+
+
+def _health(lifecycle: Lifecycle, sensors: Sensors, now: float) -> Health:
+    """The health of scans, driver, pattern host and messages."""
+    dropped_messages = {
+        "msg:inbox_full": sensors.overflowed,
+        "msg:not_a_neighbor": sensors.rejected,
+        "msg:wrong_type": lifecycle.wrong_type_count,
+        "msg:too_much_said": lifecycle.outbox.dropped,
+    }
+    return Health(
+        scan_rate=sensors.scan_rate(now),
+        host_restarts=lifecycle.pattern_run.restarts,
+        driver=sensors.driver_text[:MAX_VALUE],
+        driver_up=sensors.is_driver_up,
+        dropped={kind: count for kind, count in dropped_messages.items() if count},
     )
 
 

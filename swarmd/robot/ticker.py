@@ -66,12 +66,14 @@ class DutyCycle:
 class Ticker:
     """Handles the inputs of one robot: each input changes the robot, then becomes `Actions`.
 
-    A quiet tick only decides (computes the safe command), since no deadline has passed:
+    A quiet tick only decides (computes the safe command), since no deadline has passed. Two times
+    save checks; the first tick after an event computes both anew:
 
-    1. The first tick after an event computes `_quiet_until`, before which all ticks are quiet.
-    2. Each event except a quiet tick sets `_quiet_until` to -inf: the next tick is not quiet.
-    3. An event that may change the lifecycle also sets `_due_at` (see there) to -inf.
-    4. Exceptions: odometry, neighbours, readings and messages change no deadline: they set neither.
+    - `_quiet_until`: all ticks before this time are quiet. Each event sets it to -inf.
+    - `_due_at`: before this time `Lifecycle.advance` without a hold has nothing to do. An event
+      that may change the lifecycle sets it to -inf.
+
+    Odometry, neighbours, readings and messages change no deadline: these events set neither time.
     """
 
     decision = cython.declare(object, visibility="public")
@@ -85,9 +87,7 @@ class Ticker:
     _protection = cython.declare(object, visibility="public")
     _duty = cython.declare(DutyCycle, visibility="public")
     _last_tick = cython.declare(cython.double, visibility="public")
-    # Before this time only a step or the status can be due.
     _due_at = cython.declare(cython.double, visibility="public")
-    # Before this time nothing is due: a tick only decides.
     _quiet_until = cython.declare(cython.double, visibility="public")
     _published_at = cython.declare(cython.double, visibility="public")
     # The lifecycle may have changed since the last check for a new status.
@@ -163,57 +163,77 @@ class Ticker:
     def _settled_after(self, effects: Effects):
         """Check holds and deadlines after an event, decide, and return the actions of the shell.
 
-        A hold is a present reason for which a running robot stands.
+        A hold is a present reason for which a running robot stands. Cython calls a method in C only
+        if the call is written as `Class.method(object)`.
         """
         now: cython.double = effects.now
-        sensors, run, lifecycle = self._sensors, self._run, self._lifecycle
-        is_routine: cython.bint = effects.is_routine
-        # 1. The hold of the sensors, and the hazard that ends a run (`_ends_run`). Cython calls a
-        #    method in C only if it is written as `Class.method(object)`.
-        running = run.running
+        hold = self._checked_hold(effects)
+        self._quiet_until, self._hold = -INFINITY, hold
+        decision = Ticker._decide(self, hold, now)
+        if self._run.restart_at < INFINITY:
+            self._restart(effects)
+        host_command = self._host_command(effects)
+        # A status is made only at a tick, so that replies to requests do not wait for it. The
+        # exception is a new latch, which peers must learn at once.
+        may_publish: cython.bint = effects.is_tick or effects.is_latched
+        has_status: cython.bint = may_publish and self._must_publish(now)
+        actions = self._settled = self._actions(effects, decision, host_command, has_status)
+        return actions
+
+    @cython.cfunc
+    def _checked_hold(self, effects: Effects):
+        """The present hold, else None. Ends the run for a hazard, and acts on due deadlines."""
+        now: cython.double = effects.now
+        sensors, running = self._sensors, self._run.running
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
         hazard_text = ""
         if hold is HAZARD or sensors._ends_run:
             hazard_text = sensors.hazard_text(now)
-        if sensors._ends_run:
-            lifecycle.on_hazard(hazard_text, effects)
-        # 2. Deadlines: checked under a hold, when due, and after an event that may have changed the
-        #    lifecycle (an event that is not routine). The next tick then computes `_due_at` anew.
-        if hold is not None or now >= self._due_at or not is_routine:
+        if sensors._ends_run:  # a wheel drop or a lift, also under a hold for another reason
+            self._lifecycle.on_hazard(hazard_text, effects)
+        # Only a routine event has certainly not changed the lifecycle.
+        if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
-            hold = lifecycle.advance(hold, effects, hazard_text if hold is HAZARD else "")
+            hold_text = hazard_text if hold is HAZARD else ""
+            hold = self._lifecycle.advance(hold, effects, hold_text)
             self._is_status_due, self._due_at = True, -INFINITY
-        self._quiet_until, self._hold = -INFINITY, hold
-        # 3. The decision of protection, whose safe command goes to the driver.
-        decision = Ticker._decide(self, hold, now)
-        # 4. The pattern: its restart after a fault, or its next step.
-        if run.restart_at < INFINITY:
-            self._restart(effects)
-        state = self._machine.state
-        host_command = effects.host
-        if host_command is None and state is _RUNNING and run.may_step(now, effects.is_new_scan):
-            inputs = InputAges.inputs(sensors, now, run.stepping(now))
-            host_command = _Step(run.running.generation, inputs)
-        # 5. A status is made only at a tick, so that replies to requests do not wait for it. The
-        #    exception is a new latch, which peers must learn at once.
+        return hold
+
+    @cython.cfunc
+    def _host_command(self, effects: Effects):
+        """The command of this event for the pattern host: the next step if no other is wanted."""
+        run = self._run
+        now: cython.double = effects.now
+        if effects.host is not None or self._machine.state is not _RUNNING:
+            return effects.host
+        if not run.may_step(now, effects.is_new_scan):
+            return None
+        inputs = InputAges.inputs(self._sensors, now, run.stepping(now))
+        return _Step(run.running.generation, inputs)
+
+    @cython.cfunc
+    def _must_publish(self, now: cython.double):
+        """True if a status is due, which then counts as published."""
+        is_period_over: cython.bint = now >= self._published_at + _STATUS_PERIOD - ROUNDING
+        if self._is_status_due or is_period_over:
+            return self._take_due_status(now)
+        return False
+
+    @cython.cfunc
+    def _actions(self, effects: Effects, decision, host_command, has_status: cython.bint):
+        """The actions after an event. By position, since keywords cost time in each tick."""
+        running, state = self._run.running, self._machine.state
         is_latched: cython.bint = effects.is_latched
-        has_status: cython.bint = effects.is_tick or is_latched
-        if has_status:
-            has_status = (
-                self._is_status_due or now >= self._published_at + _STATUS_PERIOD - ROUNDING
-            ) and self._has_new_status(now)
-        # 6. The actions. By position, since keywords cost time in each tick.
-        running = run.running
-        actions = self._settled = _Actions(
+        return _Actions(
             decision.safe,  # twist
             decision,
             -1 if running is None else running.scan_seq,  # requested_scan_seq
-            sensors.is_driver_up and state is _IDLE,  # is_idle
+            self._sensors.is_driver_up and state is _IDLE,  # is_idle
             state is not _IDLE and state is not _RUNNING,  # is_stopped
             False,  # is_quiet
-            lifecycle.latches.record() if is_latched else None,  # latches
+            self._lifecycle.latches.record() if is_latched else None,  # latches
             self._kept_goals.take_record() if self._kept_goals.is_changed else None,  # goals
             effects.trial,
             host_command,
@@ -224,7 +244,6 @@ class Ticker:
             effects.ended,
             effects.grip,
         )
-        return actions
 
     @cython.cfunc
     def _look_ahead(self):

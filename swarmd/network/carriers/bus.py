@@ -141,6 +141,7 @@ class ZenohBus:
         self._loop = asyncio.get_running_loop()
         self._queryables: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
+        self._is_closed = False
         # DROP: a full link loses a value and does not block the loop. express: no batching.
         self._publishers = {
             name: session.declare_publisher(
@@ -150,16 +151,13 @@ class ZenohBus:
             )
             for name in PUBLISHED
         }
-        # Asking Zenoh whether a publisher has subscribers takes 50 us. So `_has_subscriber` keeps
-        # the answer. When an answer may have changed, Zenoh calls `_on_viewers`, which adds the
-        # name to `_unsure_names`: Zenoh is asked again for these names.
+        # The answers of Zenoh whether a publisher has subscribers: to ask takes 50 us.
         self._has_subscriber = dict.fromkeys(self._publishers, False)
-        self._unsure_names = set(self._publishers)
+        self._unsure_names = set(self._publishers)  # names for which Zenoh must be asked again
         for name, publisher in self._publishers.items():
             # indirect=False: on Zenoh's own thread, without a further thread for each callback.
             on_change = Callback(partial(self._on_viewers, name), indirect=False)
             publisher.declare_matching_listener(on_change)
-        self._is_closed = False
 
     def meet_programs(self, is_robot: Callable[[str], bool], *, takes_messages: bool) -> None:
         """Declare the liveliness token of this robot, and receive from Zenoh programs."""
@@ -212,27 +210,32 @@ class ZenohBus:
 
         def on_query(query: zenoh.Query) -> None:
             """Check a query on a thread of Zenoh, and hand it to the loop."""
-            if not queue.is_full():
-                payload = b"" if query.payload is None else query.payload
-                key = parse(str(query.key_expr), is_query=True)
-                if key is None or not self._is_own(key, plane, name):
-                    self.drops.add(f"{kind}:key")
-                elif len(payload) > MAX_CONTROL:
-                    self.drops.add(f"{kind}:oversized")
-                else:
-                    # The last chunk of a query's key is the name of the asker. The reply goes out
-                    # on this robot's own key, also if the query went to all robots.
-                    asker = key.last
-                    reply_key = build(self.swarm, self.robot, plane, name, asker)
-                    question = ZenohQuery(self._session, query, reply_key, asker, bytes(payload))
-                    if queue.offer(handle, question):
-                        return
-            query.drop()  # refused, or the queue was full
+            question = None if queue.is_full() else self._checked(query, plane, name)
+            is_taken = question is not None and queue.offer(handle, question)
+            if not is_taken:
+                query.drop()
 
         # A key of `control` or `shared` ends with the name of its asker, a key of `state` does not.
         any_asker = ANY if plane in (CONTROL, SHARED) else ""
         served_key = build(self.swarm, self.robot, plane, name, any_asker)
         self._queryables.append(self._session.declare_queryable(served_key, on_query))
+
+    def _checked(self, query: zenoh.Query, plane: str, name: str) -> ZenohQuery | None:
+        """The query for a handler of `<plane>/<name>`; None, and counted, for a wrong key or size.
+
+        The reply goes out on this robot's own key, also if the query went to all robots.
+        """
+        payload = b"" if query.payload is None else query.payload
+        key = parse(str(query.key_expr), is_query=True)
+        if key is None or not self._is_own(key, plane, name):
+            self.drops.add(f"{plane}/{name}:key")
+            return None
+        if len(payload) > MAX_CONTROL:
+            self.drops.add(f"{plane}/{name}:oversized")
+            return None
+        asker = key.last  # the last chunk of the key; empty for `state`
+        reply_key = build(self.swarm, self.robot, plane, name, asker)
+        return ZenohQuery(self._session, query, reply_key, asker, bytes(payload))
 
     def serve_view(
         self,

@@ -7,13 +7,13 @@ Urgent datagrams are stops, acks and latches (`URGENT`).
 2. A source that is EXCESS datagrams beyond a budget is blocked for some seconds: the kernel's
    packet filter drops all its datagrams that are not urgent, and passes a random share of its
    urgent datagrams.
-3. New sources (strangers) share one more budget beside their own budgets. A flood from forged
-   addresses exceeds this shared budget. Then for some seconds the filter passes the datagrams of
-   sources that were known before, and of all other sources only a share of the urgent datagrams.
+3. Each datagram of a new source (stranger) also counts in a budget that all new sources share. A
+   flood from forged addresses exceeds this shared budget. Then for some seconds the filter passes
+   all datagrams of known sources, and of new sources only a share of the urgent datagrams.
 
 A process that gets little CPU time reads only a part of a flood. So each datagram that is read
-counts with a weight: the number of arrived datagrams over the number of read datagrams. Callers
-hand in the time, in s on one monotonic clock.
+counts with a weight: the number of arrived datagrams divided by the number of read datagrams.
+Callers hand in the time, in s on one monotonic clock.
 """
 
 from __future__ import annotations

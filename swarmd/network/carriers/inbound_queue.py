@@ -1,7 +1,7 @@
 """Bounded queues from Zenoh's threads to the loop.
 
 A flood of one kind of message must not delay another kind: each kind has its own queue. A full
-queue drops the newest message and counts it, which costs one comparison. The loop takes BATCH
+queue drops and counts each new message, which takes little time in a flood. The loop takes BATCH
 messages and then pauses, so that its timers stay on time.
 """
 
@@ -54,8 +54,8 @@ class DropCounter:
         1. CodecError counts as `<kind>:malformed`; `refuse` gets Code.REFUSED and the error's text.
         2. Any other Exception counts as `<kind>:failed`, and is logged at a limited rate. `refuse`
            gets Code.FAILED and the text FAILED, since the handler may have carried out a part.
-        3. `CoreFault`, an error of the robot's core, is no Exception and not caught: it ends the
-           daemon.
+        3. `CoreFault`, an error of the robot's core, does not derive from Exception. It is not
+           caught here, and ends the daemon.
         """
         try:
             yield

@@ -81,12 +81,13 @@ class LinkFlood:
     def look(self, files: int, links: Callable[[], int], now: float) -> bool:
         """Compare the number of open files with the limit; True if a flood has just been detected.
 
-        Then `is_closed` is True for some time: the caller must let only known hosts connect, and
-        open a new session, which ends the connections that wait. `files`: the number of open files.
-        `links`, called only if many files are open, returns the number of links of the session.
+        `files`: the number of open files. `links` returns the number of links of the session; it is
+        called only if many files are open. After a flood was detected, `is_closed` is True for some
+        time. The caller must let only known hosts connect, and open a new session, which ends the
+        connections that wait.
         """
         self._look_at = now + LOOK_PERIOD
-        self.waiting = files - self._files  # so far with the links of the session
+        self.waiting = files - self._files  # an upper bound: the links of the session are included
         if self.waiting > MAX_WAITING:
             self.waiting -= links()
         if self.waiting <= MAX_WAITING or now < self._renew_at:
@@ -138,10 +139,11 @@ def open_files() -> int:
 def watch_links(
     session: zenoh.Session, roster: Roster, loop: AbstractEventLoop, on_event: Callable[[str], None]
 ) -> None:
-    """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
+    """Call `on_event` on the loop with a line for each link to a name that is not on the roster.
 
-    Such a name was revoked: its certificate is valid, but the access rules drop all its messages.
-    Zenoh drops them silently, so that attempts would go unnoticed. The rate of lines is limited.
+    Such a name was revoked: its certificate is valid, but the access rules permit none of its
+    messages. Zenoh drops these messages silently: without the line an attempt would go unnoticed.
+    The rate of lines is limited.
     """
     rate = TokenBucket(LINE_RATE, LINE_BURST)
 

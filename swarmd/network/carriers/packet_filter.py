@@ -59,16 +59,8 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     the family of the socket; rules on sources of the other family are left out. Returns an array of
     struct sock_filter as bytes.
 
-    A block is a verdict with tests; a test compares a loaded value with an operand. The first stage
-    (`heads`) tests the head of the datagram. The blocks of the second stage (`limits`) are:
-
-    1. Drop at random a part of the urgent datagrams (kinds in `URGENT`) of each source in
-       `rules.thinned`, which gives the share to keep.
-    2. Accept datagrams of known sources.
-    3. Accept the share `rules.share` of the urgent datagrams of all further sources, and drop
-       the rest.
-    4. Drop datagrams of blocked sources.
-    5. Drop every other datagram if `only_known`, else accept it.
+    The first stage tests the head of the datagram, the second stage the flood limits. Between the
+    stages the program stores the source's key (a hash of its address) and the datagram's kind.
     """
     heads: list[Block] = [
         (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),
@@ -78,21 +70,30 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
             for kind in (Kind.SOLICIT, Kind.SWARM)
         ),
     ]
-    limits: list[Block] = []
-    for thinned, share in rules.thinned:
-        for key in _source_keys([thinned], is_ipv6):
-            limits += [
-                (_DROP, [_is_kind(kind), _is_from(key), _random_above(share)]) for kind in URGENT
-            ]
-    limits += [(_ACCEPT, [_is_from(key)]) for key in _source_keys(rules.known, is_ipv6)]
-    if rules.share < 1.0:
-        limits += [(_DROP, [_is_kind(kind), _random_above(rules.share)]) for kind in URGENT]
-    limits += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
-    limits += [(_DROP, [_is_from(key)]) for key in _source_keys(rules.blocked, is_ipv6)]
-    limits.append((_DROP if rules.only_known else _ACCEPT, []))
-    # Between the stages: store the source's key (a hash of its address) and the kind, for `limits`.
+    limits = _limit_blocks(rules, is_ipv6)
     program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
     return b"".join(_SOCK_FILTER.pack(*instruction) for instruction in program)
+
+
+def _limit_blocks(rules: FloodRules, is_ipv6: bool) -> list[Block]:
+    """The blocks of the flood limits; the first block whose tests all hold decides."""
+    blocks: list[Block] = []
+    # 1. Drop at random a part of the urgent datagrams of sources that exceed their urgent budget.
+    for thinned, share in rules.thinned:
+        for key in _source_keys([thinned], is_ipv6):
+            blocks += [
+                (_DROP, [_is_kind(kind), _is_from(key), _random_above(share)]) for kind in URGENT
+            ]
+    # 2. Accept all other datagrams of known sources.
+    blocks += [(_ACCEPT, [_is_from(key)]) for key in _source_keys(rules.known, is_ipv6)]
+    # 3. Of the urgent datagrams of other sources accept the share `rules.share`.
+    if rules.share < 1.0:
+        blocks += [(_DROP, [_is_kind(kind), _random_above(rules.share)]) for kind in URGENT]
+    blocks += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
+    # 4. Drop what is not urgent of blocked sources, or of all sources that are not known.
+    blocks += [(_DROP, [_is_from(key)]) for key in _source_keys(rules.blocked, is_ipv6)]
+    blocks.append((_DROP if rules.only_known else _ACCEPT, []))
+    return blocks
 
 
 def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
@@ -126,9 +127,9 @@ def _head(tag: bytes) -> list[Test]:
 def _source_keys(sources: Iterable[Address], is_ipv6: bool) -> Iterable[int]:
     """The 32-bit key of each source whose address is of this family.
 
-    The key is the exclusive or of the address's 32-bit words and of the port, shifted left by 16.
-    Two sources may have the same key; an attacker can forge an address more easily than find such
-    a pair.
+    The key is the exclusive or of the 32-bit words of the address and of the port times 2**16. Two
+    sources may have the same key. An attacker gains nothing by such a pair: to forge the address of
+    a known source is easier.
     """
     for text, port in sources:
         host = ipaddress.ip_address(text.partition("%")[0])

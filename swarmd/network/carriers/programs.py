@@ -79,23 +79,29 @@ class Programs:
             liveliness.declare_subscriber(token(swarm, ANY), on_token, history=True),
         ]
         self._messages: Any = None  # the subscriber, with a ring of the last MAX_TAKEN messages
-        # `_has_subscriber`: a program subscribes to messages of this robot. While `_is_unsure`, the
-        # value may be out of date, and Zenoh is asked again.
-        self._is_unsure, self._has_subscriber = takes_messages, False
+        self._has_subscriber = False  # a program subscribes to messages of this robot
+        self._is_unsure = takes_messages  # `_has_subscriber` may be wrong: Zenoh must be asked
         if takes_messages:
-            # Without Locality.REMOTE this session's subscriber and publisher would match each
-            # other: each message would be put even without a program, and would come back.
-            self._messages = session.declare_subscriber(
-                build(swarm, ANY, MESSAGE, ANY, ANY),
-                RingChannel(MAX_TAKEN),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-            self._publisher = session.declare_publisher(
-                build(swarm, robot, MESSAGE, ANY, ANY), allowed_destination=zenoh.Locality.REMOTE
-            )
-            on_change = Callback(self._on_subscribers, indirect=False)
-            self._publisher.declare_matching_listener(on_change)
-            self._declared += [self._messages, self._publisher]
+            self._exchange_messages()
+
+    def _exchange_messages(self) -> None:
+        """Subscribe to the messages of programs, and declare the publisher for this robot's own.
+
+        Locality.REMOTE: the subscriber and the publisher do not match each other. Otherwise each
+        message would be put even without a program, and would come back.
+        """
+        self._messages = self._session.declare_subscriber(
+            build(self._swarm, ANY, MESSAGE, ANY, ANY),
+            RingChannel(MAX_TAKEN),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        self._publisher = self._session.declare_publisher(
+            build(self._swarm, self._robot, MESSAGE, ANY, ANY),
+            allowed_destination=zenoh.Locality.REMOTE,
+        )
+        on_change = Callback(self._on_subscribers, indirect=False)
+        self._publisher.declare_matching_listener(on_change)
+        self._declared += [self._messages, self._publisher]
 
     @property
     def names(self) -> tuple[str, ...]:

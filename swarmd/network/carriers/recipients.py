@@ -29,7 +29,7 @@ class _AddressUse(Struct):
 class Recipients:
     """The known addresses: the seeds, and at most MAX_ADDRESSES others.
 
-    `lease`: s; after a datagram an address counts as heard for twice this time. `with_group` False:
+    `lease`: s. An address counts as heard for two leases after each datagram. `with_group` False:
     multicast is off, and every known address gets copies.
     """
 

@@ -279,8 +279,8 @@ class RobotServer:
     def _accept(self, received: list[Received]) -> None:
         """Accept all waiting connections and read their hellos.
 
-        A stranger is a connection without a hello. At most MAX_STRANGERS are kept, so that many
-        strangers delay no daemon.
+        A stranger is a connection without a hello. At most MAX_STRANGERS strangers are kept: a new
+        connection ends the oldest stranger, so that strangers keep no daemon out.
         """
         for _ in range(_BACKLOG):
             try:
@@ -372,24 +372,18 @@ class RobotClient:
     async def _use(self, connection: Connection, loop: asyncio.AbstractEventLoop) -> None:
         """Send the hello, and hand frames to `on_frames` until the connection ends; then close it.
 
-        The server's first frame answers the hello: the simulator now knows this robot, so the frame
-        sets `is_known`, and is not handed to `on_frames`. While the connection lasts, `read` takes
-        arrived frames by `_read_now`, before the event loop does, so that a tick has the newest.
+        While the connection lasts, `_read_now` reads at once what the event loop would read later.
         """
         ended: asyncio.Future[None] = loop.create_future()
+        descriptor = connection.socket.fileno()
 
         def on_readable() -> None:
             frames = connection.receive()
             if not connection.is_open and not ended.done():
                 loop.remove_reader(descriptor)
                 ended.set_result(None)
-            if frames and not self.is_known:  # the answer to the hello
-                self.is_known = True
-                del frames[0]
-            if frames:
-                self._on_frames(frames)
+            self._take(frames)
 
-        descriptor = connection.socket.fileno()
         self._connection, self._read_now = connection, on_readable
         connection.send(HELLO, self._hello)
         loop.add_reader(descriptor, on_readable)
@@ -403,6 +397,14 @@ class RobotClient:
             self._connection = self._read_now = None
             self.is_known = False
             connection.close()
+
+    def _take(self, frames: list[Frame]) -> None:
+        """Hand frames to `on_frames`, without the server's first frame, which answers the hello."""
+        if frames and not self.is_known:
+            self.is_known = True
+            del frames[0]
+        if frames:
+            self._on_frames(frames)
 
     @property
     def age(self) -> float:

@@ -1,10 +1,10 @@
 """Opens Zenoh sessions: for a swarm by its profile, and others from Zenoh's own options.
 
 Each session of a swarm tunes the sockets of its links, so that a peer that vanished does not stall
-the links to the other peers. Zenoh sets SO_LINGER to 10 s on its TCP sockets: when a lease expires
-with unacknowledged data, close() blocks one of the two receiving threads in the kernel, and the
-survivors receive nothing from each other for up to 10 s (measured: 10.1 s with six of eight robots
-gone). Linux only, since the sockets are found in /proc/self/fd; elsewhere nothing is tuned.
+the links to the other peers. Zenoh sets SO_LINGER to 10 s on its TCP sockets. When the lease of a
+vanished peer expires with unacknowledged data, close() blocks one of Zenoh's two receiving threads.
+The remaining peers then receive nothing for up to 10 s. Measured: 10.1 s with six of eight robots
+gone. Linux only, since the sockets are found in /proc/self/fd; elsewhere nothing is tuned.
 
 swarmctl imports this module and must start fast, so asyncio is imported where it is used.
 """
@@ -65,10 +65,10 @@ def open_session(
     """Open the session of a daemon, which listens and opens no connection itself.
 
     `late`: IPv4 addresses that the interface got after the first session of this process. Zenoh
-    reads the addresses of interfaces once per process, and would not use a late address. So this
-    function names each late address in the options twice: for scouting, by which Zenoh programs
-    find the session, and, without an `identity`, as an endpoint to listen at, which these programs
-    then dial. Raises NetworkError in one line if the session cannot be opened.
+    reads the addresses of interfaces once per process, and uses a late address only if the options
+    name the address: for scouting, by which Zenoh programs find the session, and (only without an
+    `identity`) as an endpoint, which these programs then dial. Raises NetworkError in one line if
+    the session cannot be opened.
     """
     options = session_options(settings, identity)
     if late:
@@ -360,18 +360,7 @@ def _options(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "listen/endpoints": list(listen),
-        "connect/endpoints": list(connect),
-        # -1: dial without end. A peer with a timeout of 0 would dial its endpoints one after the
-        # other. A client with another timeout than 0 would dial its first router until that
-        # answers, and never try its further routers.
-        "connect/timeout_ms": 0 if mode == "client" else -1,
-        "connect/exit_on_failure": False,
-        "connect/retry": {
-            "period_init_ms": 200,
-            "period_max_ms": 1000,
-            "period_increase_factor": 1.5,
-        },
-        "open/return_conditions/connect_scouted": False,
+        **_dial_options(mode, connect),
         "transport/unicast/open_timeout": _OPEN_TIMEOUT_MS,
         "transport/unicast/accept_timeout": _OPEN_TIMEOUT_MS + _ACCEPT_MARGIN_MS,
         "transport/unicast/accept_pending": _MAX_PENDING_LINKS,
@@ -385,6 +374,26 @@ def _options(
         "transport/link/tx/queue/size/real_time": _MAX_BATCHES,
         "transport/link/rx/max_message_size": MAX_WIRE,
         "transport/shared_memory/enabled": False,
+    }
+
+
+def _dial_options(mode: str, connect: Sequence[str]) -> dict[str, object]:
+    """The options by which a session dials the endpoints `connect`, again and again.
+
+    A peer dials all endpoints at the same time, without end (timeout -1). With the timeout 0 a peer
+    would dial one endpoint after the other. A client has the timeout 0: with any other timeout it
+    would dial its first router until this router answers, and never try the further routers.
+    """
+    return {
+        "connect/endpoints": list(connect),
+        "connect/timeout_ms": 0 if mode == "client" else -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": 200,
+            "period_max_ms": 1000,
+            "period_increase_factor": 1.5,
+        },
+        "open/return_conditions/connect_scouted": False,
     }
 
 

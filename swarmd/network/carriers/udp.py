@@ -3,17 +3,17 @@
 A datagram to all goes
 
 - by multicast, to the IPv4 group if the interface has an IPv4 address, else to the IPv6 group of
-  the link. While a robot without an IPv4 address is heard, robots with IPv4 send copies by IPv6.
-  The copies go to another group (COPIES6), so that a receiver of a copy does not conclude that its
-  sender lacks IPv4.
+  the link (GROUP6). While a robot without an IPv4 address is heard, robots with IPv4 also send
+  copies by IPv6. The copies go to the group COPIES6: a datagram to GROUP6 shows that its sender has
+  no IPv4 address.
 - in profile field by broadcast, too: each `Stop`, `Ack` and `Latches`, every fifth beacon, and
   every datagram while no robot has been heard by multicast for a lease (access points may drop
   multicast).
 - by unicast to seeds and to peers that are not heard by multicast (`Recipients`).
 
 A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
-(SO_TIMESTAMPNS, on the wall clock) gives this wait. If the wall clock is set meanwhile, the wait is
-wrong; so it counts as at most the time since the sockets were last empty.
+(SO_TIMESTAMPNS, on the wall clock) gives this wait. The wall clock may be set meanwhile. Therefore
+the wait counts as at most the time since the sockets were last empty.
 
 If two copies of a datagram arrive by two ways, the later copy is dropped. Sockets are bound to the
 interface and not to an address, so that a change of addresses leaves them working. Profile dev uses
@@ -145,12 +145,22 @@ class UdpCarrier:
         self._tag = tag
         self._is_secured = is_secured
         self._lock = threading.Lock()
-
-        # The interface and its sockets.
-        self._interface = settings.interface_name
         self._is_dev = settings.profile == "dev"
         self._multicast = settings.multicast
         self._lease = settings.lease_seconds
+        self._begin_interface(settings)
+        self._begin_sending(settings)
+        self._begin_receiving()
+        self._begin_flood_limits()
+        try:
+            self.port = self._open(port)
+        except OSError as error:
+            self.close()
+            raise NetworkError(self._explain(error, port)) from error
+
+    def _begin_interface(self, settings: NetworkSettings) -> None:
+        """Set the interface; its sockets are not open yet, and its addresses not read."""
+        self._interface = settings.interface_name
         self._index = index_of(self._interface)
         self._listeners: list[_Listener] = []
         self._own4: socket.socket | None = None  # sends by IPv4
@@ -159,7 +169,8 @@ class UdpCarrier:
         self._has_ipv4 = self._is_dev  # the interface has an IPv4 address
         self._refreshed_at = _NEVER  # when the addresses were last read
 
-        # Sending.
+    def _begin_sending(self, settings: NetworkSettings) -> None:
+        """Set what decides the receivers of a datagram, before any robot is heard."""
         self._seeds = _Seeds(settings.seeds)
         self._beacons = 0  # the count of beacons sent to all
         self._multicast_at = _NEVER  # when a robot was last heard by multicast
@@ -167,31 +178,29 @@ class UdpCarrier:
         self.unsent = 0  # the count of datagrams that could not be sent
         self.recipients = Recipients(self._lease, with_group=self._multicast)
 
-        # Receiving. A way is how a datagram came: by unicast, multicast or broadcast.
-        # By source: the way of a beacon that waits for `confirm`, since its signature is not
-        # verified so far.
+    def _begin_receiving(self) -> None:
+        """Set the state of reading, before any datagram has arrived."""
+        # By source: the way of its last beacon, which is not verified yet and waits for `confirm`.
         self._unconfirmed: dict[Address, _Way] = {}
         # By source and payload: when and by which way the first copy of a datagram came.
         self._first_copies: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
         self._detach: Callable[[], None] = lambda: None  # ends the reading, from `attach` on
         self._is_full = False  # the last `receive` has left datagrams in a socket
-        self._emptied_at = clock()  # when the sockets were last empty
-        self._limits = FloodLimits()  # the rates of datagrams that are admitted
-        self._rules = self._limits.rules(0.0)  # the present rules of the kernel's packet filters
+        self._emptied_at = self._clock()  # when the sockets were last empty
         self._turns = 0  # calls of `receive`
-        self._reads = 0  # datagrams read since `_weigh`
-        self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
-        # By socket: the count of datagrams that the kernel had dropped at the last look.
-        self._lost: dict[socket.socket, int] = {}
         # Beacons go out once a second, and every fifth beacon also as a broadcast. A way counts as
         # heard for the time between three broadcasts, in s, so that the loss of a single broadcast
         # does not show.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
-        try:
-            self.port = self._open(port)
-        except OSError as error:
-            self.close()
-            raise NetworkError(self._explain(error, port)) from error
+
+    def _begin_flood_limits(self) -> None:
+        """Set the limits of received datagrams, without a flood."""
+        self._limits = FloodLimits()
+        self._rules = self._limits.rules(0.0)  # the present rules of the kernel's packet filters
+        self._reads = 0  # datagrams read since `_weigh`
+        self._weight = 1.0  # of a datagram in the flood limits, see `_weigh`
+        # By socket: the count of datagrams that the kernel had dropped at the last look.
+        self._lost: dict[socket.socket, int] = {}
 
     @property
     def filenos(self) -> tuple[int, ...]:
@@ -289,31 +298,33 @@ class UdpCarrier:
         received: list[Received] = []
         with self._lock:
             now = self._clock()
-            self._refresh(now)  # of the addresses of the interface
+            self._refresh(now)
+            self._weigh(now)
             self._is_full = False
             self._turns += 1
             first = self._turns % max(len(self._listeners), 1)
-            budget = BATCH * _COST  # the cost of BATCH datagrams that are not dropped
-            self._weigh(now)  # in an overload a datagram counts more in the flood limits
+            budget = BATCH * _COST
             for listener in (*self._listeners[first:], *self._listeners[:first]):
                 budget -= self._take_from(listener, budget // 2, now, received)
-
-            # A flood that began or ended changes the rules of the kernel's filters.
-            rules = self._limits.rules(now)
-            if rules is not self._rules:
-                self._rules = rules
-                for sock, _ in self._listeners:
-                    self._attach_filter(sock)
+            self._update_filters(now)
             if not self._is_full:
                 self._emptied_at = now
         return received
 
-    def _weigh(self, now: float) -> None:
-        """Update the weight of a datagram in the flood limits: arrived over read datagrams.
+    def _update_filters(self, now: float) -> None:
+        """Replace the kernel's packet filters if a flood has begun or ended."""
+        rules = self._limits.rules(now)
+        if rules is not self._rules:
+            self._rules = rules
+            for sock, _ in self._listeners:
+                self._attach_filter(sock)
 
-        The weight is 1, and above 1 in an overload. A process with little CPU time reads less of a
-        flood than the budgets of `FloodLimits` permit, and the kernel drops the rest, stops
-        included. Without the weight the flood would count as usual traffic.
+    def _weigh(self, now: float) -> None:
+        """Update the weight of a datagram in the flood limits: arrived divided by read datagrams.
+
+        The weight is 1 while the process reads all datagrams. A process with little CPU time reads
+        so few datagrams of a flood that `FloodLimits` would not detect the flood, and the kernel
+        drops the rest, stops included. Then the weight is above 1.
         """
         if now - self._emptied_at < OVERLOAD_TIME:
             self._weight = 1.0
@@ -332,23 +343,15 @@ class UdpCarrier:
     ) -> int:
         """Append the datagrams of a listener to `received`; returns their cost.
 
-        A datagram costs _COST units, or _DROP_COST if it is dropped, which takes less time. Reading
-        ends once the cost has reached `budget`. Then `_is_full` is set, since more datagrams may
-        wait in the socket.
+        A datagram that is taken costs _COST units, a dropped datagram only _DROP_COST. Reading ends
+        once the socket is empty, or once the cost has reached `budget`. In the second case more
+        datagrams may wait in the socket, and `_is_full` is set.
         """
-        # A datagram waits at most since the sockets were last empty. Only after a longer time, such
-        # as a freeze of the process, is its wait read from the kernel's time stamp.
-        cost, waited = 0, 0.0
-        longest_wait = now - self._emptied_at
+        cost = 0
+        longest_wait = now - self._emptied_at  # a datagram waits at most this time
         while cost < budget:
             try:
-                if longest_wait <= SHORT_WAIT:  # `waited` stays 0
-                    payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
-                else:
-                    payload, ancillary, _, name = listener.socket.recvmsg(
-                        MAX_DATAGRAM + 1, _ANCILLARY_BYTES
-                    )
-                    waited = min(max(_waited(ancillary), 0.0), longest_wait)
+                payload, name, waited = _read(listener.socket, longest_wait)
             except BlockingIOError:
                 return cost
             except OSError:  # the network's error report on a datagram that was sent
@@ -368,8 +371,8 @@ class UdpCarrier:
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         beyond the flood limits, and the second copy of a datagram that came by two ways. A beacon
-        of this swarm shows by which way its robot is heard, which `_note_robot` notes: at once, or
-        in a secured swarm after `confirm`, since the beacon may be forged.
+        of this swarm shows by which way its robot is heard. In a secured swarm the beacon may be
+        forged: the way is noted only in `_unconfirmed`, until the caller calls `confirm`.
         """
         host, port = name[0], name[1]
         self._reads += 1
@@ -381,17 +384,15 @@ class UdpCarrier:
             return None
         if not self._limits.admits(source, payload[KIND_OFFSET], now, self._weight):
             return None
-        is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
-        if is_of_robot:
-            # Noted before second copies are dropped: a second copy shows its way, too. The way
-            # COPY is multicast: a robot with IPv4 sends to the second IPv6 group.
+        is_beacon = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
+        if is_beacon:  # also a second copy shows that its way works
             heard_by = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, heard_by.value, now)
         if self._is_second_copy(payload, source, way, now):
             return None
-        if is_of_robot and self._is_secured:
+        if is_beacon and self._is_secured:
             keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)
-        elif is_of_robot:
+        elif is_beacon:
             self._note_robot(source, way, now)
         return source
 
@@ -665,6 +666,19 @@ class _Seeds:
         self._is_under_way = False
 
 
+def _read(sock: socket.socket, longest_wait: float) -> tuple[bytes, tuple[str, int], float]:
+    """Read a datagram: payload, source, and the s for which the datagram has waited.
+
+    The kernel's time of arrival is read only if datagrams may have waited longer than SHORT_WAIT,
+    such as after a freeze of the process. Raises OSError as the socket.
+    """
+    if longest_wait <= SHORT_WAIT:
+        payload, name = sock.recvfrom(MAX_DATAGRAM + 1)
+        return payload, name, 0.0
+    payload, ancillary, _, name = sock.recvmsg(MAX_DATAGRAM + 1, _ANCILLARY_BYTES)
+    return payload, name, min(max(_waited(ancillary), 0.0), longest_wait)
+
+
 def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
     """Seconds since a datagram arrived, by the wall clock; 0 without the kernel's time."""
     for level, kind, content in ancillary:
@@ -677,9 +691,9 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
 def _count_lost(sock: socket.socket) -> int | None:
     """The count of datagrams that the kernel has dropped at a socket since it was opened.
 
-    The kernel counts dropped datagrams of a full queue together with datagrams that the packet
-    filter has refused. So the count shows an overload only while the queue is nearly full. None
-    while the queue has room, and for a kernel without this count.
+    None while the queue of the socket has room: the kernel counts datagrams that the packet filter
+    has refused, too, so that only the count of a nearly full queue shows an overload. None also for
+    a kernel without this count.
     """
     try:
         info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))

@@ -2,7 +2,8 @@
 
 Datagrams come in with verified signatures. A signature shows the role of the signer. A datagram is
 accepted if its signer's role may send this kind, the robot in the datagram is on the roster, and
-the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. Fresh are:
+the datagram is fresh. An *instance* is one life (start to end) of a robot's daemon. A datagram is
+fresh if it is
 
 - a beacon by the rules of `beacon_freshness.py`; the sender of an unproven beacon, which may be
   replayed, is asked for a new beacon,
@@ -67,9 +68,9 @@ class Admission:
     """The checks of the robot `own`.
 
     `names`: the robots on the roster. `lease`: s of silence after which a robot has failed.
-    `echoes` returns a number that was never used before. `counters`: by origin (a random mark of an
-    operator's installation) the greatest counter of its stops, which a file kept from the robot's
-    earlier life (`StopFreshness`).
+    `echoes` returns the number of the next question, a number that was never used before.
+    `counters`: by origin (random bytes that mark an operator's installation) the greatest counter
+    of the stops that this robot heard in its earlier life (`StopFreshness`).
     """
 
     def __init__(
@@ -98,13 +99,10 @@ class Admission:
 
         A flaw is a wrong role, a false author, or a datagram that is no longer fresh (a replay). A
         member list comes back without the robots that the roster lacks. Every other datagram comes
-        back unchanged. A robot that joins claims its id by beacons. These need not be fresh, except
-        while this robot itself claims the same id (`is_claiming`): then they decide which robot
-        gets the id.
+        back unchanged. `is_claiming`: this robot still claims its own id.
         """
         if author.role not in SIGNERS[type(body)]:
             return Flaw.ROLE
-        # A case either returns the result itself, or sets `is_fresh` for the test at the end.
         match body:
             case Beacon():
                 return self._beacon(body, now, is_claiming=is_claiming)
@@ -112,36 +110,47 @@ class Admission:
                 return body if _may_send_stop(body, author) else Flaw.FORGED
             case RunLease():
                 return body if body.operator == author.name else Flaw.FORGED
-            case Solicit() | ClockQuery() | Swarm():  # questions
+            case Solicit() | ClockQuery() | Swarm():
                 return body  # a repeated question costs an answer, which is limited
-            case MemberList():  # must answer a question of this robot, by its echo
-                is_own_echo = self.freshness.is_own_echo(body.echo, now)
-                is_fresh = is_own_echo and membership.is_present(body.robot, body.instance)
-                body = only_names(body, self.names)
-            case Message():
-                is_present = membership.is_present(body.robot, body.instance)
-                is_fresh = is_present and self.freshness.is_new_message(
-                    body.robot, body.instance, body.sequence
-                )
-            case Place():
-                is_present = membership.is_present(body.robot, body.instance)
-                is_fresh = is_present and self.freshness.is_new_place(
-                    body.robot, body.instance, body.sent
-                )
-            case Latches():  # must be those of the sender's newest beacon, by their digest
-                is_fresh = membership.latches_of(body.robot, body.instance) == body.digest
-            case GoalReport():
-                is_fresh = membership.is_present(body.robot, body.instance)
             case Ack() | ClockReply():
-                is_fresh = True  # if this robot waits for the answer, which the caller checks
-        return body if is_fresh else Flaw.REPEATED
+                return body  # the caller drops an answer for which this robot does not wait
+        if not self._is_fresh(body, now, membership):
+            return Flaw.REPEATED
+        return only_names(body, self.names) if isinstance(body, MemberList) else body
+
+    def _is_fresh(
+        self,
+        body: MemberList | Message | Place | Latches | GoalReport,
+        now: float,
+        membership: Membership,
+    ) -> bool:
+        """True if the datagram is of the instance that is the member now, and is no replay."""
+        if not membership.is_present(body.robot, body.instance):
+            return False
+        match body:
+            case MemberList():
+                return self.freshness.is_own_echo(body.echo, now)
+            case Message():
+                return self.freshness.is_new_message(body.robot, body.instance, body.sequence)
+            case Place():
+                return self.freshness.is_new_place(body.robot, body.instance, body.sent)
+            case Latches():  # must be those of the sender's newest beacon
+                return membership.latches_of(body.robot, body.instance) == body.digest
+            case GoalReport():
+                return True
 
     def _beacon(self, beacon: Beacon, now: float, *, is_claiming: bool) -> Datagram | Flaw:
-        """The beacon, or its flaw: no robot of the roster, or perhaps replayed."""
+        """The beacon, or its flaw: no robot of the roster, or perhaps replayed.
+
+        The beacon of a robot that claims its id need not be fresh: the owner of the id answers the
+        claim, and other robots ignore the beacon. While this robot claims the same id, the beacon
+        must be fresh, since it decides which robot gets the id.
+        """
         if beacon.robot not in self.names:
             return Flaw.FORGED
-        if beacon.flags & Flag.JOINING and not (is_claiming and beacon.robot == self._own):
-            return beacon  # the owner of the id answers the claim; other robots ignore the beacon
+        is_rival = is_claiming and beacon.robot == self._own
+        if beacon.flags & Flag.JOINING and not is_rival:
+            return beacon
         return self.freshness.on_beacon(beacon, now) or beacon
 
 

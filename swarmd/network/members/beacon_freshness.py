@@ -4,11 +4,11 @@ Only secured swarms use this module. A beacon is the datagram that a robot sends
 that it is alive. A signed beacon may be an old beacon that an attacker replays. An *instance* is
 one life (start to end) of a robot's daemon.
 
-1. An instance that is unknown, or was silent for a lease, is accepted only once it has answered a
-   question (`Solicit`) asked after its last beacon. The answer is a beacon with the `echo` of the
-   question, a number that was never used before.
-2. From then on a beacon of the instance is accepted if its sequence is greater than that of the
-   last beacon.
+1. An instance that is unknown, or was silent for longer than the lease, must answer a question
+   (`Solicit`) first. The answer is a beacon with the `echo` of the question, a number that was
+   never used before. The answer to a question before the silence does not count.
+2. After the answer a beacon of the instance is accepted if its sequence is greater than the
+   sequence of the last beacon.
 
 `membership.py` decides after which silence a member has failed.
 """

@@ -6,9 +6,9 @@ A beacon is the datagram by which a daemon shows its id and its instance (a rand
 2. The owner of the id answers each beacon of a claimer. A claimer that hears two beacons of the
    owner has lost. A single beacon may be a delayed beacon of a daemon that has ended.
 3. Of several claimers the claimer with the smallest instance wins.
-4. A claim is won after `settle` seconds of listening without a rival. Each call of `is_won` adds
-   the time since the call before, at most LONGEST_LOOK: after a stall of the process, beacons of
-   rivals may still wait to be read. So a claim takes at least settle / LONGEST_LOOK calls.
+4. A claim is won after `settle` seconds of listening without a rival. Each call of `is_won` counts
+   the time since the last call as listening, but at most LONGEST_LOOK: after a stall of the
+   process, beacons of rivals may still wait to be read.
 
 Two owners of an id can still meet when two parts of a network are joined again: `Membership` and
 the daemon then see the beacons of a second instance.

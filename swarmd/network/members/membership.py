@@ -64,11 +64,11 @@ class Life(Struct):
     def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
         """Take a beacon; False for a delayed beacon, or a farewell that does not count.
 
-        1. A beacon with a lower number than the newest beacon counts as delayed if it comes within
-           LATE_TIME of the newest. Later such a beacon is taken: a forged beacon with a high number
-           must not hide the robot.
-        2. After a farewell (Flag.LEFT) an answer to a later question (`is_answer`) never counts as
-           delayed.
+        1. A beacon whose number is not above the number of the newest beacon counts as delayed for
+           LATE_TIME after the newest beacon came. After this time the beacon is taken: a forged
+           beacon with a high number must not hide the robot for long.
+        2. `is_answer`: the beacon answers a question that was asked after the farewell (Flag.LEFT)
+           of this life. Such a beacon never counts as delayed.
         3. A beacon after a farewell shows that the farewell was false. From then on no farewell of
            this life counts.
         """
@@ -149,9 +149,9 @@ class Membership:
     """The other robots of a swarm, as this robot or operator hears them.
 
     `own`: the name of this robot, which is never a member; empty for an operator. `lease`: s of
-    silence after which a member has failed. At most MAX_MEMBERS robots are kept: then a new robot
-    replaces the robot that is gone the longest. If no robot may be replaced, the new robot is
-    ignored, and counted in `ignored`.
+    silence after which a member has failed. Beyond MAX_MEMBERS robots, a new robot replaces the
+    robot that left or failed first, if that robot may be dropped (`_make_room`). Otherwise the new
+    robot is ignored, and counted in `ignored`.
     """
 
     def __init__(self, own: str, lease: float) -> None:
@@ -181,41 +181,46 @@ class Membership:
         - a delayed beacon, or the farewell of a life that has sent beacons after an earlier
           farewell (`Life.take`).
         """
-        name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
-        if name == self._own or beacon.flags & Flag.JOINING:
+        if beacon.robot == self._own or beacon.flags & Flag.JOINING:
+            return Change.IGNORED
+        robot = self._robots.get(beacon.robot)
+        life = None if robot is None else robot.lives.get(beacon.instance)
+        if life is None:
+            change = self._begin_life(beacon, address, now)
+        else:
+            change = _continue_life(life, beacon, address, now, is_answer=is_answer)
+        if change is not Change.IGNORED:
+            self._take_body(beacon)
+        return change
+
+    def _begin_life(self, beacon: Beacon, address: Address, now: float) -> Change:
+        """Take the first beacon of a life, perhaps of a new robot."""
+        name = beacon.robot
+        if beacon.flags & Flag.LEFT:
             return Change.IGNORED
         robot = self._robots.get(name)
-        life = None if robot is None else robot.lives.get(beacon.instance)
-        if life is None:  # the first beacon of a life
-            if is_farewell:
+        if robot is None:
+            if len(self._robots) >= MAX_MEMBERS and not self._make_room(now):
+                self.ignored += 1
                 return Change.IGNORED
-            if robot is None:  # the first beacon of a robot
-                if len(self._robots) >= MAX_MEMBERS and not self._make_room(now):
-                    self.ignored += 1
-                    return Change.IGNORED
-                robot = self._robots[name] = _Robot(first=now)
-            self._indirect.pop(name, None)  # the robot is heard directly from now on
-            life = Life(now, now, beacon, address, beacon.version)  # appeared and heard now
-            robot.lives[beacon.instance] = life  # behind the earlier lives: the latest
-            for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:  # all but the newest
-                del robot.lives[oldest_instance]
-            change = Change.FOUND
-        else:
-            assert robot is not None
-            had_left = life.left is not None
-            if not life.take(beacon, address, now, is_answer=is_answer):
-                return Change.IGNORED
-            if is_farewell:
-                change = Change.LEFT
-            elif had_left:
-                change = Change.FOUND
-            else:
-                change = Change.REFRESHED
-        # The body (outline of the base) comes from the latest life. A beacon of an earlier life,
-        # which may still arrive, gives the body only while no body is known.
-        if beacon.body is not None and (robot.body is None or life is robot.latest):
+            robot = self._robots[name] = _Robot(first=now)
+        self._indirect.pop(name, None)  # the robot is heard directly from now on
+        life = Life(now, now, beacon, address, beacon.version)  # appeared and heard now
+        robot.lives[beacon.instance] = life  # behind the earlier lives: the latest
+        for oldest_instance in list(robot.lives)[:-MAX_INSTANCES]:  # all but the newest
+            del robot.lives[oldest_instance]
+        return Change.FOUND
+
+    def _take_body(self, beacon: Beacon) -> None:
+        """Take the body (outline of the base) that a beacon of a known life reports.
+
+        The body comes from the latest life. A beacon of an earlier life, which may still arrive,
+        gives the body only while no body is known.
+        """
+        robot = self._robots[beacon.robot]
+        is_latest = robot.lives[beacon.instance] is robot.latest
+        if beacon.body is not None and (robot.body is None or is_latest):
             robot.body = beacon.body
-        return change
 
     def on_member_list(self, members: MemberList, now: float) -> None:
         """Take a part of a robot's member list: keep the newest report on each indirect member."""
@@ -356,9 +361,9 @@ class Membership:
     def reports(self, now: float) -> tuple[MemberReport, ...]:
         """The member list for other robots: the robots heard here, then the indirect members.
 
-        An indirect member is a robot that only other robots hear. `age` in a report: ms since the
-        last beacon of a robot that is alive, or since the robot left or failed. `hops` in a report:
-        the robots that have handed on the report so far.
+        An indirect member is a robot that only other robots hear. The report on a robot that is
+        alive has the ms since its last beacon as `age`, any other report the ms since the robot
+        left or failed. `hops`: how many robots have handed on the report.
         """
         reports = []
         for robot, entry in sorted(self._robots.items()):
@@ -461,6 +466,18 @@ class Membership:
             return False
         known.shown, known.since = present, now
         return True
+
+
+def _continue_life(
+    life: Life, beacon: Beacon, address: Address, now: float, *, is_answer: bool
+) -> Change:
+    """Take a further beacon of a known life; returns what the beacon has changed."""
+    had_left = life.left is not None
+    if not life.take(beacon, address, now, is_answer=is_answer):
+        return Change.IGNORED
+    if beacon.flags & Flag.LEFT:
+        return Change.LEFT
+    return Change.FOUND if had_left else Change.REFRESHED
 
 
 def _is_gone(known: _Robot) -> bool:

@@ -61,10 +61,11 @@ class Neighborhood:
     ) -> tuple[Neighbor, ...]:
         """Set `in_reach` of each candidate: True if it is a neighbor now.
 
-        `candidates`: the other robots. `now` in s. `links`: the measured links by robot. With
-        neighborhood `range`, the distance that the base measures is used, or else the distance to
-        the place that the robot reported; a robot of unknown distance is not in reach. With
-        neighborhood `link`, a robot without a measured link is not in reach.
+        `candidates`: the other robots. `now` in s. `links`: the measured links by robot.
+
+        - neighborhood `range`: the distance that the base measures counts, else the distance to the
+          place that the robot reported. A robot of unknown distance is not in reach.
+        - neighborhood `link`: a robot without a measured link is not in reach.
         """
         if self.settings.neighborhood == "all":
             return tuple(candidates)

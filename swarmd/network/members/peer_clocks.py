@@ -28,9 +28,9 @@ class PeerClocks:
     def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
         """Questions for the clocks of some robots, with their addresses; empty if none is due.
 
-        `alive`: the robots that are alive. All robots form a ring in the order of their names. Each
-        robot asks the robots that are 1, 2, 4, ... places further in the ring. So few questions are
-        sent, and a short chain of clock comparisons connects any two robots.
+        `alive`: the other robots that are alive. All robots form a ring in the order of their
+        names. Each robot asks the robots that are 1, 2, 4, 8, ... places further in the ring: some
+        log2(N) of N robots. So at most log2(N) comparisons of clocks connect any two robots.
         """
         if now < self._due_at:
             return []

@@ -99,8 +99,8 @@ def start_times(
 ) -> tuple[dict[str, float], float]:
     """The start time in s on the clock of each robot, for a start of all robots at one moment.
 
-    `moment`: s on the operator's clock. Also returns the greatest time in s between the starts of
-    two robots by the errors of the offsets: the sum of the two greatest errors.
+    `moment`: s on the operator's clock. Also returns a bound in s of the time between the starts of
+    any two robots: the sum of the two greatest errors of the offsets.
     """
     starts = {robot: moment + offset.offset for robot, offset in offsets.items()}
     errors = sorted((offset.error_at(moment) for offset in offsets.values()), reverse=True)

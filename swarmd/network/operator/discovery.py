@@ -2,10 +2,10 @@
 
 A look combines four sources: beacons that the operator hears (`membership.py`), the reports of
 robots on other robots (`member_reports.py`), the robots' own statuses by Zenoh
-(`status_table.py`), and rosters. A look is complete once every expected robot has answered itself,
-and the answers agree on the members. If they do not agree, the look is complete once nothing new
-has come for `quiet_time`. Any other look ends after a time that follows from the measured round
-trip and loss of datagrams (`ends_at`).
+(`status_table.py`), and rosters. A look is complete once every expected robot has answered, and the
+answers agree on the members, or nothing new has come for `quiet_time`. A look in which a robot does
+not answer ends after a time that follows from the measured round trip and loss of datagrams
+(`ends_at`).
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class Discovery:
       they are heard again.
     - `is_local`: all robots are on this machine, by the loopback interface.
     - `is_secured`: the swarm is secured, so that links take longer to open.
-    - `needs_status`: a robot has answered once its status has come. With `needs_status` False a
-      robot has also answered once a beacon that echoes a solicit and a whole member list have
-      come.
+    - `needs_status` True: a robot has answered once its status has come. False: a robot has
+      answered also without a status, once it has sent a whole member list and a beacon that
+      answers a solicit.
     """
 
     def __init__(
@@ -94,27 +94,31 @@ class Discovery:
         self._statuses = StatusTable()
         self._known_since: dict[str, float] = {}  # each robot heard or reported, and since when
         # When a robot last sent a member list, or was last named in a list or view. A robot that no
-        # list names any more is forgotten (`_forget`); inf: never, as an earlier look heard it.
+        # list names any more is forgotten (`_forget`); inf: never.
         self._last_named_at: dict[str, float] = {}
         self._forgot_at = now
         self._lists_at = -float("inf")  # when member lists were last asked for
+        if earlier is not None:
+            self._expect_earlier(earlier, now)
 
-        # The robots of an earlier look count as failed until they are heard again. `member.by` is
-        # the robot whose report was the only source for a member; empty for a member heard here.
-        for robot, member in (earlier.members if earlier else {}).items():
-            if member.presence is not Presence.LEFT:
-                self._known_since[robot] = now
-                self._last_named_at[robot] = now if member.by else float("inf")
-                report = PeerReport(member.instance, Presence.FAILED, now - member.age)
-                self._reports.store(robot, reporter="", way=EARLIER, reports=[report])
+    def _expect_earlier(self, earlier: MembersView, now: float) -> None:
+        """Let the members of an earlier look count as failed until they are heard again."""
+        for robot, member in earlier.members.items():
+            if member.presence is Presence.LEFT:
+                continue
+            was_heard_here = not member.by  # else only another robot reported the member
+            self._known_since[robot] = now
+            self._last_named_at[robot] = float("inf") if was_heard_here else now
+            report = PeerReport(member.instance, Presence.FAILED, now - member.age)
+            self._reports.store(robot, reporter="", way=EARLIER, reports=[report])
 
     # Events
 
     def wants_members(self, now: float) -> bool:
         """True if the next solicit must ask for member lists; then notes `now` as asked.
 
-        Lists are long. So this asks for lists at the start, soon again while a robot that is heard
-        has not sent its list, and every LISTS_PERIOD after that.
+        Lists are long. So a solicit asks for lists only at the start, soon again while a robot that
+        is heard has not sent its list, and every LISTS_PERIOD once all lists have come.
         """
         has_all_lists = bool(self.heard) and not self.unlisted
         period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)
@@ -255,30 +259,38 @@ class Discovery:
         2. Robots that other robots report as alive, and that have answered.
         3. Of the other reported robots at most MAX_INDIRECT_DIALS: those with the most reporters.
         """
-        direct: dict[tuple[str, str], Address] = {}  # cases 1 and 2
-        indirect: dict[tuple[str, str], Address] = {}  # case 3
+        to_dial: dict[tuple[str, str], Address] = {}
+        unproven: dict[tuple[str, str], Address] = {}  # case 3: perhaps invented by a robot
         for robot in self._known_since:
             heard = self._members.lives(robot)  # by instance
-            if heard:
-                for living in self.holders(robot) & heard.keys():
-                    direct[robot, living] = heard[living].address
-                continue
-            address = self.address(robot)  # the reported address
-            report = most_certain(self._all_reports(robot))
-            if address is None or report is None or report.presence is not Presence.ALIVE:
-                continue
-            if now - report.at <= INDIRECT_TIME:
-                has_answered = robot in self._statuses.robots
-                group = direct if has_answered else indirect
-                group[robot, report.instance] = address
+            for living in self.holders(robot) & heard.keys():
+                to_dial[robot, living] = heard[living].address
+            if not heard and (report := self._present_report(robot, now)) is not None:
+                address = self.address(robot)
+                group = to_dial if robot in self._statuses.robots else unproven
+                if address is not None:
+                    group[robot, report.instance] = address
+        return to_dial | self._most_reported(unproven)
+
+    def _present_report(self, robot: str, now: float) -> PeerReport | None:
+        """The report that a robot is alive, if it is the most certain and not too old."""
+        report = most_certain(self._all_reports(robot))
+        if report is None or report.presence is not Presence.ALIVE:
+            return None
+        return report if now - report.at <= INDIRECT_TIME else None
+
+    def _most_reported(
+        self, addresses: Mapping[tuple[str, str], Address]
+    ) -> dict[tuple[str, str], Address]:
+        """At most MAX_INDIRECT_DIALS robots: those that most robots heard here report."""
         heard_here = self.heard
 
         def count_reporters(robot_and_instance: tuple[str, str]) -> int:
             robot, _ = robot_and_instance
             return len(self._reports.reporters(robot) & heard_here)
 
-        most_reported = sorted(indirect, key=count_reporters, reverse=True)[:MAX_INDIRECT_DIALS]
-        return direct | {pair: indirect[pair] for pair in most_reported}
+        most_reported = sorted(addresses, key=count_reporters, reverse=True)[:MAX_INDIRECT_DIALS]
+        return {pair: addresses[pair] for pair in most_reported}
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that only other robots report, in turns of MAX_COPIES."""
@@ -346,28 +358,29 @@ class Discovery:
         if not self._known_since:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
-        ends = [self._prolonging_news_at + self.quiet_time]
-        # The look waits for a robot that was found late only if it has answered, or if another
-        # robot reports it: an attacker may invent robots.
+        answer_wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
+        # An attacker may invent robots: the look does not wait for each robot that is found late.
         awaited = {robot for robot in self._known_since if self._prolongs(robot)}
         last_found_at = max((self._known_since[robot] for robot in awaited), default=self.started)
+        ends = [self._prolonging_news_at + self.quiet_time]
         for robot in lacking:
-            is_found = robot in self._known_since  # else only the roster names the robot
-            if is_found and robot not in awaited:
+            is_only_on_roster = robot not in self._known_since
+            if not is_only_on_roster and robot not in awaited:
                 continue
             since = self._known_since.get(robot, self.started)
-            report = most_certain(self._all_reports(robot))
             if self._is_fresh(robot, now):
-                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
-                since = max(since, last_found_at)
-            elif report is not None and report.presence is Presence.ALIVE:
-                wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
+                ends.append(max(since, last_found_at) + answer_wait)
+            elif self._is_reported_alive(robot):
+                ends.append(since + (UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip))
             else:
-                wait = GONE_WAIT + GONE_TRIPS * trip
-            ends.append(since + wait)
+                ends.append(since + (GONE_WAIT + GONE_TRIPS * trip))
         if not self.heard:
             ends.append(first_robot_end)
         return max(ends)
+
+    def _is_reported_alive(self, robot: str) -> bool:
+        report = most_certain(self._all_reports(robot))
+        return report is not None and report.presence is Presence.ALIVE
 
     def is_over(self, now: float) -> bool:
         """True once the look need not wait longer for the robots that have not answered."""

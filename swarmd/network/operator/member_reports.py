@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from msgspec import Struct
 
 from swarmd.core.messages import PeerView, Presence
-from swarmd.network.datagram import PRESENCES, Address, MemberList
+from swarmd.network.datagram import PRESENCES, Address, MemberList, MemberReport
 from swarmd.network.members.membership import MAX_INSTANCES
 
 FRESH_TIME = 3.0  # s for which a beacon counts, and a report of a beacon
@@ -36,9 +36,9 @@ class PeerReport(Struct, frozen=True):
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     """The address of a robot in the report of another robot; None if the address is not valid.
 
-    The host must be an IP address, and no multicast address. Only a link-local IPv6 address may
-    have a scope, and the scope must be a number. With `is_local` the host must be in 127.0.0.0/8,
-    else it must not be a loopback address.
+    A valid host is an IP address, but no multicast address. Only a link-local IPv6 address may have
+    a scope, which must be a number. `is_local` True: all robots are on this machine, so the host
+    must be in 127.0.0.0/8. False: the host must not be a loopback address.
     """
     try:
         ip = ipaddress.ip_address(host)
@@ -57,10 +57,10 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
 def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
     """The most certain of the reports on one robot; None without reports.
 
-    1. Of reports that the robot is alive, the newest.
-    2. If no report says so: the last instance (life of the daemon) counts, which the newest report
-       names. Of the reports on this instance, the newest report that the instance left; if no
-       report says so, the newest report (that the instance failed).
+    1. The newest report that the robot is alive, if there is any.
+    2. Else only the reports on the last instance (life of the daemon) count, which the newest
+       report names: the newest report that this instance left, if there is any.
+    3. Else the newest report, which says that the instance failed.
     """
     on_robot = list(reports)
     alive = [report for report in on_robot if report.presence is Presence.ALIVE]
@@ -105,36 +105,28 @@ class MemberReports:
         """Keep a part of a robot's member list; returns the reports of all kept parts, by robot.
 
         A list comes in parts, in several datagrams; the `echo` of the solicit marks the parts of
-        one list. Kept are the last whole list (all its parts have come) and what came after it.
-        Without a whole list, the parts of the last MAX_PARTIAL_LISTS lists are kept.
+        one list. `_drop_old_parts` decides which parts are kept.
         """
-        # 1. Keep the part. `parts` is in the order of arrival; a list is named by its echo. Drop
-        # all parts that came before the first part of the oldest list to keep.
         parts = self._lists.setdefault(new_part.robot, {})
         parts[new_part.echo, new_part.part] = (new_part, now)
-        whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]
-        newest_lists = list(dict.fromkeys(echo for echo, _ in parts))[-MAX_PARTIAL_LISTS:]
-        oldest_kept = whole_lists[-1] if whole_lists else newest_lists[0]
-        for echo, number in list(parts):
-            if echo == oldest_kept:
-                break
-            del parts[echo, number]
-
-        # 2. Collect the reports. An unknown presence comes from a later version, and is left out.
+        _drop_old_parts(parts)
         reports: dict[str, list[PeerReport]] = {}
         for part, at in parts.values():
             for member in part.members:
-                if member.presence < len(PRESENCES):
-                    address = reported_address(member.host, member.port, is_local=self._is_local)
-                    report = PeerReport(
-                        instance=member.instance.hex(),
-                        presence=PRESENCES[member.presence],
-                        at=at - member.age / 1000.0,
-                        by=new_part.robot,
-                        address=address,
-                    )
+                if member.presence < len(PRESENCES):  # else of a later version
+                    report = self._report(member, new_part.robot, at)
                     reports.setdefault(member.robot, []).append(report)
         return reports
+
+    def _report(self, member: MemberReport, reporter: str, at: float) -> PeerReport:
+        """The report in a member list that came at `at` s."""
+        return PeerReport(
+            instance=member.instance.hex(),
+            presence=PRESENCES[member.presence],
+            at=at - member.age / 1000.0,
+            by=reporter,
+            address=reported_address(member.host, member.port, is_local=self._is_local),
+        )
 
     def drop(self, reporter: str, way: str) -> None:
         """Drop what a robot reported by one way, before its newer reports are stored."""
@@ -218,6 +210,21 @@ class MemberReports:
             )
         }
         return frozenset(pair for pair in alive if pair[0] < pair[1] and pair[::-1] in alive)
+
+
+def _drop_old_parts(parts: dict[tuple[int, int], tuple[MemberList, float]]) -> None:
+    """Drop the parts of one robot's lists that came before the oldest list to keep.
+
+    The oldest list to keep is the last list of which all parts have come. While no list is whole,
+    the last MAX_PARTIAL_LISTS lists are kept. `parts`: by echo and number, in order of arrival.
+    """
+    whole_lists = [echo for echo, _ in parts if _has_all(parts, echo)]
+    newest_lists = list(dict.fromkeys(echo for echo, _ in parts))[-MAX_PARTIAL_LISTS:]
+    oldest_kept = whole_lists[-1] if whole_lists else newest_lists[0]
+    for echo, number in list(parts):
+        if echo == oldest_kept:
+            break
+        del parts[echo, number]
 
 
 def _has_all(parts: Mapping[tuple[int, int], tuple[MemberList, float]], echo: int) -> bool:

@@ -43,12 +43,10 @@ class MemberSearch:
     ) -> MembersView:
         """Query all members (a look) until `discovery`, just begun, is complete; returns them.
 
-        Threads of the carrier and of Zenoh put the answers into `discovery`. A look is complete
-        once all expected robots have answered, and their answers agree or nothing new came for some
-        time. An incomplete look ends after `timeout` s. With `timeout` None an incomplete look ends
-        once a longer wait is of no use (`discovery.is_over`), and after `cap` s at the latest.
-        `needs_status` False: a robot's datagram counts as its answer, and statuses are asked for
-        only after STATUS_DELAY.
+        Threads of the carrier and of Zenoh put the answers into `discovery`, which decides when the
+        look is complete (`is_complete`). An incomplete look ends after `timeout` s. With `timeout`
+        None an incomplete look ends once a longer wait is of no use (`is_over`), and after `cap` s
+        at the latest. `needs_status` False: statuses are asked for only after STATUS_DELAY.
         """
         now = discovery.started
         solicit_timer, status_timer = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
@@ -56,7 +54,6 @@ class MemberSearch:
         deadline = None if timeout is None else now + timeout
         ask_status_at = now if needs_status else now + STATUS_DELAY
         while True:
-            # 1. Has the look ended?
             with self._arrivals.lock:
                 now, count = boottime(), self._arrivals.count
                 is_complete = discovery.is_complete(now)
@@ -65,28 +62,31 @@ class MemberSearch:
                 else:
                     is_capped = now - discovery.started >= cap
                     is_over = is_capped or (over_timer.is_due(now) and discovery.is_over(now))
+            if is_complete:
+                now = self._dial_last_robots(discovery, now)
             if is_complete or is_over:
-                # Robots found last may still wait in `dial`, which gathers robots to dial together:
-                # the caller needs links to these robots for its requests.
-                wait = self._sessions.dial(discovery, now) if is_complete else math.inf
-                while wait < math.inf:
-                    time.sleep(wait)
-                    now = boottime()
-                    wait = self._sessions.dial(discovery, now)
                 with self._arrivals.lock:
                     return discovery.result(now)
-
-            # 2. Send what is due.
             if solicit_timer.is_due(now):
                 self._datagrams.solicit(discovery, now)
-            wait = self._sessions.dial(discovery, now)
+            dial_due_in = self._sessions.dial(discovery, now)
             if now >= ask_status_at and status_timer.is_due(now):
                 self._ask_members(discovery)
-
-            # 3. Wait for an answer that came after `count` was read, or until something is due.
             to_end_check = OVER_PERIOD if deadline is None else deadline - now
-            due_in = min(solicit_timer.pause(now), status_timer.pause(now), to_end_check, wait)
-            self._arrivals.wait(count, due_in)
+            timers_due_in = min(solicit_timer.pause(now), status_timer.pause(now))
+            self._arrivals.wait(count, min(timers_due_in, to_end_check, dial_due_in))
+
+    def _dial_last_robots(self, discovery: Discovery, now: float) -> float:
+        """Dial the robots that still wait to be dialled together; returns the time afterwards.
+
+        The caller of a complete look needs links to all robots for its requests.
+        """
+        wait = self._sessions.dial(discovery, now)
+        while wait < math.inf:
+            time.sleep(wait)
+            now = boottime()
+            wait = self._sessions.dial(discovery, now)
+        return now
 
     def _ask_members(self, discovery: Discovery) -> None:
         """Ask all linked robots for status and members, by Zenoh; the replies go to `discovery`.

@@ -99,10 +99,9 @@ class Operator:
     ) -> None:
         """Open the datagram carrier and start its thread. Zenoh sessions are opened as needed.
 
-        `name`: the operator's name in a swarm without keys, None for this user's name. `roster`:
-        robots that are expected in any case. `carrier`: a carrier in place of UDP or routers, for
-        tests. `takes_rosters` False: a newer roster that robots show is not taken. `program`: the
-        name of a program that chooses the requests, such as an agent; the robots' audit shows it.
+        `name`: the operator's name in a swarm without keys, None for this user's name. `carrier`: a
+        carrier in place of UDP or routers, for tests. `program`: the name of a program that chooses
+        the requests, such as an agent; the robots' audit shows it.
         """
         settings.check()
         self.settings = settings
@@ -121,21 +120,26 @@ class Operator:
         self._rosters = RosterFollower(self, is_on=takes_rosters)
         self._arrivals = Arrivals()
         self._sessions = OperatorSessions(settings, identity, self._arrivals)
+        self._datagrams = self._open_datagrams(carrier)
+        self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
+        self._requests = RequestSender(self._sessions, self._arrivals)
+        self._stops = StopSender(self._datagrams, self._rosters, self._arrivals)
+        self._datagrams.start()
+
+    def _open_datagrams(self, carrier: Carrier | None) -> OperatorDatagrams:
+        """The datagrams of this operator, by `carrier`, or by the carrier of the profile."""
+        identity, settings = self.identity, self.settings
         # The tag in the head of each datagram, which datagrams of other swarms lack.
         tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
-        self._datagrams = OperatorDatagrams(
+        return OperatorDatagrams(
             carrier or self._open_carrier(tag),
             tag,
             settings.interface_name,
             self._arrivals,
             self._take,
-            # Signs datagrams and checks the answers of robots; None in a swarm without keys.
+            # Signs datagrams, and checks the datagrams of robots.
             answers=None if identity is None else self._answers_for(identity),
         )
-        self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
-        self._requests = RequestSender(self._sessions, self._arrivals)
-        self._stops = StopSender(self._datagrams, self._rosters, self._arrivals)
-        self._datagrams.start()
 
     def __enter__(self) -> Self:
         return self
@@ -181,8 +185,8 @@ class Operator:
     def update_roster(self) -> bool:
         """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
-        A key is missing if this operator's identity was made before a robot was added: the robot
-        then hands over the key that it shares with the operator. `notices` gets a line for the
+        Operator and robot share a key. The identity of this operator lacks the keys of robots that
+        were added later: each of these robots hands over its key. `notices` gets a line for the
         user. Raises NetworkError if the new roster lacks the name of this operator.
         """
         before = self.identity
@@ -192,8 +196,8 @@ class Operator:
     def take_identity(self, identity: Identity) -> None:
         """Use the keys of `identity`, on new links, from the next look (query of all members) on.
 
-        If only keys of further robots differ from the present identity, `identity` is used at once,
-        on the present links.
+        An identity with the present roster, which only adds keys of robots, is used at once, on the
+        present links.
         """
         with self._arrivals.lock:
             admission, before = self._datagrams.answers, self.identity
@@ -223,11 +227,11 @@ class Operator:
     ) -> MembersView:
         """Query all members (a look); returns once all expected robots have answered.
 
-        The look ends after `timeout` s at the latest. With `timeout` None it ends after a time that
-        follows from the round trip, and after `cap` s at the latest. `needs_status` False: a
-        robot's datagram is an answer, since its beacon has all that a request needs: the epoch, a
-        count of the robot's changes. If robots are missing and a robot has shown a newer roster,
-        this method takes the roster and looks again.
+        The look ends after `timeout` s at the latest; with `timeout` None, after a time that
+        follows from the round trip, and after `cap` s at the latest. `needs_status` False: a beacon
+        is an answer, too. A beacon shows the epoch (count of the robot's changes), and a request
+        needs nothing else. If robots are missing and a robot has shown a newer roster, this method
+        takes the roster and looks again.
         """
         view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
@@ -331,13 +335,13 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`; repeat it to each robot without a reply.
 
-        `kind` and `fields`: the request; all repeats have one id. `targets`: of each robot the
+        `kind` and `fields`: the request; all repeats have one id. `targets`: for each robot the
         epoch (a count of its changes) that the operator has seen. A robot whose epoch has changed
-        since refuses the request. None: no check. Returns once all robots have replied or
-        `is_ended` returns True, and after `timeout` s at the latest. `timeout` None: `least` s,
-        longer by the round trip and the loss of datagrams. A robot that is unreachable or gone
-        counts as missing, and the request does not wait for it. Raises ConfigError if the role of
-        the own identity does not permit the request: robots would refuse the request silently.
+        since then refuses the request. With None instead of an epoch the robot does not compare.
+        Returns once all robots have replied or `is_ended` returns True, and after `timeout` s at
+        the latest. `timeout` None: `least` s, longer by the round trip and the loss of datagrams. A
+        robot that is unreachable or gone counts as missing at once. Raises ConfigError if the role
+        of the own identity does not permit the request, which robots would not answer.
         """
         self._check_role(str(kind.__struct_config__.tag))
         last_view, present_view = self._last_view, self.seen()
@@ -359,9 +363,9 @@ class Operator:
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
         """Query `control/<name>` of a robot, which moves nothing; returns the answer's bytes.
 
-        None without an answer within `timeout` s, for which the query is repeated. Call `members`
-        first, which finds the robots. Raises ConfigError if the role of the own identity does not
-        permit the query.
+        The query is repeated for `timeout` s; None if no answer comes. Call `members` first: it
+        finds the robots. Raises ConfigError if the role of the own identity does not permit the
+        query.
         """
         return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
 
@@ -386,16 +390,15 @@ class Operator:
     ) -> Outcome:
         """Stop robots by datagrams, sent at once and repeated until each expected robot has acked.
 
-        `verb`: "stop", or "estop" for an emergency stop, with which each robot keeps `reason`.
+        `verb`: "stop", or "estop" for an emergency stop, of which each robot keeps `reason`.
         `select` picks the targets from the names known so far, and is called again as more names
         become known; `names` are targets in any case. `select` None: all robots. An emergency stop
         of all robots also holds for robots that join later.
 
-        Sending ends once all expected robots have acked and rest, and after `timeout` s at the
-        latest; `timeout` None: a time that follows from the round trip. With `until_all` there is
-        no time limit: sending also ends once `is_ended` returns True, and at a KeyboardInterrupt,
-        after which the outcome is returned. `on_progress` gets the robots without an ack whenever
-        these change.
+        Sending ends once all expected robots have acked and rest, once `is_ended` returns True, and
+        after `timeout` s at the latest; `timeout` None: a time that follows from the round trip.
+        With `until_all` there is no time limit, `on_progress` gets the robots without an ack
+        whenever these change, and a KeyboardInterrupt ends sending like `is_ended`.
         """
         self._check_role(verb)
         now = boottime()
@@ -407,16 +410,7 @@ class Operator:
             scope="swarm" if select is None else "robots",
             reason=stop_reason(reason) if verb == "estop" else "",
         )
-        # In a secured swarm a stop carries an origin and a counter, so that robots refuse a
-        # replayed stop. `renew` gives new numbers if a robot refuses the stop as replayed.
-        renew: Renew | None = None
-        if self.identity is not None:
-            from swarmd.network.operator.stop_origin import StopOrigin
-
-            numbers = StopOrigin(self.identity.folder)
-            origin, counter = numbers.next()
-            stop = replace(stop, origin=origin, counter=counter)
-            renew = partial(numbers.next, is_new=True)
+        stop, renew = self._numbered(stop)
         pending = PendingStop(stop, discovery, now, select=select, names=names, renew=renew)
         outcome = self._stops.send(
             pending,
@@ -426,8 +420,22 @@ class Operator:
             on_progress=on_progress,
             is_ended=is_ended,
         )
-        with self._arrivals.lock:  # the warning: robots whose acks this identity cannot verify
+        with self._arrivals.lock:
             return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
+
+    def _numbered(self, stop: Stop) -> tuple[Stop, Renew | None]:
+        """In a secured swarm: the stop with numbers by which robots refuse a replayed stop.
+
+        Also returns the function that gives new numbers, for the case that a robot refuses this
+        stop as replayed. Without keys: the stop unchanged, and None.
+        """
+        if self.identity is None:
+            return stop, None
+        from swarmd.network.operator.stop_origin import StopOrigin
+
+        numbers = StopOrigin(self.identity.folder)
+        origin, counter = numbers.next()
+        return replace(stop, origin=origin, counter=counter), partial(numbers.next, is_new=True)
 
     # Parts
 

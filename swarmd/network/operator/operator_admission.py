@@ -2,8 +2,8 @@
 
 1. A robot counts as alive once it has answered a solicit of this operator (`beacon_freshness.py`).
 2. An answer is accepted only if the robot itself signed it for this operator.
-3. An ack is accepted only in a datagram that a robot of this roster signed, with a proof for this
-   operator by the robot that acks. So another robot can hand an ack on, but cannot make an ack.
+3. Any robot of the roster may sign the datagram of an ack, since robots hand acks on. The ack must
+   contain a proof for this operator, which only the acking robot can make.
 4. Operator and robot share a key. An identity that was made before the robot was added lacks this
    key. Datagrams of the robot are then refused until the robot has handed over the key on a link
    (`roster_follower.py`).
@@ -76,39 +76,41 @@ class OperatorAdmission:
         """Check a robot's datagram; returns the datagram, or None if it is refused.
 
         `payload`: the bytes of the datagram with its signature. `source`: the address of the
-        sender. A member list comes back without robots that the roster lacks. Refused are
+        sender. A member list comes back without robots that the roster lacks. Refused datagrams:
 
         1. a datagram with a wrong signature, or signed with the keys of another roster,
         2. an ack without a valid proof of the robot that acks,
         3. a beacon or member list that may be replayed,
-        4. an answer that its robot did not sign for this operator.
+        4. an answer that its robot did not sign for this operator,
+        5. a datagram of any other kind.
         """
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)
             return None
-        # `_has_key`: this operator has the key that it shares with the robot, which verifies acks.
-        # `_is_own`: the robot has signed the datagram as an answer for this operator.
         match body:
             case Ack() if body.robot in self._names:
-                # An ack that another robot handed on does not come from the acking robot's address.
-                robot_address = None if body.via else source
-                if not self._has_key(body.robot, robot_address, now):
-                    return None
-                return body if self._trust.verifier.is_proven(body) else None  # by `Ack.proof`
+                is_accepted = self._is_proven(body, source, now)
             case Beacon() if body.robot in self._names:
                 self.outdated.pop(body.robot, None)  # its signature is of the present roster
-                if not self._has_key(body.robot, source, now):
-                    return None
-                return body if self._is_fresh(body, payload, now) else None
+                has_key = self._has_key(body.robot, source, now)
+                is_accepted = has_key and self._is_fresh(body, payload, now)
             case MemberList() if self.freshness.is_own_echo(body.echo, now):
                 is_known = self.freshness.knows(body.robot, body.instance)
-                if not is_known or not self._is_own(body, payload):
-                    return None
-                return only_names(body, self._names)
+                is_accepted = is_known and self._is_own(body, payload)
+                body = only_names(body, self._names)
             case ClockReply() | GoalReport() if body.robot in self._names:
-                return body if self._is_own(body, payload) else None
-        return None
+                is_accepted = self._is_own(body, payload)
+            case _:
+                is_accepted = False
+        return body if is_accepted else None
+
+    def _is_proven(self, ack: Ack, source: Address, now: float) -> bool:
+        """True if the acking robot has made the proof in the ack for this operator."""
+        # The address of the acking robot is not known if another robot handed the ack on.
+        robot_address = None if ack.via else source
+        has_key = self._has_key(ack.robot, robot_address, now)
+        return has_key and self._trust.verifier.is_proven(ack) is True
 
     def _is_fresh(self, beacon: Beacon, payload: bytes, now: float) -> bool:
         """True if the beacon's robot owns its id, and the beacon is no replay."""
@@ -126,11 +128,11 @@ class OperatorAdmission:
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
         """True if this identity has the key that it shares with the robot.
 
-        Without the key, no signature of a datagram proves that the robot sent it, since any robot
-        of the roster can make a datagram with the name `robot`. So the method calls
-        `on_missing_key` with `source`, the address of the sender, to which the caller opens a link:
-        the link proves the name of the robot, and gives the key. `source` None: the address of the
-        robot is not known, and the method calls nothing.
+        If the key is missing, `on_missing_key` is called with `source`, the address of the sender.
+        The link that the callback's owner opens to this address proves the name of the robot, and
+        hands over the key. A datagram proves no name: any robot of the roster can make a datagram
+        with the name `robot`. `source` None: the address of the robot is not known, and nothing is
+        called.
         """
         if self._trust.verifier.has_key_of(robot):
             return True
@@ -147,7 +149,8 @@ class OperatorAdmission:
         """Note a beacon that is signed with the keys of an older or newer generation of the roster.
 
         Older: `outdated` gets the robot. Newer: `on_newer_roster` is called, at most once within
-        HINT_PERIOD for robots of the own roster, and at most once for all other names.
+        HINT_PERIOD for all robots of the own roster, and once for all other names. So datagrams
+        with invented names suppress no call for a robot of the roster.
         """
         if not isinstance(body, Beacon):
             return

@@ -40,9 +40,9 @@ def next_goal(operator: Operator, view: MembersView, **fields: Any) -> Goal:
 def next_generation(operator: Operator, view: MembersView) -> int:
     """The generation for a new goal: the greatest generation of the goals in `view`, plus 1.
 
-    In a secured swarm a generation above MAX_UNSIGNED counts only if its goal is signed, since a
-    robot that was taken over may show any generation. Up to MAX_UNSIGNED a generation counts
-    without a signature: robots accept such a goal if it only stops robots (`GoalCheck`). Raises
+    In a secured swarm a generation above MAX_UNSIGNED counts only if its goal is signed: a robot
+    that was taken over may show any generation. Generations up to MAX_UNSIGNED always count, since
+    robots accept goals without a signature there, if these only stop robots (`GoalCheck`). Raises
     ConfigError beyond MAX_GENERATION.
     """
     greatest = view.goal_generation

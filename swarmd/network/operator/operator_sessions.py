@@ -75,8 +75,9 @@ class OperatorSessions:
     def take_identity(self, identity: Identity) -> None:
         """Dial as this identity from now on.
 
-        Sessions to robots are closed, since their access rules follow from the identity's roster. A
-        session to routers has no such rules. It stays open for the carrier of datagrams.
+        Sessions to robots are closed, since their access rules follow from the roster of the
+        identity. A session to routers has no access rules, and stays open: the carrier of datagrams
+        uses this session.
         """
         self._identity = identity
         if self.needs_links:
@@ -100,40 +101,42 @@ class OperatorSessions:
         """Dial the robots that `discovery` has found and that have no link, if that is due now.
 
         `only`: dial only these robots. None: dial all robots, and dial a robot again if its status
-        does not come. Zenoh cannot add an endpoint to a session, so that each call that dials opens
-        a further session. Beyond MAX_SESSIONS all sessions are closed and all robots dialled anew.
+        does not come. Beyond MAX_SESSIONS all sessions are closed and all robots dialled anew.
         Returns the s after which to call again; inf if no robot waits to be dialled.
         """
-        # 1. The robots to dial.
         reachable, to_dial = self._to_dial(discovery, now, only)
-        if not to_dial or not self.needs_links:  # routers link all robots of profile routed
+        if not to_dial or not self.needs_links:
             self._waiting_since = None
             return float("inf")
-
-        # 2. Wait for more robots, so that one session dials many.
-        self._waiting_since = now if self._waiting_since is None else self._waiting_since
-        gathered_at = min(
-            discovery.found_at + GATHER_TIME, self._waiting_since + MAX_GATHER_TIMES * GATHER_TIME
-        )
+        if self._waiting_since is None:
+            self._waiting_since = now
+        # Wait for more robots, so that one session dials many.
+        latest = self._waiting_since + MAX_GATHER_TIMES * GATHER_TIME
+        gathered_at = min(discovery.found_at + GATHER_TIME, latest)
         due_at = max(gathered_at, self._dial_at)
         if now < due_at:
             return due_at - now
-
-        # 3. Open the session, and subscribe on it to the keys that are watched. The pause before
-        # the next session doubles with each session.
         if len(self._opened) >= MAX_SESSIONS:
             self.close()
             to_dial = dict(reachable)
+        self._open_sessions(to_dial, now)
+        return float("inf")
+
+    def _open_sessions(self, to_dial: _Addresses, now: float) -> None:
+        """Dial these robots, and subscribe to the keys that are watched.
+
+        Zenoh cannot add an endpoint to a session, so a further session is opened: mostly one. The
+        pause before the next call that dials doubles with each session.
+        """
         interface = self._settings.interface_name
         endpoints = sorted({endpoint_of(address, interface) for address in to_dial.values()})
-        opened = self._open_to(endpoints)  # mostly one session
+        opened = self._open_to(endpoints)
         self._opened += opened
         for session in opened:
             for name, robot in self._watched:
                 self._subscribe(session, name, robot)
         self._dialled.update({key: (address, now) for key, address in to_dial.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._opened)
-        return float("inf")
 
     def linked(self, links: QueryLinks, robots: Collection[str]) -> set[str]:
         """The robots in `robots` to which a link is up, so that a query reaches them."""
@@ -163,9 +166,9 @@ class OperatorSessions:
     ) -> tuple[_Addresses, _Addresses]:
         """The robots that can be dialled, and of these the robots that must be dialled now.
 
-        Dialled are new robots, robots with a new address, and robots that have not answered for
-        some time. `only`: only these robots, which have no link, so that an earlier answer does not
-        count; None: all robots.
+        A robot must be dialled if the robot is new, has a new address, or has not answered for some
+        time. `only`: consider only these robots, which have no link. Their earlier answers do not
+        count. None: consider all robots.
         """
         with self._arrivals.lock:
             reachable = discovery.to_dial(now)
@@ -189,9 +192,7 @@ class OperatorSessions:
         """Query `<plane>/<name>` of `robot` (ANY: of all robots) in every session.
 
         `handler(robot, payload)` takes each reply, on a thread of Zenoh with the lock held. Replies
-        on other keys are dropped. A reply inherits the congestion control of the query: DROP, so
-        that a reply does not block a daemon's loop. The caller repeats a query without a reply.
-        Consolidation is off: with it, Zenoh would hold back replies until the query ends.
+        on other keys are dropped. The caller repeats a query without a reply.
         """
         import zenoh
         from zenoh.handlers import Callback
@@ -219,7 +220,9 @@ class OperatorSessions:
                     build(self._settings.swarm, robot, plane, name, asker),
                     Callback(on_reply, indirect=False),  # on Zenoh's own thread
                     target=zenoh.QueryTarget.ALL,
+                    # With consolidation Zenoh would hold back replies until the query ends.
                     consolidation=zenoh.ConsolidationMode.NONE,
+                    # The reply inherits DROP, and so does not block the loop of a daemon.
                     congestion_control=zenoh.CongestionControl.DROP,
                     priority=zenoh.Priority.INTERACTIVE_HIGH,
                     express=True,

@@ -106,15 +106,16 @@ def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Out
 class Acks:
     """Collects the replies to one request; acks of a stop count as replies.
 
-    Replies with one robot id and different instances come from two daemons with this id. The worse
-    reply counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts
-    as failed until an ack says that its base rests.
+    Two daemons may have the same robot id; the instances in their replies differ. The worse reply
+    counts, and the id is among the outcome's `duplicates`. A robot that acked a stop counts as
+    failed until an ack says that its base rests.
     """
 
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
         self._replies: dict[str, dict[str, Reply]] = {}  # by robot, then by instance
-        # Robot and instance of each ack that came directly, and does not say that the base moves.
+        # Robot and instance of each ack "at rest" that came directly. An ack is "at rest" unless
+        # `is_moving` says that the base moves.
         self._direct_at_rest: set[tuple[str, str]] = set()
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
@@ -133,46 +134,25 @@ class Acks:
     def on_ack(self, ack: Ack) -> bool:
         """Take the ack of a stop, as the reply of its robot; False if the ack is not kept.
 
-        `ack.via`: the robot that has handed the ack on; empty if the ack came directly.
-
-        Not kept are
-
-        1. an ack of another request,
-        2. an ack that says that the base moves, after an ack of the same instance that does not:
-           the ack is older, and took longer on its way (as by another robot),
-        3. an ack that was handed on, after a direct ack of the same instance that does not say that
-           the base moves: the direct ack needs no word of another robot.
+        `ack.via`: the robot that has handed the ack on; empty if the ack came directly. Not kept
+        are an ack of another request, and an ack that tells nothing new (`_is_outdated`).
         """
-        # 1. Drop the ack in the cases 1 to 3.
-        if ack.id != self._request_id:
+        if ack.id != self._request_id or self._is_outdated(ack):
             return False
+        is_taken = self.on_reply(ack.robot, _reply_of(ack))
+        if is_taken and not (ack.via or ack.is_moving):
+            self._direct_at_rest.add((ack.robot, ack.instance.hex()))
+        return is_taken
+
+    def _is_outdated(self, ack: Ack) -> bool:
+        """True if an earlier ack of the same instance tells more than `ack`."""
         instance = ack.instance.hex()
+        # The ack "moving" was sent before the ack "at rest", and was longer on its way.
         earlier = self._replies.get(ack.robot, {}).get(instance)
         if ack.is_moving and earlier is not None and not earlier.is_moving:
-            return False
-        if ack.via and (ack.robot, instance) in self._direct_at_rest:
-            return False
-
-        # 2. Make the reply. A later version may send a code or refusal that is unknown here. This
-        # version sends a refusal with each code but APPLIED.
-        text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
-        code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
-        refusal = None
-        if code is not Code.APPLIED:
-            refusal = _REFUSALS.get(ack.refusal or "", Refusal.OTHER_VERSION)
-        reply = Reply(
-            id=ack.id,
-            robot=ack.robot,
-            code=code,
-            refusal=refusal,
-            text=text[:1000],  # the bound of `Reply.text`
-            epoch=Epoch(instance, ack.revision),
-            is_moving=ack.is_moving,
-        )
-        is_taken = self.on_reply(ack.robot, reply)
-        if is_taken and not (ack.via or ack.is_moving):
-            self._direct_at_rest.add((ack.robot, instance))
-        return is_taken
+            return True
+        # A direct ack "at rest" needs no word of another robot.
+        return bool(ack.via) and (ack.robot, instance) in self._direct_at_rest
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
         """True if no reply of the robot has come, or if one of several `instances` sent none."""
@@ -209,11 +189,11 @@ class Acks:
     ) -> Outcome:
         """The outcome of the request so far.
 
-        `expected`: the robots that must reply; such a robot without a reply counts as missing. A
-        robot that replied without being expected counts as targeted. `silent`: robots that count as
-        missing even if one of their instances has replied, since two daemons hold the id and both
-        must reply. `seconds`: the duration of the request. `reached`: the number of robots that
-        were heard. `unlisted`: robots whose member list did not come.
+        `expected`: the robots that must reply; without a reply they count as missing. A robot that
+        replied without being expected counts as targeted. `silent`: robots that count as missing in
+        any case, such as an id of two daemons of which only one has replied. `seconds`: the
+        duration of the request. `reached`: the number of robots that were heard. `unlisted`: robots
+        whose member list did not come.
         """
         worst_replies: dict[str, Reply] = {}
         for robot in sorted(self._replies.keys() - set(silent)):
@@ -231,6 +211,28 @@ class Acks:
             unlisted=unlisted,
             duplicates=tuple(duplicates),
         )
+
+
+def _reply_of(ack: Ack) -> Reply:
+    """The reply to a stop that an ack contains.
+
+    A later version may send a code or refusal that is unknown here: the reply is then a refusal
+    with the reason OTHER_VERSION. This version sends a refusal with each code but APPLIED.
+    """
+    text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
+    code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
+    refusal = None
+    if code is not Code.APPLIED:
+        refusal = _REFUSALS.get(ack.refusal or "", Refusal.OTHER_VERSION)
+    return Reply(
+        id=ack.id,
+        robot=ack.robot,
+        code=code,
+        refusal=refusal,
+        text=text[:1000],  # the bound of `Reply.text`
+        epoch=Epoch(ack.instance.hex(), ack.revision),
+        is_moving=ack.is_moving,
+    )
 
 
 def _settled(reply: Reply) -> Reply:

@@ -73,60 +73,66 @@ class RequestSender:
     ) -> tuple[Outcome, set[str]]:
         """Send a request to the robots in `asked`, and repeat it until all have replied.
 
-        Robots without a Zenoh link are dialled as `discovery` finds them. Returns the outcome for
-        `targets`, and the robots in `asked` with a link. Sending ends after `timeout` s, or once
-        `is_ended` returns True. `view`: the members by the last look (query of all members). Robots
-        of another version in `view` may not reply: when only such robots are missing, sending ends
-        after a short time.
+        `view`: the members by the last look (query of all members). Robots without a Zenoh link are
+        dialled as `discovery` finds them. Sending ends after `timeout` s, or once `is_ended`
+        returns True, or after a short time if only robots of another version are missing, which
+        may never reply. Returns the outcome for `targets`, and the robots in `asked` with a link.
         """
         of_other_version = set(asked) & set(view.of_other_version())
-        acks = Acks(request.id)
         other_version_timeout = OTHER_VERSION_WAIT + OTHER_VERSION_TRIPS * view.round_trip
         other_version_timeout = min(timeout, other_version_timeout)
-        started = now = boottime()
+        acks = Acks(request.id)
+        started = now = repeat_at = boottime()
         links = self._sessions.question_links(request.verb)  # which robots a query would reach
         unlinked = set(asked) if self._sessions.needs_links else set[str]()
         missing = tuple(asked)
-        repeat_at = now
         while missing and (time_left := started + timeout - now) > 0:
-            # 1. Send to robots that have just got a link. If a repeat is due, send to all missing
-            # robots with a link.
-            receivers = self._sessions.linked(links, unlinked)
-            unlinked -= receivers
-            if now >= repeat_at:
+            newly_linked = self._sessions.linked(links, unlinked)
+            unlinked -= newly_linked
+            is_repeat_due = now >= repeat_at
+            receivers = set(missing) - unlinked if is_repeat_due else newly_linked
+            if is_repeat_due:
                 repeat_at = now + REPEAT_PERIOD
-                receivers = set(missing) - unlinked
-            if receivers:
-                # The age of the request at its arrival, so that a robot can refuse it as too old.
-                payload = encode(aged(request, now - started + view.round_trip))
-                # One query to all robots replaces many: robots that are no targets ignore it.
-                is_for_all = len(receivers) == len(asked)
-                for robot in [ANY] if is_for_all else sorted(receivers):
-                    self._sessions.get(
-                        robot, CONTROL, request.verb, payload, time_left, _collect(acks)
-                    )
-
-            # 2. Dial the robots without a link.
+            # With the age at its arrival, so that a robot can refuse the request as too old.
+            present_request = aged(request, now - started + view.round_trip)
+            is_for_all = len(receivers) == len(asked)
+            self._query(present_request, receivers, time_left, acks, is_for_all=is_for_all)
             if unlinked and discovery is not None:
                 self._sessions.dial(discovery, now, only=unlinked)
-
-            # 3. Wait for replies.
             pause = min(time_left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
             with self._arrivals.lock:
                 self._arrivals.lock.wait_for(lambda: not acks.missing(asked), max(pause, 0.001))
                 missing, now = acks.missing(asked), boottime()
-            if is_ended():
-                break
-            if now - started >= other_version_timeout and of_other_version.issuperset(missing):
+            lacks_only_other_version = of_other_version.issuperset(missing)
+            is_in_vain = lacks_only_other_version and now - started >= other_version_timeout
+            if is_ended() or is_in_vain:
                 break
         links.close()
-
-        # A robot of another version without a reply counts as refused.
         with self._arrivals.lock:
             for name in acks.missing(of_other_version):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
         return outcome, set(asked) - unlinked
+
+    def _query(
+        self,
+        request: AnyRequest,
+        receivers: Collection[str],
+        timeout: float,
+        acks: Acks,
+        *,
+        is_for_all: bool,
+    ) -> None:
+        """Query the robots in `receivers`; their replies go to `acks`.
+
+        `is_for_all`: the receivers are all targets. Then one query to all robots replaces many:
+        robots that are no targets ignore the query.
+        """
+        if not receivers:
+            return
+        payload = encode(request)
+        for robot in [ANY] if is_for_all else sorted(receivers):
+            self._sessions.get(robot, CONTROL, request.verb, payload, timeout, _collect(acks))
 
     def ask(
         self, robots: Iterable[str], name: str, payload: bytes, timeout: float

@@ -33,8 +33,8 @@ class RosterFollower:
     """Takes newer rosters, and keys that `operator` lacks, from robots.
 
     `is_on` False: nothing is taken. `notices`: lines for the user. `shown`: a robot that may have a
-    newer roster, with its address and the roster's generation. No signature proves these values;
-    the roster that is pulled there is verified.
+    newer roster, its address, and the generation of that roster. No signature proves these three
+    values. The roster itself is verified after it was pulled from the address.
     """
 
     def __init__(self, operator: Follower, *, is_on: bool) -> None:

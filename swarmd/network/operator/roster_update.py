@@ -54,8 +54,8 @@ def pulled_keys(
     """Pull missing keys from robots; returns the identity with the keys that robots handed over.
 
     None if no robot handed over its key. Each robot has one key that it shares with this identity.
-    `robots`: names, and addresses at which datagrams with these names were heard. An address may be
-    forged, since no signature proves it; the link proves whether the named robot answers there.
+    `robots`: names, and the addresses from which datagrams with these names came. The datagrams may
+    be forged. The link to an address proves whether the named robot answers there.
     """
     try:
         keys = asyncio.run(_pull_keys(settings, identity, robots))

@@ -61,9 +61,9 @@ class RoundTrips:
     def round_trip(self) -> float:
         """The round trip to the robots in s; 0 without an answer.
 
-        For each robot its shortest round trip counts. The result is the longest of few robots, and
-        the median of many robots. Once any robot has answered two solicits, robots that have
-        answered a single solicit are left out.
+        The shortest round trip of each robot counts: up to FEW_ROBOTS robots the longest of these,
+        for more robots their median. Once any robot has answered two solicits, robots with a single
+        answer are left out.
         """
         twice = {robot for (robot, _), answers in self._answers.items() if len(answers.echoes) > 1}
         trips = sorted(trip for robot, trip in self._trips.items() if not twice or robot in twice)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence, Status, StatusHeader
-from swarmd.network.datagram import STATES
+from swarmd.network.datagram import STATES, Beacon
 from swarmd.network.members.membership import Life
 from swarmd.network.operator.member_reports import PeerReport
 from swarmd.network.operator.members_view import Contact, SeenMember
@@ -20,45 +20,53 @@ def present_member(
 
     `heard`: the life of the robot whose beacons this operator hears; None without a beacon.
     `answer`: the robot's answer to a query of its status, for another version only the head of the
-    status; None without an answer. What the status says counts before the beacon.
+    status; None without an answer. Values of the status count before values of the beacon.
     """
-    status = answer.status if answer is not None else None
+    if answer is None:
+        return _member_by_beacon(robot, heard, now)
+    status = answer.status
     beacon = heard.beacon if heard is not None else None
-
-    # 1. When the robot was last heard, and whether it answers.
-    last_heard = now
-    if answer is not None:
-        last_heard = answer.at
-    elif heard is not None:
-        last_heard = heard.heard
-    if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
-        contact = Contact.OTHER_VERSION
-    else:
-        contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
-
-    # 2. Instance, state and version.
-    epoch = None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
-    instance, state = "unknown", ""
-    version = heard.version if heard else ""
-    if status is not None:
-        instance, state = status.instance, status.state
-        version = status.version
-    elif beacon is not None:
-        instance = beacon.instance.hex()
-        state = STATES[beacon.state] if beacon.state < len(STATES) else ""
+    is_other_version = isinstance(status, StatusHeader) or _is_other_version(beacon)
     return SeenMember(
         robot=robot,
-        instance=instance,
+        instance=status.instance,
         presence=Presence.ALIVE,
-        age=max(now - last_heard, 0.0),
+        age=max(now - answer.at, 0.0),
         status=status if isinstance(status, Status) else None,
-        contact=contact,
-        state=state,
+        contact=Contact.OTHER_VERSION if is_other_version else Contact.ANSWERED,
+        state=status.state,
         wire=beacon.wire if beacon else None,
-        version=version,
+        version=status.version,
         header=status if isinstance(status, StatusHeader) else None,
-        epoch=status.epoch if isinstance(status, Status) else epoch,
+        epoch=status.epoch if isinstance(status, Status) else _epoch_of(beacon),
     )
+
+
+def _member_by_beacon(robot: str, heard: Life | None, now: float) -> SeenMember:
+    """The member `robot`, which has not answered; `heard`: the life of its newest beacon."""
+    beacon = heard.beacon if heard is not None else None
+    has_known_state = beacon is not None and beacon.state < len(STATES)
+    is_other_version = _is_other_version(beacon)
+    return SeenMember(
+        robot=robot,
+        instance="unknown" if beacon is None else beacon.instance.hex(),
+        presence=Presence.ALIVE,
+        age=0.0 if heard is None else max(now - heard.heard, 0.0),
+        status=None,
+        contact=Contact.OTHER_VERSION if is_other_version else Contact.NO_ANSWER,
+        state=STATES[beacon.state] if beacon is not None and has_known_state else "",
+        wire=beacon.wire if beacon else None,
+        version=heard.version if heard else "",
+        epoch=_epoch_of(beacon),
+    )
+
+
+def _is_other_version(beacon: Beacon | None) -> bool:
+    return beacon is not None and beacon.wire != codec.VERSION
+
+
+def _epoch_of(beacon: Beacon | None) -> Epoch | None:
+    return None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
 
 
 def silent_member(
@@ -75,19 +83,21 @@ def silent_member(
     report on the robot, by other robots or by its own farewell. Returns None for a robot that was
     neither heard nor reported.
 
-    1. If this operator's last beacon of the robot is newer than the report, the robot has failed.
-    2. If another robot heard the robot within INDIRECT_TIME, the robot is alive and unreachable.
-    3. Otherwise the robot has left, if so reported, or else has failed.
+    1. If the last beacon of the robot reached this operator after the report, the robot has failed.
+    2. A robot that another robot heard within INDIRECT_TIME is alive and unreachable.
+    3. Any other robot that is reported alive has failed.
+    4. Else the robot has left or failed, as reported.
     """
     if heard is not None and (report is None or report.at <= heard.heard):
         report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)
     if report is None:
         return None
     presence, contact = report.presence, Contact.GONE
-    if presence is Presence.ALIVE:
-        is_recent = now - report.at <= INDIRECT_TIME
-        presence = Presence.ALIVE if is_recent else Presence.FAILED
-        contact = Contact.UNREACHABLE if is_recent else Contact.GONE
+    is_recent = now - report.at <= INDIRECT_TIME
+    if presence is Presence.ALIVE and is_recent:
+        contact = Contact.UNREACHABLE
+    elif presence is Presence.ALIVE:
+        presence = Presence.FAILED
     return SeenMember(
         robot=robot,
         instance=report.instance,

@@ -69,9 +69,8 @@ class PendingStop:
         """The stop datagrams to send now, each with the addresses of its targets that lack an ack.
 
         The caller sends each datagram by multicast, and by unicast to these addresses. A stop of
-        all robots is one datagram. The names of a stop of named targets may need several datagrams.
-        Without a known target no such datagram is due, since it would stop nobody. `names`: only
-        for these targets; None: all targets.
+        all robots is one datagram. A stop of named targets is as many datagrams as the names need,
+        and none while no target is known. `names`: only for these targets; None: all targets.
         """
         # `age`: s since the stop was issued. `repeated`: the age at which the operator itself sent
         # the copy. Both are equal here; a robot that relays the copy raises only `age`.
@@ -94,10 +93,10 @@ class PendingStop:
     def on_ack(self, ack: Ack, now: float) -> bool:
         """Take an ack; False if the ack is not kept.
 
-        Not kept are an ack of another request, and the ack of a robot that refuses the stop as
-        replayed: the robot has heard a later stop of the same origin (the random number by which
-        robots count the stops of one operator). The next repeat of the stop then gets an origin
-        that was never used, which no robot refuses as replayed.
+        An ack of another request is not kept. An ack that refuses the stop as replayed is not kept
+        either: the robot has heard a later stop of the same origin (random bytes that mark this
+        operator's installation). The next repeat of the stop then gets an origin that was never
+        used, which no robot refuses as replayed.
         """
         if ack.refusal != REPLAYED or self._renew is None:
             return self.acks.on_ack(ack)
@@ -157,13 +156,14 @@ class PendingStop:
     def _expected(self, now: float) -> frozenset[str]:
         """The robots that must ack: all selected robots except those that left.
 
-        Failed robots and all robots of the roster must ack, since a robot that cannot be reached
-        may move. A farewell (last beacon of a robot) may be forged: the robot counts as left only
-        while no other robot lists it as alive.
+        A robot has left if it sent a farewell (its last beacon). A robot of the roster must ack
+        even then. A farewell may be forged: a robot that another robot lists as alive must ack,
+        too. Failed robots must ack, since a robot that cannot be reached may move.
         """
         view = self._discovery.result(now)
         left = {name for name, member in view.members.items() if member.presence is Presence.LEFT}
-        return self.selected() - (left - view.roster - self._discovery.doubted)
+        excused = left - view.roster - self._discovery.doubted
+        return self.selected() - excused
 
 
 def _in_datagrams(names: Iterable[str]) -> Iterator[tuple[str, ...]]:

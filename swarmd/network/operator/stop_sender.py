@@ -78,10 +78,10 @@ class StopSender:
         """Send a stop, and repeat it until all targets have acked and rest; returns the outcome.
 
         `pending`: the stop, with its targets and the acks that other threads put there.
-        `discovery`: the robots that are found meanwhile. `until`: s at which sending ends at the
-        latest; None: by `pending.is_over`, or with `until_all` never. Sending also ends once
-        `is_ended` returns True. With `until_all`, `on_progress` gets the robots without an ack when
-        these change, and a KeyboardInterrupt ends sending like `is_ended`.
+        `discovery`: the robots that are found meanwhile. Sending also ends once `is_ended` returns
+        True, and at the time `until` (s). `until` None: once `pending.is_over`, but with
+        `until_all` there is no time limit. With `until_all`, `on_progress` gets the robots that
+        have not stopped when these change, and a KeyboardInterrupt ends sending like `is_ended`.
         """
         with self._arrivals.lock:
             self._pending = pending
@@ -92,32 +92,23 @@ class StopSender:
         try:
             while True:
                 with self._arrivals.lock:
-                    # 1. Has sending ended?
                     now, count = boottime(), self._arrivals.count
-                    is_over = until is not None and now >= until
-                    if until is None and not until_all:
-                        is_over = pending.is_over(now)
+                    is_over = _is_over(pending, now, until, until_all=until_all)
                     if is_over or is_ended() or pending.is_done(now):
                         break
-
-                    # 2. Send to all targets if a repeat is due, else only to targets that were just
-                    # found.
                     targets_before, targets = targets, pending.selected()
                     progress.take(pending, now)
                     is_repeat_due, new_targets = stop_timer.is_due(now), targets - targets_before
-                    stops = tuple(pending.datagrams(now, None if is_repeat_due else new_targets))
+                    receivers = None if is_repeat_due else new_targets  # None: all targets
+                    stops = tuple(pending.datagrams(now, receivers))
                 if is_repeat_due or new_targets:
                     for stop_part, addresses in stops:
                         self._datagrams.send(stop_part, addresses, is_to_all=is_repeat_due)
                 self._rosters.begin()  # takes a newer roster, if a robot shows one, on a thread
-
-                # 3. Find more robots, and report progress.
                 if solicit_timer.is_due(now):
                     self._datagrams.solicit(discovery, now)
                 if until_all:
                     progress.report(on_progress, now)
-
-                # 4. Wait for an ack, or until something is due.
                 pause = min(solicit_timer.pause(now), stop_timer.pause(now))
                 to_end_check = END_PERIOD if until is None else until - now
                 self._arrivals.wait(count, min(pause, to_end_check))
@@ -127,3 +118,10 @@ class StopSender:
         with self._arrivals.lock:
             self._pending = None
             return pending.outcome(boottime())
+
+
+def _is_over(pending: PendingStop, now: float, until: float | None, *, until_all: bool) -> bool:
+    """True at the time `until`; without this time, once a longer wait is of no use."""
+    if until is not None:
+        return now >= until
+    return not until_all and pending.is_over(now)

@@ -19,10 +19,10 @@ class Asks:
 
     1. `take` permits one question to a peer in `period` s.
     2. `take` permits questions to at most `at_once` peers of a group in `window` s (default:
-       `period`).
-    3. A peer that has answered for a digest need not be asked for this digest again (`knows`).
+       `period`). The caller chooses the groups, such as all peers that show the same digest.
+    3. `knows`: a peer that has answered for a digest need not be asked for this digest again.
 
-    Each table keeps the newest MAX_KNOWN keys.
+    Each of the three rules remembers the newest MAX_KNOWN peers or groups.
     """
 
     def __init__(self, period: float, at_once: int = 1, window: float | None = None) -> None:

@@ -121,10 +121,10 @@ class GoalSync:
         return FoundGoal(goal, min(report.age / 1000.0 + trip, MAX_SECONDS))
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
-        """True if a robot shows a goal that may be greater than this robot's goal.
+        """True if this robot must ask a peer for its goal, which may be greater than the own goal.
 
-        `digest`: of the shown goal. `own`: of this robot's goal. If True, this robot must ask for
-        the goal. False for a digest for which the other robot has answered already.
+        `digest`: of the goal that the peer shows. `own`: of this robot's goal. False if the peer
+        has answered for this digest already.
         """
         return may_replace(digest, own) and not self._asks.knows(instance, digest)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import logging
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from functools import partial
 from typing import Annotated
@@ -122,24 +122,34 @@ class Puller:
         if self._task is not None or not self._rate.take(1.0, boottime()):
             return False
 
-        # `refusing` logs and counts an unexpected error of its block; the code goes on after it.
-        async def run() -> None:
-            blob, reason = None, FAILED  # the reason of an unexpected error
-            with self._drops.refusing(f"shared/{what}"):
-                try:
-                    blob = await pull(
-                        self.settings, peer, address, what, self._asker,
-                        name=name, limit=limit, digest=digest, identity=self._identity
-                    )  # fmt: skip
-                except (NetworkError, TimeoutError) as error:
-                    timeout_text = f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
-                    reason = str(error) or timeout_text
-            self._task = None
-            with self._drops.refusing(f"shared/{what}"):
-                on_done(blob, reason)
+        def begin_pull() -> Awaitable[bytes]:
+            return pull(
+                self.settings, peer, address, what, self._asker,
+                name=name, limit=limit, digest=digest, identity=self._identity
+            )  # fmt: skip
 
-        self._task = asyncio.get_running_loop().create_task(run())
+        run = self._run(begin_pull, peer, f"shared/{what}", on_done)
+        self._task = asyncio.get_running_loop().create_task(run)
         return True
+
+    async def _run(
+        self,
+        begin_pull: Callable[[], Awaitable[bytes]],
+        peer: str,
+        kind: str,
+        on_done: Callable[[Blob, str], object],
+    ) -> None:
+        """Pull a blob, and call `on_done`; an unexpected error is logged and counted as `kind`."""
+        blob, reason = None, FAILED  # the reason of an unexpected error
+        with self._drops.refusing(kind):
+            try:
+                blob = await begin_pull()
+            except (NetworkError, TimeoutError) as error:
+                timeout_text = f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
+                reason = str(error) or timeout_text
+        self._task = None
+        with self._drops.refusing(kind):
+            on_done(blob, reason)
 
     def take_identity(self, identity: Identity) -> None:
         """Ask as this identity from now on."""

@@ -7,9 +7,9 @@ operator's identity keeps both. A robot accepts
 - a copy of a stop whose id the robot knows. The age of the copy counts as at least the time since
   the robot first heard the stop. So a copy ends no run that began later, and does not renew an
   emergency stop that was reset since.
-- any other stop whose counter is above the greatest counter heard of its origin, less SLACK. A stop
-  with a lower counter is refused as replayed. SLACK covers stops that operators issue at the same
-  time, and that robots relay in another order.
+- a stop with a new id, if its counter is greater than the greatest counter heard of its origin
+  minus SLACK. Any other stop is refused as replayed. SLACK covers stops that operators issue at the
+  same time, and that robots relay in another order.
 
 An emergency stop must never be refused wrongly. So a robot that refuses a stop answers `REPLAYED`,
 with a proof for the operator. The operator then repeats the stop with an origin that was never
@@ -62,9 +62,9 @@ class TakenStop(Struct, frozen=True):
 class StopFreshness:
     """The stops that a robot has heard, by which it refuses replayed stops.
 
-    `floors`: by origin, the greatest counter that the robot heard in its earlier life. A stop of
-    such an origin is accepted only above this counter: SLACK does not apply, since the robot does
-    not know the ids of those earlier stops any more.
+    `floors`: by origin, the greatest counter that the robot heard in its earlier life. The robot no
+    longer knows the ids of the stops of that life. So a stop of such an origin must have a greater
+    counter, without SLACK.
     """
 
     def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:
@@ -79,10 +79,10 @@ class StopFreshness:
 
     def take(self, stop: Stop, now: float) -> TakenStop | None:
         """Take a stop; None if it is refused as replayed."""
-        first = self._first.get(stop.id)
+        first_heard_at = self._first.get(stop.id)
         greatest = self._greatest.get(stop.origin)
-        if first is not None:
-            age = max(stop.age, round(1000.0 * (now - first)))
+        if first_heard_at is not None:
+            age = max(stop.age, round(1000.0 * (now - first_heard_at)))
             self._note(stop)
             return TakenStop(replace(stop, age=age), True)
         if greatest is not None:

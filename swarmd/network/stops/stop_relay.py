@@ -74,9 +74,9 @@ class _Relayed:
     def take_ages(self, copy: Stop, now: float) -> None:
         """Update `issued` and `repeated` by a copy of the stop that came at `now`.
 
-        Copies that came by several ways have different ages, and the greatest age counts. A forged
-        great age would do harm, since a stop that looks older than the present run does not end
-        this run: later copies move `issued` back by at most MAX_AGE_SHIFT.
+        Copies that came by several ways have different ages, and the greatest age counts. But later
+        copies move `issued` back by at most MAX_AGE_SHIFT. With a forged great age the stop would
+        look older than the present run, and would not end this run.
         """
         issued = now - copy.age / 1000.0
         self.issued = max(min(self.issued, issued), self.first_issued - MAX_AGE_SHIFT)
@@ -97,6 +97,42 @@ class _Relayed:
         if len(self.sources) < MAX_SOURCES:
             self.sources[source] = _NEVER  # no ack has gone to this sender
 
+    def copy_to_send(self, now: float) -> Stop:
+        """The copy that this robot sends to all now."""
+        return replace(
+            self.stop,
+            hops=min(self.stop.hops + 1, MAX_HOPS),
+            age=min(round((now - self.issued) * 1000), MAX_MS),
+            repeated=round(self.repeated * 1000),
+        )
+
+    def keep_ack(self, ack: Ack) -> bool:
+        """Keep the last ack of each robot, to send it again; False if there is no room.
+
+        There is room for the acks of MAX_ACKS robots. "Moving" does not replace a kept "at rest".
+        """
+        is_first = ack.robot not in self.acks
+        if is_first and len(self.acks) >= MAX_ACKS:
+            return False
+        if is_first or not ack.is_moving:
+            self.acks[ack.robot] = ack
+        return True
+
+    def take_receivers(
+        self, ack: Ack, origin: bytes | None, receivers: list[Address]
+    ) -> list[Address]:
+        """The receivers that have not got such an ack yet; from now on they count as having it.
+
+        `origin`: the origin of the stop for a refusal, else None.
+        """
+        taken: list[Address] = []
+        for address in receivers:
+            key = ack.robot, address, origin, ack.code, ack.is_moving
+            if key not in self.handed_on and len(self.handed_on) < MAX_HANDED_ON:
+                self.handed_on.add(key)
+                taken.append(address)
+        return taken
+
 
 class StopRelay:
     """The stops that the robot `own` has heard lately."""
@@ -112,34 +148,16 @@ class StopRelay:
     ) -> list[Send]:
         """Take a copy of a stop, and relay the stop from now on if it is new.
 
-        In each interval of the Trickle algorithm (RFC 6206) this robot sends the stop once, unless
-        REDUNDANCY other members have sent copies. `source`: the sender of this copy, the operator
-        or another robot. `is_member` False: the sender is no member of the swarm, so that its copy
-        does not count for REDUNDANCY. Returns acks of other robots for the operator, if the
-        operator sent this copy again. `wants_ack` decides on this robot's own ack.
+        `source`: the sender of this copy, the operator or another robot. `is_member` False: the
+        sender is no member of the swarm, so its copy does not count for REDUNDANCY. An operator
+        that sends the stop again may lack acks: returns acks of other robots for this operator.
+        `wants_ack` decides on this robot's own ack.
         """
-        # 1. Begin the first interval of a new stop.
         key = stop.id, stop.verb, stop.targets
-        relayed = self._stops.get(key)
-        if relayed is None:
-            issued = now - stop.age / 1000.0
-            while len(self._stops) >= MAX_STOPS:  # end the relay of the stop that came first
-                del self._stops[next(iter(self._stops))]
-            relayed = self._stops[key] = _Relayed(
-                stop=stop,
-                issued=issued,
-                first_issued=issued,
-                repeated=0.0,
-                heard=now,
-                interval=FIRST_INTERVAL,
-                interval_ends=now + FIRST_INTERVAL,
-                due=self._moment(now, FIRST_INTERVAL),
-            )
-
-        # 2. Keep the ages, and the copy with the fewest hops; count copies of other robots.
-        relayed.take_ages(stop, now)
+        relayed = self._stops.get(key) or self._begin(stop, now)
         is_from_operator = stop.hops == 0
-        if stop.hops <= relayed.stop.hops:
+        relayed.take_ages(stop, now)
+        if stop.hops <= relayed.stop.hops:  # relay the copy that came by the fewest robots
             relayed.stop = replace(
                 relayed.stop, hops=stop.hops, origin=stop.origin, counter=stop.counter
             )
@@ -147,12 +165,27 @@ class StopRelay:
             relayed.heard_directly = now
         elif is_member:
             relayed.copies += 1
-
-        # 3. Note the sender. The operator gets acks again: it repeats the stop as it may lack some.
         relayed.add_sender(source, is_operator=is_from_operator)
         if is_from_operator and source in relayed.sources:
             return self._acks_again(relayed, source, now)
         return []
+
+    def _begin(self, stop: Stop, now: float) -> _Relayed:
+        """Begin the first interval of a new stop; ends the relay of the oldest stop for room."""
+        issued = now - stop.age / 1000.0
+        while len(self._stops) >= MAX_STOPS:
+            del self._stops[next(iter(self._stops))]
+        relayed = self._stops[stop.id, stop.verb, stop.targets] = _Relayed(
+            stop=stop,
+            issued=issued,
+            first_issued=issued,
+            repeated=0.0,
+            heard=now,
+            interval=FIRST_INTERVAL,
+            interval_ends=now + FIRST_INTERVAL,
+            due=self._moment(now, FIRST_INTERVAL),
+        )
+        return relayed
 
     def _acks_again(self, relayed: _Relayed, source: Address, now: float) -> list[Send]:
         """The next ACKS_AT_ONCE acks of other robots for a sender that repeats the stop."""
@@ -186,16 +219,14 @@ class StopRelay:
         names this robot as `via`. A stop with many targets is relayed in parts, all with one id:
         each part has its own senders.
 
-        1. A part keeps the acks of at most MAX_ACKS robots. The ack of a further robot is neither
-           kept nor handed on; the later acks of a robot with a kept ack are, and refusals.
-        2. An ack that refuses the stop as replayed, and comes from the refusing robot itself, is
-           handed on whenever it comes.
-        3. A third robot may hand on such an ack, which could then travel in circles. Each sender
-           gets the ack once for each origin of the stop (bytes that mark the operator's
-           installation). The operator repeats a refused stop with a new origin.
-        4. Each sender gets each other ack once: once for each code of the ack, and for each of the
-           two states of the base, moving and at rest. The last ack of each robot is kept to be sent
-           again. "Moving" does not replace a kept "at rest".
+        1. A refusal of the stop as replayed that comes from the refusing robot itself is handed on
+           whenever it comes.
+        2. Such a refusal that a third robot has handed on could travel in circles. So each sender
+           gets it once for each origin of the stop (bytes that mark the operator's installation):
+           the operator repeats a refused stop with a new origin.
+        3. Of any other ack each sender gets one copy for each code, and for each of the two states
+           of the base, moving and at rest. No copy is sent of an ack that is not kept for lack of
+           room (`_Relayed.keep_ack`).
         """
         if ack.robot == self._own:
             return []
@@ -206,20 +237,12 @@ class StopRelay:
             if stop_id != ack.id:
                 continue
             receivers = [address for address in relayed.sources if address != source]
-            if is_refusal and not ack.via:  # rule 2
+            if is_refusal and not ack.via:
                 sends += [(handed, address) for address in receivers]
-                continue
-            is_first = ack.robot not in relayed.acks
-            if not is_refusal and is_first and len(relayed.acks) >= MAX_ACKS:  # rule 1
-                continue
-            if not is_refusal and (is_first or not ack.is_moving):
-                relayed.acks[ack.robot] = ack
-            origin = relayed.stop.origin if is_refusal else None
-            for address in receivers:
-                key = ack.robot, address, origin, ack.code, ack.is_moving
-                if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
-                    relayed.handed_on.add(key)
-                    sends.append((handed, address))
+            elif is_refusal or relayed.keep_ack(ack):
+                origin = relayed.stop.origin if is_refusal else None
+                new_receivers = relayed.take_receivers(ack, origin, receivers)
+                sends += [(handed, address) for address in new_receivers]
         return sends
 
     def advance(
@@ -233,37 +256,30 @@ class StopRelay:
         """
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
-            # LIFETIME counts from the last copy that the operator itself has sent.
-            if now - relayed.issued - relayed.repeated > LIFETIME:
+            age = now - relayed.issued
+            if age - relayed.repeated > LIFETIME:  # s since the operator's own last copy
                 del self._stops[key]
                 continue
-
-            # 1. The random moment of this interval has come.
             if now >= relayed.due and relayed.due != _SENT:
                 relayed.due = _SENT
                 is_needed = relayed.copies < REDUNDANCY and self._is_needed(relayed, now)
                 if is_needed and not is_over(relayed.stop, relayed.issued):
-                    copy = replace(
-                        relayed.stop,
-                        hops=min(relayed.stop.hops + 1, MAX_HOPS),
-                        age=min(round((now - relayed.issued) * 1000), MAX_MS),
-                        repeated=round(relayed.repeated * 1000),
-                    )
-                    due.append(copy)
-
-            # 2. The interval has ended. The next interval is twice as long, but short while a base
-            # still moves after a new stop.
+                    due.append(relayed.copy_to_send(now))
             if now >= relayed.interval_ends:
-                doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
-                # After TRUSTLESS_TIME an ack "moving" does not count: a forged ack would keep the
-                # intervals short.
-                is_new = now - relayed.heard < TRUSTLESS_TIME
-                is_moving = is_new and any(ack.is_moving for ack in relayed.acks.values())
-                relayed.interval = FIRST_INTERVAL if is_moving else doubled
-                relayed.due = self._moment(now, relayed.interval)
-                relayed.interval_ends = now + relayed.interval
-                relayed.copies = 0
+                self._begin_next_interval(relayed, now)
         return due
+
+    def _begin_next_interval(self, relayed: _Relayed, now: float) -> None:
+        """Begin an interval of twice the length, or a short interval while a base still moves."""
+        # After TRUSTLESS_TIME an ack "moving" does not count: a forged ack would keep the intervals
+        # short.
+        is_new = now - relayed.heard < TRUSTLESS_TIME
+        is_moving = is_new and any(ack.is_moving for ack in relayed.acks.values())
+        doubled = min(2.0 * relayed.interval, LAST_INTERVAL)
+        relayed.interval = FIRST_INTERVAL if is_moving else doubled
+        relayed.due = self._moment(now, relayed.interval)
+        relayed.interval_ends = now + relayed.interval
+        relayed.copies = 0
 
     def wake_at(self) -> float | None:
         """When `advance` has something to do; None without a stop under way."""
