@@ -15,9 +15,10 @@ from swarmd.core.threads import hand_over
 class LatestSamples:
     """Calls `take(name, payload)` on the loop with the newest sample of each name.
 
-    A sample that waits while a newer sample of its name arrives is dropped: after a stall of the
-    loop a queue of outdated samples would delay the newest. `dropped(what)` is called for each
-    dropped sample: `<name>:overtaken`, or `<name>:key` for a sample on another key.
+    A waiting sample is dropped when a newer sample of the same name arrives: after a stall of the
+    loop a queue of outdated samples would delay the newest. A sample on another key than the key
+    of its receiver is dropped, too. For each dropped sample `dropped(what)` is called on the loop,
+    with `<name>:overtaken` or `<name>:key`.
     """
 
     def __init__(

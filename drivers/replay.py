@@ -250,10 +250,11 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:
-    """By how much sequence numbers of scans, and stamps in s, must rise for the next replay.
+    """By how much a repeat of the recording must raise sequence numbers, and stamps in s.
 
-    That is the greatest sequence number plus 1, and the span of the stamps. The span is measured
-    for each kind of input, since their clocks may differ. The greatest span counts.
+    So numbers and stamps rise from one repeat to the next, too. The first is the greatest sequence
+    number plus 1. The second is the span of the stamps: the longest of the spans of all kinds of
+    input, since each kind may have a clock of its own.
     """
     sequences, stamps = [0], defaultdict[str, list[float]](list)
     for _, input in recording.entries:

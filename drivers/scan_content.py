@@ -20,9 +20,9 @@ class ScanContent:
     """The last scan of a sensor, and the number of scans in a row that repeated earlier scans.
 
     A scan repeats if its ranges equal the ranges of one of the last COMPARED_SCANS different scans.
-    `last`: None before the first scan. `count`: the number of scans. `has_measured`: False while
-    all ranges of all scans are 0 although the sensor would have returns in a room: the sensor's
-    motor may not turn yet.
+    `last`: None before the first scan. `count`: the number of scans. `has_measured`: False as long
+    as all ranges have been 0, since the motor of the sensor may not turn yet. This does not hold
+    for a sensor with a short range or few rays: in an ordinary room it may have no return.
     """
 
     def __init__(self, spec: ScanSpec, section: str = "scan") -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from time import monotonic
 from typing import NamedTuple
 
@@ -57,7 +57,7 @@ class _Batch(NamedTuple):
     """What is common to the frames of one read."""
 
     take_late: TakeLate | None
-    waited: float | None  # s since odometry arrived; None: it arrived before a scan
+    waited: float | None  # s for which odometry has waited in the socket; None: not known
     last_read: float  # when frames were read before, which was before these frames arrived
 
 
@@ -191,13 +191,10 @@ class SimulatedDriver:
     def _take_frames(self, sink: Sink, frames: list[Frame]) -> None:
         """Take all messages of patterns in order, and of each sensor the newest frame only.
 
-        `frames`: all that one read of the socket gave, in order; a name is a kind of input. While
-        the robot stands (`rest` was called with a `take_late`), odometry does not wake the daemon
-        but waits in the socket for the next scan. `take_late` then gets the newest odometry with
-        its age. Older odometry is expected, and not counted as dropped.
+        `frames`: all that one read of the socket gave, in order; a name is a kind of input.
         """
+        take_late = self._take_late  # not None: the robot rests; a message may end the rest
         newest: dict[str, bytes] = {}
-        take_late = self._take_late
         for name, payload in frames:
             if name == "received":
                 self._kinds.add(name)
@@ -205,19 +202,15 @@ class SimulatedDriver:
             elif name not in hw_codec.KINDS:
                 sink.dropped("hw/unknown")
             else:
-                is_expected = take_late is not None and name == _ODOMETRY
-                if name in newest and not is_expected:
+                # Odometry of a resting robot gathers in the socket until the next scan.
+                is_gathered = take_late is not None and name == _ODOMETRY
+                if name in newest and not is_gathered:
                     sink.dropped(f"hw/{name}:overtaken")
                 if name == _SEGMENT:  # a segment after a whole turn belongs to the next turn
                     newest.pop(name, None)
                 newest[name] = payload
         last_read, self._last_read = self._last_read, monotonic()
-        waited: float | None = 0.0  # s for which the newest odometry has waited in the socket
-        if take_late is not None:
-            # The link knows the wait of the last frame of a read only. None: the wait follows from
-            # the stamp (`_age`).
-            is_last = frames[-1].name == _ODOMETRY
-            waited = self._link.age if is_last and self._link is not None else None
+        waited = 0.0 if take_late is None else self._odometry_wait(frames)
         batch = _Batch(take_late, waited, last_read)
         self._is_taking = True  # `_take` may lead to a call of `read`, which then does nothing
         try:
@@ -225,6 +218,14 @@ class SimulatedDriver:
                 self._take(sink, name, payload, batch)
         finally:
             self._is_taking = False
+
+    def _odometry_wait(self, frames: Sequence[Frame]) -> float | None:
+        """Seconds for which the newest odometry of a resting robot has waited in the socket.
+
+        None if not known: the link knows only the wait of the last frame that was read.
+        """
+        is_last_frame = frames[-1].name == _ODOMETRY
+        return self._link.age if is_last_frame and self._link is not None else None
 
     def _take(self, sink: Sink, name: str, payload: bytes, batch: _Batch) -> None:
         try:
@@ -250,8 +251,8 @@ class SimulatedDriver:
     def _age(self, stamp: float, batch: _Batch) -> float:
         """Seconds since a reading of odometry arrived.
 
-        The arrival of a reading that came before a scan (`waited` None) is not measured. The time
-        from its stamp to its arrival is then assumed to be that of the reading before (`_lag`).
+        `stamp`: s, of the reading. If its wait in the socket is not known (`_odometry_wait`), the
+        time from stamp to arrival is assumed to be that of the reading before (`_lag`).
         """
         now, waited = self._last_read, batch.waited
         arrival = stamp + self._lag if waited is None else now - waited

@@ -18,6 +18,7 @@ from swarmd.drivers.ros.diagnosis import (
     DriverCheck,
     Graph,
     Middleware,
+    also_published,
     driven,
     driven_by_others,
     unconnected,
@@ -404,7 +405,7 @@ def ros1() -> Iterator[Row]:
         "`ip:` among the driver's options",
     )
     yield (
-        driven_by_others("/cmd_vel", ["/teleop"], is_heard=False),
+        also_published("/cmd_vel", ["/teleop"], is_heard=False),
         "two publishers, active or not",
         "end it, or share the base as [The last word](robots/last_word.md) shows",
     )

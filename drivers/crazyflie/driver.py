@@ -205,46 +205,43 @@ class CrazyflieDriver:
         """Whether the drone answers, and what it reports; sends no set-point."""
         if not has_cflib():
             return (Finding("library", False, "cflib is not installed", MISSING),)
-        seen = _LastInputs()
-        task = asyncio.create_task(self.run(seen))
+        heard = _LastInputs()
+        connecting = asyncio.create_task(self.run(heard))
         try:
             async with asyncio.timeout(seconds):
-                while not task.done() and not {"scan", "odometry", "hazards"} <= set(seen.last):
-                    await asyncio.sleep(PERIOD)
-                # The first hazards may be NOT_HEARD, before the supervisor's first value.
-                while not task.done() and self._supervisor is None:
+                while not connecting.done() and not self._has_reported_all(heard):
                     await asyncio.sleep(PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
         supervisor, volts = self._supervisor, self._volts
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        nothing = f"none from {self._uri}: {seen.text}"
+        connecting.cancel()
+        await asyncio.gather(connecting, return_exceptions=True)
+        nothing = f"none from {self._uri}: {heard.text}"
         remedy = "switch the drone on, and check the radio and driver_options.uri"
         findings = [
-            Finding(kind, kind in seen.last, "heard" if kind in seen.last else nothing, remedy)
+            Finding(kind, kind in heard.last, "heard" if kind in heard.last else nothing, remedy)
             for kind in ("scan", "odometry")
         ]
         if supervisor is None:
             return (*findings, Finding("supervisor", False, nothing, remedy))
-        # `supervisor`: bits. An unarmed drone has no fault, but does not take off until armed.
-        hazards = ", ".join(hazard.text for hazard in _hazards(supervisor))
-        is_unarmed = _is_unarmed(supervisor)
-        is_well = not hazards and (is_unarmed or bool(supervisor & CAN_FLY))
-        text = NOT_ARMED if is_unarmed else "ready to fly" if is_well else "not ready to fly"
-        remedy = "turn the drone upright, restart it"
-        findings.append(Finding("supervisor", is_well, hazards or text, remedy))
         is_charged = volts >= self._options.low_battery
-        findings.append(Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery"))
-        return tuple(findings)
+        battery = Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery")
+        return (*findings, _supervisor_finding(supervisor), battery)
+
+    def _has_reported_all(self, heard: _LastInputs) -> bool:
+        """True once scan, odometry, hazards and the supervisor have come.
+
+        Hazards alone do not show a value of the supervisor: the first may be NOT_HEARD.
+        """
+        has_inputs = {"scan", "odometry", "hazards"} <= set(heard.last)
+        return has_inputs and self._supervisor is not None
 
     # The connection
 
     async def _connection(self) -> str:
-        """Connect, and serve the drone until the connection ends; returns why it ended.
+        """Connect to the drone, and serve the drone until the connection ends; returns the cause.
 
-        When cancelled, land a drone that was commanded. The gate lets commands pass while the drone
-        is heard; a drone whose gate is closed counts as lost, but its link stays open.
+        When cancelled, lands a drone that was commanded.
         """
         loop = asyncio.get_running_loop()
         opened, lost = loop.create_future(), loop.create_future()
@@ -275,19 +272,7 @@ class CrazyflieDriver:
             await opening  # raises what `open` has raised
             if not opened.done():
                 return lost.result() if lost.done() else f"{self._uri} does not answer"
-            self._heard = time.monotonic()
-            while not lost.done():
-                await asyncio.wait({lost}, timeout=PERIOD)
-                now = time.monotonic()
-                if self._gate.is_open and now - self._heard > SILENCE_TIMEOUT:
-                    self._close_gate(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
-                # A silent drone that flies keeps its link: it needs set-points, as far as they
-                # arrive, and closing the link stops its motors.
-                if now - self._heard > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
-                    return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
-                self._tell_status(now)
-                self._step()
-            return str(lost.result())
+            return await self._serve(lost)
         except asyncio.CancelledError:
             if self._gate.end():  # the drone was commanded
                 await self._land(lost)
@@ -296,6 +281,26 @@ class CrazyflieDriver:
             self._gate.end()
             self._link = None
             await asyncio.shield(loop.run_in_executor(self._threads, link.close))
+
+    async def _serve(self, lost: asyncio.Future[str]) -> str:
+        """Send set-points each PERIOD until the connection ends; returns why it ended.
+
+        `lost`: gets a result when cflib loses the link. A drone that is silent for SILENCE_TIMEOUT
+        counts as lost. Its link stays open until REOPEN_TIMEOUT: the drone may be heard again.
+        """
+        self._heard = time.monotonic()
+        while not lost.done():
+            await asyncio.wait({lost}, timeout=PERIOD)
+            now = time.monotonic()
+            silence_s = now - self._heard
+            if self._gate.is_open and silence_s > SILENCE_TIMEOUT:
+                self._close_gate(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
+            # The link of a flying drone stays open: closing the link would stop the motors.
+            if silence_s > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
+                return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
+            self._tell_status(now)
+            self._step()
+        return str(lost.result())
 
     async def _land(self, lost: asyncio.Future[str]) -> None:
         """Land the drone, and send the last set-point: motors off."""
@@ -486,6 +491,18 @@ def _is_unarmed(info: int) -> bool:
 def _hazards(info: int) -> tuple[Hazard, ...]:
     """The hazards of `supervisor.info`."""
     return tuple(hazard for bit, hazard in _HAZARDS.items() if info & bit)
+
+
+def _supervisor_finding(info: int) -> Finding:
+    """The finding of a check on `supervisor.info`: a fault, or whether the drone can fly."""
+    hazards = ", ".join(hazard.text for hazard in _hazards(info))
+    remedy = "turn the drone upright, restart it"
+    if hazards:
+        return Finding("supervisor", False, hazards, remedy)
+    if _is_unarmed(info):  # no fault: the drone waits on the ground until it is armed
+        return Finding("supervisor", True, NOT_ARMED, remedy)
+    can_fly = bool(info & CAN_FLY)
+    return Finding("supervisor", can_fly, "ready to fly" if can_fly else "not ready to fly", remedy)
 
 
 class _LastInputs(NullSink):

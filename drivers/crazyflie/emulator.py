@@ -209,9 +209,9 @@ class CrtpRobots:
 class _Drone:
     """One emulated drone and its port.
 
-    `is_posed`: the state estimate is in a shared frame. `frame`: the pose of the odometry's frame
-    in the frame of the estimate. None: no pose in the shared frame has come yet, so that no
-    estimate is sent.
+    `is_posed`: the state estimate is in the shared frame; otherwise it begins at the origin.
+    `frame`: the origin of odometry in the frame of the estimate; None until the first pose in the
+    shared frame, and no estimate is sent until then.
     """
 
     def __init__(self, robot: str, link: socket.socket, *, is_posed: bool) -> None:

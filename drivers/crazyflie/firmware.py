@@ -12,6 +12,7 @@ import math
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 
 from swarmd.core.values import ZERO, Pose, Twist
 from swarmd.drivers.crazyflie.link import CAN_BE_ARMED, CAN_FLY, IS_ARMED, IS_FLYING
@@ -28,7 +29,20 @@ FLYING_HEIGHT = 0.1
 MAX_COMMAND = 100.0
 """m/s or rad/s; a faster command is dropped as unreadable."""
 
-_LOG = 5  # a port
+
+class _Port(IntEnum):
+    """The ports of CRTP that the emulated drone serves."""
+
+    PARAMETERS = 2
+    RPYT = 3  # set-points of roll, pitch, yaw rate and thrust
+    MEMORY = 4
+    LOG = 5
+    SETPOINT = 7  # set-points of any other kind
+    SUPERVISOR = 9
+    PLATFORM = 13
+    LINK = 15
+
+
 _LOG_TYPES = {"B": 1, "H": 2, "I": 3, "b": 4, "h": 5, "i": 6, "f": 7, "e": 8}
 _LOG_FORMATS = {number: letter for letter, number in _LOG_TYPES.items()}
 _LOG_VARIABLES = {
@@ -48,10 +62,14 @@ _LOG_VARIABLES = {
     "supervisor.info": "H",
 }
 _PARAMETERS = {"deck.bcFlow2": 1, "deck.bcMultiranger": 1}
+_READ_ONLY_BYTE = 0x48  # the type of both parameters
+# Checksums of the tables of contents: any numbers, by which cflib finds a table in its cache.
+_LOG_CHECKSUM, _PARAMETER_CHECKSUM = 0x10C, 0x9A6
 _TOC_INFO, _TOC_ITEM = 3, 2
 _CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
 _HOVER, _MOTORS_STOP = 10, 0
-_GET_STATE = 0x0C
+_GET_PROTOCOL, _COUNT_MEMORIES = 0, 1
+_GET_STATE, _IS_ANSWER = 0x0C, 0x80
 _NO_SUCH_BLOCK = 2  # ENOENT
 
 
@@ -158,7 +176,9 @@ class Firmware:
                 for name, form in block.variables
             )
             stamp_ms = int(1e3 * stamp) & 0xFFFFFF
-            yield bytes([_LOG << 4 | 0x0C | 2, number]) + stamp_ms.to_bytes(3, "little") + packed
+            yield (
+                bytes([_Port.LOG << 4 | 0x0C | 2, number]) + stamp_ms.to_bytes(3, "little") + packed
+            )
 
     def _info(self) -> int:
         ready = CAN_FLY | IS_ARMED if self.is_armed else CAN_BE_ARMED
@@ -166,37 +186,38 @@ class Firmware:
         return info | (IS_FLYING if self.height > FLYING_HEIGHT else 0)
 
     def _answers(self, port: int, channel: int, payload: bytes, now: float) -> Iterator[bytes]:
-        """The answers to a request, without the header, as cflib's module for its port reads them.
+        """The payloads of the answers to a request; none for an unknown port, channel or command.
 
-        A table of contents (`_toc`) lists log variables or parameters, with its checksum.
+        Each payload has the layout that cflib reads on the port and channel. A set-point is carried
+        out, and has no answer.
         """
         match port, channel:
-            case 15, 0:  # link: an echo
+            case _Port.LINK, 0:  # an echo
                 yield payload
-            case 15, 1:  # link: the sender
+            case _Port.LINK, 1:  # the name of the sender
                 yield b"Bitcraze Crazyflie".ljust(30, b"\0")
-            case 13, 1 if payload[0] == 0:  # platform: the version of the protocol
-                yield bytes([0, PROTOCOL_VERSION])
-            case 5, 0:  # log
-                yield from _toc(payload, [_log_item(name) for name in _LOG_VARIABLES], 0x10C)
-            case 5, 1:
+            case _Port.PLATFORM, 1 if payload[0] == _GET_PROTOCOL:
+                yield bytes([_GET_PROTOCOL, PROTOCOL_VERSION])
+            case _Port.LOG, 0:  # the table of contents
+                items = [_log_item(name) for name in _LOG_VARIABLES]
+                yield from _toc(payload, items, _LOG_CHECKSUM)
+            case _Port.LOG, 1:  # a command on a log block
                 yield self._log_command(payload)
-            case 4, 0 if payload[0] == 1:
-                yield bytes([1, 0])  # no memories
-            case 2, 0:  # parameters: the table, and a value
-                yield from _toc(payload, [_item(0x48, name) for name in _PARAMETERS], 0x9A6)
-            case 2, 1:
+            case _Port.MEMORY, 0 if payload[0] == _COUNT_MEMORIES:
+                yield bytes([_COUNT_MEMORIES, 0])
+            case _Port.PARAMETERS, 0:  # the table of contents
+                items = [_item(_READ_ONLY_BYTE, name) for name in _PARAMETERS]
+                yield from _toc(payload, items, _PARAMETER_CHECKSUM)
+            case _Port.PARAMETERS, 1:  # the value of a parameter
                 yield payload[:2] + bytes([0, list(_PARAMETERS.values())[payload[0]]])
-            case 9, 0 if payload[0] == _GET_STATE:  # supervisor
-                yield bytes([0x80 | _GET_STATE]) + self._info().to_bytes(2, "little")
-            case 7, 0:  # commander: a set-point
+            case _Port.SUPERVISOR, 0 if payload[0] == _GET_STATE:
+                yield bytes([_IS_ANSWER | _GET_STATE]) + self._info().to_bytes(2, "little")
+            case _Port.SETPOINT, 0:
                 self._command(payload, now)
-            case 3, 0:  # commander: roll, pitch, yaw rate, thrust
+            case _Port.RPYT, 0:
                 (*_, thrust) = struct.unpack("<fffH", payload)
-                if thrust == 0:
+                if thrust == 0:  # the drone is flown by other set-points; thrust 0 ends a flight
                     self._stop_motors(now)
-            case _:
-                return
 
     def _command(self, payload: bytes, now: float) -> None:
         if payload[0] == _MOTORS_STOP:
@@ -241,10 +262,10 @@ class Firmware:
         return bytes([command, number, status])
 
 
-def _toc(payload: bytes, items: list[bytes], crc: int) -> Iterator[bytes]:
-    """The answers to a question for a table of contents."""
+def _toc(payload: bytes, items: list[bytes], checksum: int) -> Iterator[bytes]:
+    """The answers to a question for a table of contents, or for an item of the table."""
     if payload[0] == _TOC_INFO:
-        yield struct.pack("<BHIBB", _TOC_INFO, len(items), crc, 16, 128)
+        yield struct.pack("<BHIBB", _TOC_INFO, len(items), checksum, 16, 128)
     elif payload[0] == _TOC_ITEM:
         (ident,) = struct.unpack("<H", payload[1:3])
         yield payload[:3] + items[ident]

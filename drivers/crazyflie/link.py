@@ -2,8 +2,8 @@
 
 cflib (a Crazyflie object) has threads of its own, and its calls may block: all calls here are made
 on the one thread of an executor. `close_link` of cflib sends thrust 0, which would stop the motors
-of a flying drone. So the driver lands the drone first, and `DroneLink` takes cflib's link away
-before it calls `close_link`.
+of a flying drone. So the driver lands the drone first. `DroneLink.close` closes the radio link
+before `close_link`, which then has no link to send thrust 0 on.
 """
 
 from __future__ import annotations

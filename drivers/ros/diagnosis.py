@@ -1,8 +1,8 @@
 """Texts of the faults of a ROS robot, each with the next step. Pure.
 
-For `swarmd --check` and for the report of a lost base, in ROS 1 and ROS 2. A `Middleware` has the
-names of the tools. A `Graph` has the topics that other nodes announce. A function that returns a
-fault's text returns an empty text without a fault.
+`swarmd --check` and the report of a lost base show these texts, in ROS 1 and ROS 2. A `Middleware`
+has the names of its tools. A `Graph` has the topics that other nodes announce. A function that
+returns the text of a fault returns an empty text without a fault.
 """
 
 from __future__ import annotations
@@ -96,34 +96,42 @@ class Graph:
         type, a topic that the hub (bridge, router or ROS master) does not pass on, another ROS
         domain, no node that publishes the topic.
         """
-        middleware, topic = self.middleware, stats.topic
-        wanted_type = middleware.type_name(stats.message_type)
+        topic, wanted_type = stats.topic, self.middleware.type_name(stats.message_type)
         publishers = self._in_domain(is_publisher=True)
         types = sorted({end.type for end in publishers if end.topic == topic})
-        is_announced = wanted_type in types
-        if is_announced and stats.is_never_stale:  # published on change only
+        if wanted_type in types and stats.is_never_stale:  # published on change only
             return f"{topic} is announced and not latched: no value before its next change"
-        if is_announced:
-            return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
+        if wanted_type in types:
+            return f"{topic} is announced but silent; {self.middleware.silent_topic} {topic}"
         if types:
             option = f"driver_options.{stats.option}"
             return f"{topic} carries {', '.join(types)}; expected {wanted_type}: correct {option}"
-        if unrouted := self._unrouted(topic, is_publisher=True):
-            return unrouted
-        # Another domain: one with this topic, or any one if this domain has no topics at all.
+        return self._unrouted(topic, is_publisher=True) or self._unpublished(stats, publishers)
+
+    def _unpublished(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
+        """The text for a topic that no node of this domain publishes; `publishers`: of the domain.
+
+        Names another domain if it has the topic. If this domain has no topics at all, names any
+        domain with topics, since the option `domain` may be wrong.
+        """
+        middleware, topic = self.middleware, stats.topic
+        wanted = (topic, middleware.type_name(stats.message_type))
         announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
-        wanted = (topic, wanted_type)
-        domains = _domains(end for end in announced if (end.topic, end.type) == wanted)
-        if publishers and not domains:  # this domain has topics, and no domain has this topic
+        domains = _domains(announced)
+        domains_of_topic = _domains(end for end in announced if (end.topic, end.type) == wanted)
+        if publishers and domains_of_topic:
+            return self._in_domains(topic, domains_of_topic)
+        if publishers:
             return self._missing(stats, publishers)
-        domains = domains or _domains(announced)
         if domains:
-            missing = topic if publishers else "topic"
-            return (
-                f"no {missing} in domain {middleware.domain}, but in {listed(map(str, domains))};"
-                " correct driver_options.domain"
-            )
+            return self._in_domains("topic", domains_of_topic or domains)
         return f"no {topic}, and {middleware.hub} {middleware.silent}"
+
+    def _in_domains(self, missing: str, domains: Iterable[int]) -> str:
+        return (
+            f"no {missing} in domain {self.middleware.domain}, but in {listed(map(str, domains))};"
+            " correct driver_options.domain"
+        )
 
     def _missing(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
         """Why no node publishes the topic; `publishers`: of all other topics of the domain."""
@@ -210,12 +218,13 @@ class Graph:
         """Why the robot must not move; None without a conflict.
 
         A conflict is a second base on the topic of commands, or a second publisher of scans or
-        odometry. Scans that come too often prove that two nodes with one name are both alive.
+        odometry. Two announced nodes of one name may be a crashed node and its successor. Scans
+        that come too often show that these are two living robots with one name.
         """
         needed = [stats for stats in topics if stats.is_needed]
-        is_alive = any(too_fast(stats, spec) for stats in needed)
+        are_alive = any(too_fast(stats, spec) for stats in needed)
         bases = self._several_nodes(
-            self.bases(self.command_topic), f"take {self.command_topic}", is_alive=is_alive
+            self.bases(self.command_topic), f"take {self.command_topic}", are_alive=are_alive
         )
         if bases := bases or self._stray_text():
             bases += "; name those that only listen in driver_options.cmd_vel_listeners"
@@ -227,32 +236,33 @@ class Graph:
         return None
 
     def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
-        """Why more than one node seems to publish a needed topic; empty without a sign of this.
+        """Why more than one node seems to publish a needed topic; empty without such a sign.
 
-        The signs, in this order: several announced nodes or bridges, stamps that go back, messages
-        that come too often for `spec.rate`. The stamps and the rate are no sign if exactly one node
-        is announced: its clock was set, or the platform's rate is wrong.
+        The first sign that applies: several announced nodes, several bridges, stamps that go back,
+        or messages that come too often for `spec.rate`.
         """
         topic, publishers = stats.topic, self.publishers(stats.topic)
         if not stats.is_needed:
             return ""
         is_too_fast = bool(too_fast(stats, spec))
-        bridges = {end.zid for end in publishers}  # by the id of the Zenoh session
-        # Of two nodes with one name, one may have crashed, unless the messages come too often.
-        if several := self._several_nodes(publishers, f"publish {topic}", is_alive=is_too_fast):
+        if several := self._several_nodes(publishers, f"publish {topic}", are_alive=is_too_fast):
             return several
+        bridges = {end.zid for end in publishers}  # by the id of the Zenoh session
         if len(bridges) > 1:
             return (
                 f"{len(bridges)} bridges hand on what {publishers[0].owner} publishes on {topic}:"
                 " they are in one domain; end all but one, or give each robot a domain"
             )
-        has_one_node = bool(self._only_node(topic))
-        if stats.stamps_go_back() and not has_one_node:
+        if self._only_node(topic):
+            # Stamps and rate show no second node then: the clock of this node was set, or the
+            # platform's rate is wrong.
+            return ""
+        if stats.stamps_go_back():
             return (
                 f"the stamps of {topic} go back again and again: two publish it, or a clock was"
                 f" set; look at {self._info_command(topic)}"
             )
-        if is_too_fast and not has_one_node:
+        if is_too_fast:
             return (  # without the rate: a text that varies would be news again and again
                 f"{topic} comes more than {MAX_RATE:g} times as often as the platform's scan.rate"
                 f" of {spec.rate:g} Hz: two publish it, or correct scan.rate; look at"
@@ -287,43 +297,46 @@ class Graph:
 
         A base is a subscriber that moves the robot, unlike a listener such as a recorder.
         `allowed`: the message classes that the options allow for commands. `has_subscriber`: a node
-        subscribes to the commands, whether or not an announcement names the node.
+        subscribes to the commands, though perhaps no announcement names the node.
+        """
+        if self.bases(topic):
+            return self._wrong_type(topic, allowed)
+        if listening := {end.owner for end in self.subscribers(topic)}:
+            only = listed(sorted(listening))
+            return f"only {only} takes {topic}, which moves nothing; start the base"
+        if unrouted := self._unrouted(topic, is_publisher=False):
+            return unrouted
+        if not has_subscriber:
+            return self._no_base(topic)
+        # A node subscribes without an announcement. Only the options can tell its message class.
+        if self.command_type(topic, allowed) is None:
+            return (
+                f"a node subscribes to {topic}, and nothing announces the type that it wants; set"
+                " driver_options.cmd_vel_type"
+            )
+        return ""
+
+    def _wrong_type(self, topic: str, allowed: Sequence[type]) -> str:
+        """Why the announced bases cannot read the commands on `topic`; empty if they can.
+
+        `allowed`: the message classes that the options allow for commands.
         """
         allowed_names = [self.middleware.type_name(kind) for kind in allowed]
         bases = self.bases(topic)
         base_types = sorted({end.type for end in bases})
-        # 1. Announced bases want a type that the options do not allow.
-        if base_types and not set(allowed_names) & set(base_types):
+        if not set(allowed_names) & set(base_types):
             option = _COMMAND_OPTIONS.get(_short(base_types[0]), "cmd_vel, or cmd_vel_type")
             return (
                 f"{topic} wants {listed(base_types)}, not {' or '.join(allowed_names)}; set"
                 f" driver_options.{option}"
             )
-        # 2. No base is announced. Only listeners subscribe, or the hub does not pass the topic on.
-        if not base_types and (listening := [end.owner for end in self.subscribers(topic)]):
-            only = listed(sorted(set(listening)))
-            return f"only {only} takes {topic}, which moves nothing; start the base"
-        unrouted = self._unrouted(topic, is_publisher=False)
-        if unrouted and not base_types:
-            return unrouted
-        # 3. No fault: the message class is clear, and a base or another node takes the commands.
-        is_type_clear = self.command_type(topic, allowed) is not None
-        is_taken = bool(base_types) or has_subscriber
-        if is_type_clear and is_taken:
+        if self.command_type(topic, allowed) is not None:
             return ""
-        # 4. Bases want different classes, a node hides its class, or no node takes the commands.
-        if base_types:
-            wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
-            return (
-                f"the type of commands on {topic} is not clear: {wants}; end one of them, or set"
-                " driver_options.cmd_vel_type"
-            )
-        if has_subscriber:
-            return (
-                f"a node subscribes to {topic}, and nothing announces the type that it wants; set"
-                " driver_options.cmd_vel_type"
-            )
-        return self._no_base(topic)
+        wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
+        return (
+            f"the type of commands on {topic} is not clear: {wants}; end one of them, or set"
+            " driver_options.cmd_vel_type"
+        )
 
     def _no_base(self, topic: str) -> str:
         """The text for a topic of commands without a subscriber, with proposals of other topics."""
@@ -369,12 +382,12 @@ class Graph:
     def _is_listener(self, end: Endpoint) -> bool:
         return bool(end.node) and is_listener(end.node, self.options.cmd_vel_listeners)
 
-    def _several_nodes(self, ends: Collection[Endpoint], action: str, *, is_alive: bool) -> str:
-        """Why these ends belong to more than one node; empty if they belong to one node.
+    def _several_nodes(self, ends: Collection[Endpoint], action: str, *, are_alive: bool) -> str:
+        """The text for ends that belong to more than one node; empty if they belong to one node.
 
-        `action`: the verb and topic for the text, such as `publish /scan`. `is_alive`: two nodes
-        with one name are both known to be alive. Otherwise the older node may have crashed: the
-        middleware counts a crashed node as alive until the end of its lease.
+        `action`: the verb and topic for the text, such as `publish /scan`. `are_alive`: nodes with
+        one name are known to be all alive. Otherwise the older node may have crashed: the
+        middleware announces a crashed node until the end of the node's lease.
         """
         nodes = [*nodes_of(ends).values()]
         names = sorted({end.owner for end in nodes})
@@ -384,7 +397,7 @@ class Graph:
         if len(names) > 1:
             return f"{len(nodes)} nodes {action}: {listed(names)}; end all but one, or {remedy}"
         age = self.now - max(end.since for end in nodes)
-        if is_alive or age > self.middleware.lease:
+        if are_alive or age > self.middleware.lease:
             return (
                 f"{len(nodes)} living nodes named {names[0]} {action}, of several robots: end all"
                 f" but one, or {remedy}"
@@ -480,26 +493,28 @@ def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
     )
 
 
-def driven_by_others(
-    topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True, nodes: Iterable[str] = ()
-) -> str:
-    """The text for a base that other nodes drive by commands on `topic`.
+def also_published(topic: str, publishers: Iterable[str], *, is_heard: bool) -> str:
+    """The text for a topic of commands that other nodes of ROS 1 publish, too.
 
-    In ROS 1 a node counts as driving once the master lists it as a publisher. `publishers`: these
-    nodes. `is_heard`: their commands have arrived. In ROS 2 a node counts only if its commands
-    arrive. `publishers` is empty then, and `nodes` are the announced publishers.
+    In ROS 1 a node that the master lists as a publisher counts as driving even while silent.
+    `is_heard`: a command of these nodes has arrived.
+    """
+    return (
+        f"someone else {'drives' if is_heard else 'may drive'}: {topic} is also published by"
+        f" {listed(publishers)}; end that node, or set driver_options.shared_cmd_vel if the base"
+        " has a multiplexer"
+    )
+
+
+def driven_by_others(topic: str, publishers: Iterable[str] = ()) -> str:
+    """The text for a base for which commands of other nodes arrive on `topic`.
+
+    `publishers`: the other nodes that announce the topic; perhaps none of them is known.
     """
     names = listed(publishers)
-    if names:
-        return (
-            f"someone else {'drives' if is_heard else 'may drive'}: {topic} is also published by"
-            f" {names}; end that node, or set driver_options.shared_cmd_vel if the base has a"
-            " multiplexer"
-        )
-    known = listed(nodes)
     return (
         f"someone else drives: commands on {topic} that are not this driver's"
-        f"{f', published by {known}' if known else ''}; stop what publishes them, and this driver"
+        f"{f', published by {names}' if names else ''}; stop what publishes them, and this driver"
         " takes over 2 s later"
     )
 
@@ -527,7 +542,7 @@ def driven(foreign: ForeignCommands, graph: Graph, now: float) -> str:
     action = foreign.actions.get(topic, "")
     if action:
         return driven_by_action(action, graph.nodes(topic), foreign.protocol.cancel.format(action))
-    return driven_by_others(topic, nodes=graph.nodes(topic)) if topic else ""
+    return driven_by_others(topic, graph.nodes(topic)) if topic else ""
 
 
 def unconnected(topic: str, nodes: Iterable[str]) -> str:
@@ -575,20 +590,9 @@ class DriverCheck:
 
     def _findings(self) -> Iterator[Finding]:
         """The findings of a check whose hub answers."""
-        # 1. The hub and the topics. A topic gets a finding if
-        #    - the robot needs the topic, or
-        #    - the user has named the topic: by an entry (topic_entries.py), `imu` or `battery`, or
-        #    - a message has come, readable or not.
-        middleware, topics = self.graph.middleware, self.subscriptions.topics
-        yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
-        for stats in topics.values():
-            is_named = stats.has_only_entries or stats.name in ("imu", "battery")
-            has_come = bool(stats.count or stats.faults)
-            if stats.is_needed or is_named or has_come:
-                yield self._topic(stats)
-            # Further entries that read the topic: the same finding under the name of each entry.
-            for entry_option in stats.further:
-                yield replace(self._topic(stats, is_entry=True), subject=entry_option)
+        yield Finding("connection", True, f"{self.graph.middleware.hub} at {self.endpoint}")
+        for stats in self.subscriptions.topics.values():
+            yield from self._of_topic(stats)
         ring = self.subscriptions.contents.get("ranges")
         if ring is not None and ring.last is not None:
             yield Finding("ranges", not ring.fault, ring.fault or ring.text)
@@ -596,21 +600,39 @@ class DriverCheck:
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
-        # 2. The topic of commands, with the first fault that applies: no base, a second base, or a
-        # hub that does not pass the commands on.
-        conflict = self.graph.conflict(topics.values(), self.spec)
-        # The other kind of conflict, a second publisher of scans or odometry, is in `_topic`.
-        has_second_base = conflict is not None and conflict.reason is Reason.BASE_CONFLICT
-        no_base = self.graph.no_subscriber(
-            self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
-        )
-        second_base = conflict.text if conflict is not None and has_second_base else ""
-        fault = no_base or second_base or self.unpassed.get(self.cmd_vel, "")
-        yield Finding("cmd_vel", not fault, fault or self._subscriber())
-        # 3. Why the nodes of the topics are not known, and other nodes that may command the base.
+        yield self._commands()
         if self.unlisted:
             yield Finding("nodes", True, self.unlisted, is_measured=False)
         yield self._last_word()
+
+    def _of_topic(self, stats: TopicStats) -> Iterator[Finding]:
+        """The findings of a topic: under its own name, and under each further entry that reads it.
+
+        A topic that the robot does not need, that no entry and no option `imu` or `battery` names,
+        and on which no message has come, has no finding of its own.
+        """
+        # A topic that only entries read is named by the user: an entry is written by the user.
+        is_named = stats.has_only_entries or stats.name in ("imu", "battery")
+        has_come = bool(stats.count or stats.faults)  # readable messages, or unreadable ones
+        if stats.is_needed or is_named or has_come:
+            yield self._topic(stats)
+        for entry_option in stats.further:
+            yield replace(self._topic(stats, is_entry=True), subject=entry_option)
+
+    def _commands(self) -> Finding:
+        """The finding of the topic of commands, with the first fault that applies.
+
+        A fault is: no base, a second base, or a hub that does not pass the commands on.
+        """
+        fault = self.graph.no_subscriber(
+            self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
+        )
+        conflict = self.graph.conflict(self.subscriptions.topics.values(), self.spec)
+        # A SCAN_CONFLICT, a second publisher of scans, is a fault of its topic (`_topic`).
+        if not fault and conflict is not None and conflict.reason is Reason.BASE_CONFLICT:
+            fault = conflict.text
+        fault = fault or self.unpassed.get(self.cmd_vel, "")
+        return Finding("cmd_vel", not fault, fault or self._subscriber())
 
     def _scan_delay(self) -> Finding:
         topics = self.subscriptions.topics
@@ -676,37 +698,38 @@ class DriverCheck:
         return f"{self.cmd_vel} ({details}) has a subscriber{names and ': '}{names}{beside}"
 
     def _last_word(self) -> Finding:
-        """The finding on other nodes that may command the base, and on a multiplexer.
+        """The finding on other nodes that command the base, or may command the base.
 
         A fault if another node commands the base now. With `is_exclusive` (ROS 1 without the option
-        `shared_cmd_vel`) a silent publisher of commands is a fault, too. Otherwise the text names
-        the silent publishers, and the multiplexer (a subscriber with `mux` in its name) that
-        decides between them and this driver.
+        `shared_cmd_vel`) a silent publisher of commands is a fault, too.
         """
-        command_topic, publishers = self.cmd_vel, sorted(self.foreign_publishers)
-        fault = self._heard()
-        if fault:
+        if fault := self._heard():
             return Finding("last_word", False, fault)
-        if publishers and self.is_exclusive:
-            text = driven_by_others(command_topic, publishers, is_heard=False)
+        if self.foreign_publishers and self.is_exclusive:
+            text = also_published(self.cmd_vel, sorted(self.foreign_publishers), is_heard=False)
             return Finding("last_word", False, text)
-        nodes = {end.node for end in self.graph.subscribers(command_topic)}
+        return Finding("last_word", True, self._silent_publishers() + self._actions())
+
+    def _silent_publishers(self) -> str:
+        """Which nodes may publish commands although they are silent now, and which multiplexer.
+
+        A multiplexer is a subscriber of the commands with `mux` in its name. The multiplexer
+        decides whose commands reach the base.
+        """
+        own_topic, *further_topics = self.foreign.topics
+        owners_of = {own_topic: sorted(self.foreign_publishers)}
+        owners_of |= {topic: self._owners(topic) for topic in further_topics}
+        silent_texts = [
+            f"{listed(owners)} may publish {topic}" for topic, owners in owners_of.items() if owners
+        ]
+        nodes = {end.node for end in self.graph.subscribers(self.cmd_vel)}
         multiplexer = listed(sorted(node for node in nodes if "mux" in node))
         priority = f"give swarmd the highest priority there ({LAST_WORD})"
-        mux_text = f"{multiplexer} takes {command_topic}: {priority}" if multiplexer else ""
-        # Other publishers of commands that are silent now, by topic; `topics[0]` is the own topic.
-        silent = {command_topic: publishers}
-        silent |= {topic: self._owners(topic) for topic in self.foreign.topics[1:]}
-        silent_texts = [
-            f"{listed(owners)} may publish {topic}" for topic, owners in silent.items() if owners
-        ]
-        if silent_texts:
-            text = f"{', '.join(silent_texts)} too, but does not now; "
-            text += mux_text or f"then it has the last word, not swarmd ({LAST_WORD})"
-        else:
-            text = mux_text or f"no other node publishes {listed(self.foreign.topics)}"
-        # `_actions` adds the actions that may move the base, with the nodes that serve them.
-        return Finding("last_word", True, text + self._actions())
+        mux_text = f"{multiplexer} takes {self.cmd_vel}: {priority}" if multiplexer else ""
+        if not silent_texts:
+            return mux_text or f"no other node publishes {listed(self.foreign.topics)}"
+        advice = mux_text or f"then it has the last word, not swarmd ({LAST_WORD})"
+        return f"{', '.join(silent_texts)} too, but does not now; {advice}"
 
     def _heard(self) -> str:
         """The text for commands or goals of other nodes that were heard; empty without any."""

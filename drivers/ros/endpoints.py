@@ -54,29 +54,33 @@ def with_nodes(
     """The announced endpoints, each replaced by the nodes that its bridge lists for the topic.
 
     A Zenoh bridge announces a topic once, with the type of the first node, whatever the number of
-    nodes with the topic. Its admin space lists all nodes; `listed_at`: s, the time of the list.
+    nodes with the topic. Its admin space lists all nodes.
 
-    1. An announced endpoint without a listed node stays as announced. An endpoint that was
-       announced after `listed_at` stays, too: its listed nodes may have left.
-    2. Listed nodes whose topic is not announced are not routed: the bridge does not pass the topic
-       on between DDS and Zenoh.
-    3. If no listed node has the announced type, none of these nodes is routed.
+    Args:
+        announced: the endpoints; an endpoint of rmw_zenoh, without a bridge, names its node.
+        listed: an endpoint for each node that a bridge lists. The endpoint is not routed in the
+            result if the bridge does not pass the topic on between DDS and Zenoh: the topic is not
+            announced, or no listed node has the announced type.
+        listed_at: s, the time of the list.
     """
     # By bridge, direction and topic.
-    nodes_of_topic = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
+    unannounced = defaultdict[tuple[str, bool, str], list[Endpoint]](list)
     for end in listed:
-        nodes_of_topic[end.zid, end.is_publisher, end.topic].append(end)
+        unannounced[end.zid, end.is_publisher, end.topic].append(end)
     merged: list[Endpoint] = []
     for end in announced:
-        key = end.zid, end.is_publisher, end.topic
-        nodes = [] if end.node else nodes_of_topic.pop(key, [])  # with a node: rmw_zenoh, no bridge
-        if not nodes or end.since > listed_at:
+        if end.node:
+            merged.append(end)
+            continue
+        nodes = unannounced.pop((end.zid, end.is_publisher, end.topic), [])
+        # The nodes of an endpoint that was announced after the list may have left since.
+        is_outdated = end.since > listed_at
+        if is_outdated or not nodes:
             merged.append(end)
             continue
         is_routed = any(node.type == end.type for node in nodes)
         merged += [replace(node, quality=end.quality, is_routed=is_routed) for node in nodes]
-    # What is left in the map was not announced.
-    merged += [replace(end, is_routed=False) for ends in nodes_of_topic.values() for end in ends]
+    merged += [replace(end, is_routed=False) for ends in unannounced.values() for end in ends]
     return merged
 
 

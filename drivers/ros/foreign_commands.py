@@ -50,9 +50,9 @@ ROS1_ACTIONS = ActionProtocol(
 class ForeignCommands:
     """Tracks which other node drives the base, by its commands and its goals of actions.
 
-    `topics`: the topics of commands, the driver's own first. `actions`: the name of each action, by
-    the topic on which its server publishes the states of its goals. `counts`: commands that
-    arrived, by topic. Times are in s on one clock.
+    `topics`: the topics of commands, the driver's own first. `actions`: maps the topic on which the
+    server of an action publishes the states of goals to the name of the action. `counts`: the
+    number of commands that have arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,11 +47,17 @@ def scan_of(
 ) -> Scan:
     """The scan of a LaserScan, with bearings in the base frame.
 
-    `yaw`: the bearing in rad of the sensor's angle 0. `seq`: the number of the scan. The angles of
-    an upside-down sensor rise clockwise. The ages of the rays are None, so that they follow from
-    the platform's `scan.sweep`. If the robot measures the sweep, the ages follow from
-    `time_increment`, unless its value is impossible. Raises CodecError for more than MAX_RAYS rays,
-    and if the angles span more than one turn.
+    The scan has ages of its rays only if the robot measures the sweep (`spec.measures_sweep`), and
+    if the message gives a possible `time_increment`. Otherwise the platform's `scan.sweep` gives
+    the ages. Raises CodecError for more than MAX_RAYS rays, and if the angles span more than one
+    turn.
+
+    Args:
+        message: the LaserScan.
+        seq: the number of the scan.
+        spec: the platform's section `scan`.
+        yaw: rad, the bearing of the sensor's angle 0.
+        is_upside_down: the angles of the sensor rise clockwise.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -65,8 +71,8 @@ def scan_of(
         ranges = message.ranges.astype(np.float64)
     # `time_increment` is not reliable: both drivers of TurtleBot3's lidars, rplidar_ros and
     # sllidar_ros2 give a positive value for rays in falling order of time, and hls_lfcd_lds_driver
-    # gives a value 18 times too short. So the sweep of the platform's file comes first. If the core
-    # measures the order in time instead (`measures_sweep`), these ages give only the duration.
+    # gives a value 18 times too short. So the platform's `scan.sweep` is used where it is declared,
+    # and a robot that measures the sweep takes from these ages only the duration of a scan.
     ages = _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None
     stamp = stamp_of(message.header.stamp)
     return Scan(seq, stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
@@ -98,28 +104,22 @@ def header_fault(message: ros.LaserScan) -> str:
 def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
     """The finding on the order in time of a scan's rays (the sweep).
 
-    The finding compares `time_increment` of the message with the platform's `scan.sweep`. A
-    difference is no fault: the platform's sweep counts, since many drivers send a wrong
-    `time_increment`. If the platform gives no sweep, an impossible `time_increment` is a fault.
+    The platform's `scan.sweep` counts if it is declared: a `time_increment` that differs is no
+    fault, since many drivers send a wrong value. Without a declared sweep an impossible
+    `time_increment` is a fault.
     """
-    step, count = message.time_increment, len(message.ranges)
-    message_s = abs(step) * count  # duration of the sweep by the message
-    is_possible = _ages(step, count, 1.0 / spec.rate) is not None
-    # Does the bearing (counter-clockwise from above) rise with time? A negative step of time, a
-    # negative step of angle, and a sensor that hangs upside down each reverse the direction.
-    is_rising = (step > 0.0) == (message.angle_increment > 0.0)
-    if is_upside_down:
-        is_rising = not is_rising
-    if is_possible:
-        message_text = f"time_increment says {message_s:.3g} s a scan, {_TURNS[is_rising]}"
+    claim = _claimed_sweep(message, spec, is_upside_down=is_upside_down)
+    step = message.time_increment
+    if claim is not None:
+        message_text = f"time_increment says {claim.duration:.3g} s a scan, {claim.turn}"
     elif step == 0.0:
         message_text = "time_increment is 0"
     else:
         message_text = f"time_increment of {step:g} s is impossible at {spec.rate:g} Hz"
-    is_good = is_possible or step == 0.0
+    is_good = claim is not None or step == 0.0  # 0: the driver does not say
     sweep = spec.sweep
     if spec.measures_sweep:
-        doubt = ", but many drivers reverse their rays" if is_possible else ""
+        doubt = "" if claim is None else ", but many drivers reverse their rays"
         text = (
             f"direction not known: {message_text}{doubt}; the robot measures it while it turns, and"
             " each ray counts as old as the oldest until then; or give the platform's scan.sweep"
@@ -130,16 +130,42 @@ def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: boo
             f"the platform's scan.sweep is null: all rays count as of one instant; {message_text}"
         )
         return Finding("scan sweep", is_good, text)
-    text = f"the platform's scan.sweep is {sweep.duration:.3g} s, {_TURNS[sweep.direction > 0.0]}"
-    error_s = abs(message_s - sweep.duration)
-    has_same_duration = is_possible and error_s < _MAX_SWEEP_ERROR * sweep.duration
-    if step == 0.0:
-        text += "; time_increment is 0"
-    elif has_same_duration and is_rising == (sweep.direction > 0.0):
+    declared = _Sweep(sweep.duration, _TURNS[sweep.direction > 0.0])
+    text = f"the platform's scan.sweep is {declared.duration:.3g} s, {declared.turn}"
+    if claim is not None and declared.agrees_with(claim):
         text += ", as time_increment says"
+    elif step == 0.0:
+        text += "; time_increment is 0"
     else:
         text += f", and counts; {message_text}"
     return Finding("scan sweep", True, text)
+
+
+class _Sweep(NamedTuple):
+    """The duration of a sweep in s, and its turn as seen from above, a value of _TURNS."""
+
+    duration: float
+    turn: str
+
+    def agrees_with(self, claim: _Sweep) -> bool:
+        """True if a message claims this sweep, up to _MAX_SWEEP_ERROR of this duration."""
+        error_s = abs(claim.duration - self.duration)
+        return error_s < _MAX_SWEEP_ERROR * self.duration and claim.turn == self.turn
+
+
+def _claimed_sweep(
+    message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool
+) -> _Sweep | None:
+    """The sweep that `time_increment` of a message claims; None if it is 0 or impossible."""
+    step, count = message.time_increment, len(message.ranges)
+    if _ages(step, count, 1.0 / spec.rate) is None:
+        return None
+    # Does the bearing (counter-clockwise from above) rise with time? A negative step of time, a
+    # negative step of angle, and a sensor that hangs upside down each reverse the direction.
+    is_rising = (step > 0.0) == (message.angle_increment > 0.0)
+    if is_upside_down:
+        is_rising = not is_rising
+    return _Sweep(abs(step) * count, _TURNS[is_rising])
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
@@ -216,10 +242,10 @@ def battery_readings(
 ) -> dict[str, float]:
     """The values `battery` (0 to 1) and `battery_voltage` in V that the message measures.
 
-    `volts`: the voltages of an empty and a full pack, between which `battery` is interpolated.
-    Without `volts`, `battery` is the field `percentage` of the message, whose unit is the argument
-    `percentage`: `share` (0 to 1, as sensor_msgs defines) or `percent`, as some drivers send.
-    `battery` is left out without both arguments, and if the value is impossible in its unit.
+    With `volts`, the voltages of an empty and a full pack, `battery` is interpolated from the
+    voltage. Otherwise `battery` is the field `percentage` of the message, if the argument
+    `percentage` names its unit: `share` (0 to 1, as sensor_msgs defines) or `percent`, as some
+    drivers send. A value that is impossible in this unit is left out.
     """
     voltage, share = message.voltage, math.nan
     if not 0.0 <= voltage < math.inf or why_absent(message, "voltage", voltage):
@@ -281,10 +307,12 @@ def twist_of(message: Any) -> Twist:
 class RangeRingDecoder:
     """Makes one scan of several range sensors, each with its own topic.
 
-    A scan is complete once each sensor has sent a value since the last scan. A scan also ends once
-    a sensor sends its second value: the rays of sensors without a value are then NaN. A value with
-    the stamp of the sensor's last value is ignored. All rays have the same age. `bearings` (n,)
-    rad. `distances` (n,) m from the scan's origin to each sensor, which are added to its values.
+    A scan ends once each sensor has sent a value since the last scan. It also ends before a sensor
+    sends a second value: the rays of silent sensors are then NaN. A value with the stamp of the
+    sensor's last value is a repeat, and is ignored. All rays have the same age.
+
+    `bearings`: (n,) rad, of the sensors. `distances`: (n,) m from the origin of the scan to each
+    sensor; a range of the scan is the value of the sensor plus this distance.
     """
 
     def __init__(
@@ -327,8 +355,8 @@ def _ages(step: float, count: int, period: float) -> Array | None:
     """(count,) s by which each ray is older than the newest ray; None if `step` is impossible.
 
     `step`: s between two rays in the order of the message; below 0 if the rays are in reversed
-    order of time. A step of 0 is impossible, and a step with which a sweep would take longer than
-    _MAX_PERIODS periods of the scan rate.
+    order of time. A step is impossible if it is 0, or if `count` steps would take longer than
+    _MAX_PERIODS times `period`, the s between two scans.
     """
     if step == 0.0 or not abs(step) * count <= _MAX_PERIODS * period:  # false for NaN too
         return None

@@ -2,8 +2,8 @@
 
 `diagnosis.py` proposes these topics to the user. A topic of another robot must not be proposed: the
 user would drive that robot. If the option `namespace` is set, every other namespace belongs to
-another robot. Without the option a namespace belongs to another robot if it has a scan, odometry or
-base, while this robot's own topic of the same kind is announced elsewhere.
+another robot. Without the option, a namespace belongs to another robot if it has a scan, odometry
+or base of which this robot already has its own: a robot has one topic of each of these kinds.
 """
 
 from __future__ import annotations
@@ -75,13 +75,13 @@ class Namespaces:
         return bool(space and self._kinds[space] & self._own_kinds)
 
     def candidates(self, alike: Collection[str]) -> Candidates:
-        """The proposals for a missing topic; `alike`: the topics with its type.
+        """The proposals for a missing topic; `alike`: the announced topics with its type.
 
-        1. With the option `namespace`: the topics in this namespace. While no topic of this
-           namespace is announced: all announced namespaces, too, since the option may be wrong.
-        2. Without the option: the topics that may be this robot's. If these topics are in several
-           namespaces, the proposals are these namespaces, without topics. Likewise if the topics
-           are in one namespace while several other robots are announced.
+        1. With the option `namespace`: the topics of `alike` in this namespace. While no topic of
+           the namespace is announced, the option may be wrong: all announced namespaces, too.
+        2. Without the option: the topics of `alike` that may be this robot's. If they are in
+           several namespaces, or several whole robots are announced, the user has to choose the
+           robot: the proposals are the namespaces then, without topics.
         """
         topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
         if self.own:

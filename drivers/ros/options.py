@@ -282,12 +282,44 @@ def _faults(options: TopicOptions) -> Iterator[str]:
 
 
 def _name_faults(options: TopicOptions) -> Iterator[str]:
-    """The texts for options whose value is no ROS name, and for two options with one topic.
+    """The texts for options whose value is no ROS name, and for two options with one topic."""
+    first_options: dict[str, str] = {}  # by topic
+    types = _types(options)
+    for option, name in _names(options).items():
+        if name is None:
+            continue
+        if _NAME.fullmatch(name) is None:
+            yield (
+                f"{option} is {name!r}; expected a ROS name such as tb3_01 or front/scan"
+                " (letters, digits, _ and /, a letter first)"
+            )
+        # A namespace is no topic, and an action and a topic may have one name.
+        if option == "namespace" or option.startswith("other_actions"):
+            continue
+        topic = options.topic(name)
+        first = first_options.setdefault(topic, option)
+        if first != option and (fault := _sharing_fault(first, option, types)):
+            yield f"{first} and {option} are both {topic}{fault}"
 
-    Several entries, such as `readings.light`, may read one topic if they have one message type.
+
+def _sharing_fault(first: str, second: str, types: Mapping[str, str]) -> str:
+    """Why two options may not name one topic, as the end of a sentence; empty if they may.
+
+    `second` may share the topic if it is an entry, such as `readings.light`, and `first` is a
+    sensor or an entry with the same message type. `types`: by option, as `_types` returns them.
     """
+    is_entry = second.partition(".")[0] in ENTRY_KINDS
+    if first not in types or not is_entry:
+        return "; expected a topic each"
+    if types[first] != types[second]:
+        return f", as {types[first]} and {types[second]}; expected one type"
+    return ""
+
+
+def _names(options: TopicOptions) -> dict[str, str | None]:
+    """The ROS names that the options hold, by option; None for an option without a name."""
     opinions = options.opinions if isinstance(options, RosOptions) else None
-    names = {
+    return {
         "namespace": options.namespace.strip("/") or None,
         # Without the option `ranges` a robot has a lidar, whose topic has a default name.
         "scan": options.scan if options.ranges else options.scan_topic,
@@ -303,35 +335,10 @@ def _name_faults(options: TopicOptions) -> Iterator[str]:
         "opinions.publish": PUBLISHED if opinions is not None and opinions.publish else None,
         "opinions.broadcast": None if opinions is None else opinions.broadcast_topic,
     }
-    first_options: dict[str, str] = {}  # by topic
-    types = _types(options)  # the message type of each entry, such as `readings.light`
-    for option, name in names.items():
-        if name is None:
-            continue
-        if _NAME.fullmatch(name) is None:
-            yield (
-                f"{option} is {name!r}; expected a ROS name such as tb3_01 or front/scan"
-                " (letters, digits, _ and /, a letter first)"
-            )
-        if option == "namespace":
-            continue
-        if option.startswith("other_actions"):
-            continue  # an action and a topic may have one name
-        topic = options.topic(name)
-        first = first_options.setdefault(topic, option)
-        if first == option:
-            continue
-        # Only two entries may share a topic; `types` has the entries alone.
-        are_entries = first in types and option.partition(".")[0] in ENTRY_KINDS
-        if not are_entries:
-            yield f"{first} and {option} are both {topic}; expected a topic each"
-        elif types[first] != types[option]:
-            kinds = f"{types[first]} and {types[option]}"
-            yield f"{first} and {option} are both {topic}, as {kinds}; expected one type"
 
 
 def _types(options: TopicOptions) -> dict[str, str]:
-    """The message type of each option that is a sensor's topic, such as `sensor_msgs/Imu`."""
+    """The message type, such as `sensor_msgs/Imu`, of each option that is a sensor or an entry."""
     kinds = {
         "scan": messages.LaserScan,
         "odometry": messages.Odometry,

@@ -36,19 +36,16 @@ _SIGNS_OF_LIFE = (messages.LaserScan, messages.Range, messages.Odometry)
 class Subscriptions:
     """Decodes the messages of a robot's topics, and keeps statistics of each topic.
 
-    A driver makes a new object for each run, with which the sequences of scans begin again.
+    A driver makes a new object for each run, so sequence numbers of scans begin anew with a run.
     `topics`: the statistics of each topic by its name in this driver, such as `scan`.
     `last_arrival`: s of the last scan, range or odometry. `contents`: what the scans show, by the
-    option that names their topics.
+    option that names their topics (`scan` or `ranges`).
     """
 
     def __init__(
         self, options: TopicOptions, platform: Platform, decode: Decode = cdr.decode
     ) -> None:
-        """Start without a message; `decode` reads the bytes of a message of a class.
-
-        A ring is a set of range sensors, each with its own topic, whose values make one scan.
-        """
+        """Start without a message; `decode` reads the bytes of a message of a class."""
         self._decode, self._spec = decode, platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
@@ -57,27 +54,41 @@ class Subscriptions:
         self._scan_seq = 0
         self._laser: messages.LaserScan | None = None  # the last
         self.last_arrival = -math.inf
-        # A robot has a lidar, a ring, or both. The option `ranges` names the topics of a ring. The
-        # section `ranges` of the platform describes a ring beside a lidar; without this section a
-        # ring replaces the lidar, and the section `scan` describes the ring.
-        has_ring = bool(options.ranges)
-        has_lidar = not has_ring or platform.ranges is not None
-        ring_spec, ring_section = platform.ranges, "ranges"
-        if ring_spec is None:
-            ring_spec, ring_section = platform.scan, "scan"
         self.contents: dict[str, ScanContent] = {}
+        has_lidar = not options.ranges or platform.ranges is not None
         if has_lidar:
             self.contents["scan"] = ScanContent(platform.scan)
-        if has_ring:
-            self.contents["ranges"] = ScanContent(ring_spec, ring_section)
+        self._add_ring(options, platform)
+        self._add_entries(options)
+        self.topics: Mapping[str, TopicStats] = {
+            stats.name: stats for stats in _topics(options, platform, has_lidar)
+        }
+
+    def _add_ring(self, options: TopicOptions, platform: Platform) -> None:
+        """Make the decoder of the ring: of the range sensors whose values make one scan.
+
+        The option `ranges` names a topic for each sensor; a robot without the option has no ring.
+        The section `ranges` of the platform describes a ring beside a lidar. Without this section
+        the ring takes the place of the lidar, and the section `scan` describes the ring.
+        """
+        ring_spec, section = platform.ranges, "ranges"
+        if ring_spec is None:
+            ring_spec, section = platform.scan, "scan"
+        if options.ranges:
+            self.contents["ranges"] = ScanContent(ring_spec, section)
         ring = options.ring()  # name, bearing in rad and distance in m of each sensor
         self._ring = from_ros.RangeRingDecoder(
             [bearing for _, bearing, _ in ring], [distance for _, _, distance in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
-        # An entry is one item of an option such as `readings` (ENTRY_KINDS): it reads a value from
-        # the messages of a topic. `_inputs`: by option, the object that collects the values of all
-        # its entries. `_entries_of`: by topic, the entries that read the topic.
+
+    def _add_entries(self, options: TopicOptions) -> None:
+        """Set `_inputs` and `_entries_of` for the entries of the options in ENTRY_KINDS.
+
+        An entry, such as `readings.light`, reads a value from the messages of a topic. `_inputs`:
+        by option, the object that collects the values of all entries of the option. `_entries_of`:
+        by topic, each entry that reads the topic, behind the object that collects its value.
+        """
         entries = options.topic_entries
         self._inputs = {
             option: kind.inputs(entries[option]) for option, kind in ENTRY_KINDS.items()
@@ -86,32 +97,33 @@ class Subscriptions:
         for option, inputs in self._inputs.items():
             for entry in entries[option].values():
                 self._entries_of.setdefault(entry.topic, []).append((inputs, entry))
-        self.topics: Mapping[str, TopicStats] = {
-            stats.name: stats for stats in _topics(options, platform, has_lidar)
-        }
 
     def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:
         """Decode a message; returns the function that delivers its values to a sink.
 
-        The caller must call the returned function only while the base is connected. `is_kept`: the
-        message is an earlier message of a topic of `kept_topics` (published on change, so that the
-        last message counts), from the publisher's cache. Raises CodecError.
+        The caller must call the returned function only while the base is connected. Raises
+        CodecError.
+
+        Args:
+            name: of the topic in `topics`.
+            payload: the message.
+            now: s on the caller's clock, the arrival.
+            is_kept: the message comes from the cache of a publisher of `kept_topics`, and may be
+                older than messages that have arrived.
         """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
         header = getattr(message, "header", None)
-        stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
-        # 1. The entries (topic_entries.py) that read this topic.
+        stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)  # 0: not set
         entries_text = self._take_entries(stats, message, stamp, now, is_kept)
         deliver_entries = partial(self.deliver_inputs, now=now)
-        if is_kept and stats.stamps:
-            stamp = stats.stamps[-1]  # an earlier message does not advance the stamp
-        if stats.has_only_entries:  # stamp 0: not set
+        if stats.has_only_entries:
+            if is_kept and stats.stamps:
+                stamp = stats.stamps[-1]  # an older stamp would look like a second publisher
             stats.record(now, stamp or now, entries_text or stats.summary)
             return deliver_entries
-        if is_kept:  # an earlier message is no scan, odometry or pose
+        if is_kept:  # only the entries of a standard topic, such as odometry, take a kept message
             return deliver_entries
-        # 2. The value of a standard topic, such as a scan.
         deliver, summary = self._value(stats, message, now)
         stats.record(now, stamp, ", ".join(filter(None, (summary, entries_text))))
         if stats.message_type in _SIGNS_OF_LIFE:
@@ -123,9 +135,9 @@ class Subscriptions:
     ) -> str:
         """Hand a message to the entries of its topic; returns their values as text.
 
-        The text is empty without entries. A message that repeats the last stamp is a copy, and does
-        not renew the age of a value. The age of a value of a message without a header, or with
-        stamp 0, begins at the arrival of the message.
+        The text is empty without entries. `stamp`: s; 0 without a stamp. An entry whose values
+        become stale takes no copy (a message with the stamp of the message before) and no kept
+        message, since neither shows that the sensor still measures.
         """
         is_copy = bool(stamp and stats.stamps and stamp == stats.stamps[-1])
         taken = (
@@ -198,36 +210,45 @@ class Subscriptions:
         if stats.message_type is messages.LaserScan:
             return self._scan_value(stats, message), ""
         if stats.message_type is messages.Range:
-            # A scan of the ring of range sensors is complete after a value of each sensor.
-            ring_scan = self._ring.take(self._ring_index[stats.name], message)
-            if ring_scan is not None:
-                self.contents["ranges"].take(ring_scan)
-            # Without a lidar the ring is the robot's lidar.
-            kind = RangesInput if "scan" in self.contents else ScanInput
-            inputs = () if ring_scan is None else (kind(ring_scan),)
-            return partial(_deliver, inputs), f"{message.range:.3g} m"
+            return self._range_value(stats, message), f"{message.range:.3g} m"
         if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
             return partial(_deliver, (OdometryInput(odometry),)), ""
         if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             return partial(_deliver, (PoseInput(pose),)), f"frame {pose.frame}"
-        # The messages of options imu and battery give readings beside those of option `readings`.
-        readings = self._inputs["readings"]
-        assert isinstance(readings, Readings)
         if stats.message_type is messages.Imu:
-            names, missing = IMU, from_ros.no_yaw(message)
-            # `take_own` replaces the readings `names`. First by none: if `imu_readings` raises
-            # CodecError, no earlier yaw stays.
-            readings.take_own(names, {})
-            values = from_ros.imu_readings(message)
+            values, missing = self._take_imu(message), from_ros.no_yaw(message)
         else:
-            names = BATTERY
             values = from_ros.battery_readings(message, *self._battery)
+            self._readings.take_own(BATTERY, values)
             missing = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
-        readings.take_own(names, values)
         texts = [f"{name} {value:.3g}" for name, value in values.items()]
         return partial(self.deliver_inputs, now=now), ", ".join(filter(None, (*texts, missing)))
+
+    @property
+    def _readings(self) -> Readings:
+        """The object that collects all readings: of option `readings`, `imu` and `battery`."""
+        readings = self._inputs["readings"]
+        assert isinstance(readings, Readings)
+        return readings
+
+    def _take_imu(self, message: Any) -> Mapping[str, float]:
+        """The readings of a message of option `imu`. After a CodecError there is no yaw."""
+        self._readings.take_own(IMU, {})  # so that a message without a yaw ends the earlier yaw
+        values = from_ros.imu_readings(message)
+        self._readings.take_own(IMU, values)
+        return values
+
+    def _range_value(self, stats: TopicStats, message: Any) -> Deliver:
+        """How to deliver the scan of the ring that a sensor's value completes, if any."""
+        ring_scan = self._ring.take(self._ring_index[stats.name], message)
+        if ring_scan is None:
+            return partial(_deliver, ())
+        self.contents["ranges"].take(ring_scan)
+        has_lidar = "scan" in self.contents  # without a lidar the ring takes its place
+        kind = RangesInput if has_lidar else ScanInput
+        return partial(_deliver, (kind(ring_scan),))
 
     def _scan_value(self, stats: TopicStats, message: messages.LaserScan) -> Deliver:
         """How to deliver a LaserScan; nothing is delivered while the sensor has not measured."""
@@ -256,7 +277,8 @@ def _deliver(inputs: Iterable[SensorInput], sink: Sink) -> None:
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
     """The statistics of each topic that the options name: one for each full name of a topic.
 
-    An entry of an option of topic_entries.py may share a topic with another option.
+    An entry (topic_entries.py) may share a topic with a sensor, or with another entry. The topic
+    then has the statistics of the first option that names it.
     """
     topic = options.topic
     topics = [
@@ -281,12 +303,16 @@ def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[
             topics.append(TopicStats(option, option, topic(name), message_type))
     by_topic = {stats.topic: stats for stats in topics}
     entries = chain.from_iterable(given.values() for given in options.topic_entries.values())
-    # The sensors of one entry with one topic have the same option: one of them stands for all.
+    # Several sensors in the messages of one topic, such as `data.*`, are entries with one option,
+    # topic, type and `stale_after`: the map keeps one of these entries.
     for option, entry in {entry.option: entry for entry in entries}.items():
-        new = TopicStats(option, option, entry.topic, entry.message_type, has_only_entries=True)
-        stats = by_topic.setdefault(entry.topic, new)  # one subscription a topic
-        if stats is not new:
-            stats.further.append(option)
+        if entry.topic in by_topic:
+            by_topic[entry.topic].further.append(option)
+        else:
+            by_topic[entry.topic] = TopicStats(
+                option, option, entry.topic, entry.message_type, has_only_entries=True
+            )
+        stats = by_topic[entry.topic]
         stats.stale_after = min(stats.stale_after, entry.stale_after)
     return list(by_topic.values())
 

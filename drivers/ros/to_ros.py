@@ -148,9 +148,9 @@ class ReadingEncoder:
 class TagEncoder:
     """Encodes objects as the AprilTags that a camera would see.
 
-    Only an object whose kind is a value of the option `kinds` has a tag. The key of this value is
-    the tag's number or family. With a family, the tag's number is the number at the end of the
-    object's name, such as 2 of `tb4-02`.
+    The option `kinds` maps the number or the family of a tag to a kind of objects. An object has a
+    tag if the option maps a tag to the object's kind. If the option names the family of the tag,
+    the tag's number is the number at the end of the object's name, such as 2 of `tb4-02`.
     """
 
     is_reliable, depth = True, 1

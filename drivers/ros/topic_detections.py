@@ -16,7 +16,7 @@ from swarmd.core.events import DetectionsInput
 from swarmd.core.values import MAX_DETECTIONS, MAX_WORD, Detection
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs, faults_of
 from swarmd.drivers.ros.topic_readings import Step, Text, path_of, value_at
 
 OBJECT = "object"
@@ -159,8 +159,8 @@ class TopicDetections(TopicEntry):
     def pixels(self, seen: Detection) -> tuple[float, float] | None:
         """The horizontal position and the side length of an object in the image, in pixels.
 
-        None if the object is outside the image or has no distance. Simulated cameras call this
-        function, which is the inverse of `read`.
+        None if the object is outside the image or has no distance. The inverse of `read`, for
+        simulated cameras.
         """
         if seen.distance is None:
             return None
@@ -191,31 +191,24 @@ def _focal(width: float, view_deg: float) -> float:
 
 
 def topic_detections(
-    name: str, options: DetectionOptions, full: Callable[[str], str], types: MessageTypes
+    name: str, options: DetectionOptions, full_name: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicDetections]:
-    """The reader of the entry `name` of option `detections`, as a tuple of one.
+    """The reader of the entry `name` of option `detections`, as `EntryKind.read` returns readers.
 
-    A tuple, as an entry of option `readings` may have several readers. `full(topic)` returns the
-    full name of a topic. `types`: the known message types. ConfigError names the key
-    that is wrong.
+    `full_name(topic)` returns the full name of a topic. `types`: the known message types.
+    ConfigError names the key that is wrong.
     """
     option = f"detections.{name}"
     type_name = options.type.replace("/msg/", "/")
     if type_name not in _LAYOUTS:
         raise ConfigError(f"{option}.type is {options.type!r}; expected {', '.join(_LAYOUTS)}")
     layout = _LAYOUTS[type_name]
-    try:
-        kind = types.kind(options.type)
-        # `detections` is a list of messages: rosbags' node is (sequence, (item, length)), and the
-        # item is (kind of node, name of the type).
-        _, (_, (item, *_)) = path_of(types, kind, "detections")
-        item_type = types.kind(item[1])
-        # The path to the first of these fields that the definition has; None without such a field.
+    with faults_of(f"{option}.type"):
+        message_type = types.kind(options.type)
+        item_type = _item_type(types, message_type)
         place = _first(types, item_type, layout.place)
         if place is None:
             raise ConfigError(f"its definition has no {layout.place[0]}")
-    except ConfigError as error:
-        raise ConfigError(f"{option}.type: {error}") from None
     if layout.is_image:
         for key in ("image_width", "field_of_view_deg"):
             if getattr(options, key) is None:
@@ -223,8 +216,8 @@ def topic_detections(
     entry = TopicDetections(
         name=name,
         option=option,
-        topic=full(options.topic),
-        message_type=kind,
+        topic=full_name(options.topic),
+        message_type=message_type,
         stale_after=options.stale_after,
         options=options,
         is_image=layout.is_image,
@@ -235,6 +228,13 @@ def topic_detections(
         corners=_first(types, item_type, layout.corners),
     )
     return (entry,)
+
+
+def _item_type(types: MessageTypes, message_type: type) -> type:
+    """The message type of the items of the list `detections` in messages of a type."""
+    _, (_, list_detail) = path_of(types, message_type, "detections")
+    item_node = list_detail[0]  # rosbags' node of an item: (kind of node, name of the type)
+    return types.kind(item_node[1])
 
 
 def _first(types: MessageTypes, item_type: type, fields: Sequence[str]) -> tuple[Step, ...] | None:
@@ -264,10 +264,11 @@ class Detections(TopicInputs[TopicDetections, tuple[Detection, ...]]):
         return ", ".join((*_texts(objects), *unplaced_text)) or "no object"
 
     def input(self, now: float, *, again: bool = False) -> DetectionsInput | None:
-        """The objects of all topics if they are new, else None; see `TopicInputs`.
+        """The objects of all topics together; None if they have not changed since the last call.
 
-        While any topic has been silent for too long, or was never heard, the `DetectionsInput` has
-        None in place of objects.
+        While a topic has been silent for longer than its `stale_after`, or was never heard, the
+        objects are not known: the `DetectionsInput` has None in place of objects. `again`: return
+        an input although nothing has changed.
         """
         is_known = not any(self._stale(now))
         is_due = again or not self._is_reported or (self._was_known and not is_known)

@@ -18,8 +18,10 @@ FullName = Callable[[str], str]
 class EntryKind(NamedTuple):
     """An option with entries, such as `readings`: the functions that read and collect them.
 
-    `read(name, options, full_name, types)` makes the entries of a key, and raises ConfigError that
-    names the key. `inputs(entries)` makes the object that collects the values of all entries.
+    `read(name, options, full_name, types)` makes the readers of the item `name` of the option: an
+    item of `readings` may have several sensors, each with a reader; any other item has one reader.
+    ConfigError names the key that is wrong. `inputs(entries)` makes the object that collects the
+    values of all readers.
     """
 
     read: Callable[[str, Any, FullName, MessageTypes], tuple[TopicEntry, ...]]

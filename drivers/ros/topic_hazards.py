@@ -16,7 +16,7 @@ from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs, faults_of
 from swarmd.drivers.ros.topic_readings import (
     StaleAfter,
     Step,
@@ -41,9 +41,9 @@ class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     - `field`: the number in a message of `type`, by names and indices with dots: `data.0`.
     - `list`: a list in the message, each of whose items has the field.
-    - `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or a
-      mapping from numbers to hazards. A hazard is a kind, and its place if known: `bump`, or
-      `bump front left`.
+    - `means`: a hazard, which is a kind and the place if known: `bump`, or `bump front left`.
+      The number means the hazard while it is above `above` or below `below`; without `above` and
+      `below`, while it is not zero. Or a mapping from whole numbers to the hazard of each.
     - `place_field`: a text in the message that names the place, such as `header.frame_id`.
     - `stale_after`: s without a message after which the robot is held, as for a hazard. `never` is
       for a topic that is published on change: its last message counts while its publisher is there,
@@ -80,8 +80,7 @@ class TopicHazard(TopicEntry):
         """The hazards in a message; a text with the reason if a number is not measured.
 
         A number above the upper limit of the hazard counts even if the message marks the number as
-        not measured. An example is a floor sensor over a cliff: it has no return, and its range is
-        beyond the sensor's range.
+        not measured, such as the number of a floor sensor over a cliff, which has no return.
         """
         items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
         hazards: dict[Hazard, None] = {}
@@ -118,49 +117,39 @@ class TopicHazard(TopicEntry):
 
 
 def topic_hazard(
-    name: str, options: HazardOptions, full: Callable[[str], str], types: MessageTypes
+    name: str, options: HazardOptions, full_name: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicHazard]:
-    """The reader of the entry `name` of option `hazards`, as a tuple of one.
+    """The reader of the entry `name` of option `hazards`, as `EntryKind.read` returns readers.
 
-    A tuple, as an entry of option `readings` may have several readers. `full(topic)` returns the
-    full name of a topic. `types`: the known message types. ConfigError names the key that is wrong.
+    `full_name(topic)` returns the full name of a topic. `types`: the known message types.
+    ConfigError names the key that is wrong.
     """
-    option, key = f"hazards.{name}", ""  # `key`: the key that is read now, begins an error's text
-    try:
-        key = ".type"
-        kind = item_type = types.kind(options.type)
-        items = place = None
-        if options.list is not None:
-            key = f".list is {options.list!r}"
-            items, item_type = _list_path(types, kind, options.list)
-        key = f".field is {options.field!r}"
+    option = f"hazards.{name}"
+    with faults_of(f"{option}.type"):
+        message_type = item_type = types.kind(options.type)
+    items = place = None
+    if options.list is not None:
+        with faults_of(f"{option}.list is {options.list!r}"):
+            items, item_type = _list_path(types, message_type, options.list)
+    with faults_of(f"{option}.field is {options.field!r}"):
         number = number_path(types, item_type, options.field)
-        if options.place_field is not None:
-            key = f".place_field is {options.place_field!r}"
+    if options.place_field is not None:
+        with faults_of(f"{option}.place_field is {options.place_field!r}"):
             place = _text_path(types, item_type, options.place_field)
-        key = ".means"
+    with faults_of(f"{option}.means"):
         means = _means(options)
-        key = f".above is {options.above}"
-        high = _limit(options.above, math.inf)
-        key = f".below is {options.below}"
-        low = _limit(options.below, -math.inf)
-        if low > high:
-            raise ConfigError(f"expected at most .above, which is {high:g}")
-    except ConfigError as error:
-        raise ConfigError(f"{option}{key}: {error}") from None
-    is_limited = options.above is not None or options.below is not None
     entry = TopicHazard(
         name=name,
         option=option,
-        topic=full(options.topic),
-        message_type=kind,
+        topic=full_name(options.topic),
+        message_type=message_type,
         stale_after=seconds(options.stale_after),
         items=items,
         field=options.field,
         number=number,
         place=place,
         means=means,
-        limits=(low, high) if is_limited else None,
+        limits=_limits(option, options),
     )
     return (entry,)
 
@@ -179,6 +168,17 @@ def _text_path(types: MessageTypes, message_type: type, field: str) -> tuple[Ste
     if node is not Nodetype.BASE or detail[0] != "string":
         raise ConfigError("expected a text, such as header.frame_id")
     return steps
+
+
+def _limits(option: str, options: HazardOptions) -> tuple[float, float] | None:
+    """The lowest and the highest number without a hazard; None without `above` and `below`."""
+    with faults_of(f"{option}.above is {options.above}"):
+        high = _limit(options.above, math.inf)
+    with faults_of(f"{option}.below is {options.below}"):
+        low = _limit(options.below, -math.inf)
+        if low > high:
+            raise ConfigError(f"expected at most .above, which is {high:g}")
+    return None if options.above is None and options.below is None else (low, high)
 
 
 def _limit(given: float | None, default: float) -> float:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
+from swarmd.core.errors import ConfigError
 from swarmd.core.events import SensorInput
 
 
@@ -29,6 +31,15 @@ class TopicEntry:
         return self.stale_after == math.inf
 
 
+@contextmanager
+def faults_of(key: str) -> Iterator[None]:
+    """Put `key`, the key of an option that the block reads, before the text of a ConfigError."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(f"{key}: {error}") from None
+
+
 E = TypeVar("E", bound=TopicEntry)
 V = TypeVar("V")
 
@@ -42,10 +53,10 @@ class TopicInputs(ABC, Generic[E, V]):
 
     @abstractmethod
     def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
-        """Take a message for an entry; returns its value as text.
+        """Take a message for the entry `name`; returns the value of the entry as text.
 
-        `is_kept`: an earlier message from the publisher's cache, which is used only if the entry
-        has no value.
+        `now`: s, the arrival. `is_kept`: the message is from the publisher's cache, so it may be
+        older than the value that the entry has, and is used only if the entry has no value.
         """
 
     @abstractmethod

@@ -18,7 +18,7 @@ from swarmd.core.values import sensor_names
 from swarmd.drivers.ros.absence import why_absent
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs
+from swarmd.drivers.ros.topic_inputs import TopicEntry, TopicInputs, faults_of
 
 IMU: tuple[str, ...] = ("yaw",)
 BATTERY: tuple[str, ...] = ("battery", "battery_voltage")
@@ -44,9 +44,10 @@ class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """One entry of the option `readings`.
 
     `field`: the number in a message of `type`, by names and indices separated by dots, such as
-    `vector.x` or `data.0`; `length` behind a list is the number of its items. `unit`: for display
-    only. `stale_after`: s without a message after which the reading has no value. `never` is for a
-    topic that is published on change: its last message counts while its publisher is there.
+    `vector.x` or `data.0`; `data.length` is the number of items of the list `data`. `unit`: for
+    display only. `stale_after`: s without a message after which the reading has no value. `never`
+    is for a topic that is published on change: its last message counts while its publisher is
+    there.
 
     An entry with several sensors, such as `ground`, gives the readings `ground_1`, `ground_2` ...
     and their mean `ground`. The sensors are several topics (a list in `topic`), or `count` items of
@@ -94,12 +95,12 @@ class TopicReading(TopicEntry):
 
 
 def topic_readings(
-    name: str, options: ReadingOptions, full: Callable[[str], str], types: MessageTypes
+    name: str, options: ReadingOptions, full_name: Callable[[str], str], types: MessageTypes
 ) -> tuple[TopicReading, ...]:
     """The readings of the entry `name` of option `readings`: one for each sensor of the entry.
 
-    `full`: returns the full name of a topic. `types`: the known message types. ConfigError names
-    the key that is wrong.
+    `full_name(topic)` returns the full name of a topic. `types`: the known message types.
+    ConfigError names the key that is wrong.
     """
     option = f"{READING}{name}"
     # 1. The name, and the type of the messages.
@@ -107,10 +108,8 @@ def topic_readings(
         raise ConfigError(f"{option}: expected a name of at most 63 letters, digits and _")
     if name in _OWN:
         raise ConfigError(f"{option}: options imu and battery give {', '.join(_OWN)}; rename it")
-    try:
-        kind = types.kind(options.type)
-    except ConfigError as error:
-        raise ConfigError(f"{option}.type: {error}") from None
+    with faults_of(f"{option}.type"):
+        message_type = types.kind(options.type)
     # 2. The fields of a message: `count` items of a list, or a single field.
     has_any_index = _ANY in options.field.split(".")
     if (options.count is not None) != has_any_index:
@@ -118,11 +117,9 @@ def topic_readings(
         raise ConfigError(
             f"{option}.count {text} a field with the index {_ANY}, such as data.{_ANY}"
         )
-    try:
-        fields = [options.field.replace(_ANY, str(index)) for index in range(options.count or 1)]
-        paths = {field: number_path(types, kind, field) for field in fields}
-    except ConfigError as error:
-        raise ConfigError(f"{option}.field is {options.field!r}: {error}") from None
+    fields = [options.field.replace(_ANY, str(index)) for index in range(options.count or 1)]
+    with faults_of(f"{option}.field is {options.field!r}"):
+        paths = {field: number_path(types, message_type, field) for field in fields}
     # 3. A sensor for each topic and field. Several sensors are numbered, and have a mean with the
     # name of the entry, which is the first of `sensor_names`.
     topics = options.topics(name)
@@ -134,8 +131,8 @@ def topic_readings(
         TopicReading(
             name=sensor_name,
             option=topic_option,
-            topic=full(topics[topic_option]),
-            message_type=kind,
+            topic=full_name(topics[topic_option]),
+            message_type=message_type,
             stale_after=stale_after,
             mean_of="" if is_single else name,
             field=field,

@@ -10,7 +10,7 @@ import socket
 import subprocess
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import msgspec
@@ -114,40 +114,13 @@ class AdapterProcess:
         self._listener, self._kept = listener, frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
-        # The last sign of life, put into the future: the first sign may take START_TIMEOUT.
+        # The adapter counts as alive until ALIVE_TIMEOUT after `_alive_at`. Before the first sign
+        # of life it has START_TIMEOUT, so `_alive_at` is in the future at first.
         self._alive_at = self._loop.time() + START_TIMEOUT - ALIVE_TIMEOUT
         self._error_lines: deque[str] = deque(maxlen=_MAX_LINES)
         self._buffer = memoryview(bytearray(_MAX_FRAME))
-        # 1. A pair of connected sockets that keep the bounds of packets (SOCK_SEQPACKET). The
-        # child's end is its standard input.
-        try:
-            self._socket, child_socket = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        except OSError as error:
-            raise DriverError(
-                f"driver ros1: no socket to an adapter: {error.strerror}; is the machine full?"
-            ) from None
-        # 2. The process.
-        try:
-            for end in (self._socket, child_socket):
-                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
-            self._process = subprocess.Popen(
-                [python, script, json.dumps(config)],
-                stdin=child_socket.fileno(),
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                env=environ,
-                cwd="/",
-                start_new_session=True,  # Ctrl-C in a terminal must not reach it
-            )
-        except OSError as error:
-            self._socket.close()
-            raise DriverError(
-                f"driver ros1: {python} cannot be started ({error.strerror}); set"
-                " driver_options.python to a Python that has rospy"
-            ) from None
-        finally:
-            child_socket.close()
-        # 3. Readers in the loop.
+        command_line = [python, script, json.dumps(config)]
+        self._socket, self._process = _started(command_line, environ)
         assert self._process.stderr is not None
         self._error_pipe = self._process.stderr.fileno()
         os.set_blocking(self._error_pipe, False)
@@ -270,3 +243,40 @@ class AdapterProcess:
             self._ended.set()
             self._loop.remove_reader(self._socket)
             self._socket.close()
+
+
+def _started(
+    command_line: Sequence[str], environ: Mapping[str, str]
+) -> tuple[socket.socket, subprocess.Popen[bytes]]:
+    """Start an adapter process; returns the driver's end of a socket to it, and the process.
+
+    The socket keeps the bounds of packets (SOCK_SEQPACKET). The end of the process is its standard
+    input. DriverError if the socket or the process cannot be made.
+    """
+    try:
+        own_end, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    except OSError as error:
+        raise DriverError(
+            f"driver ros1: no socket to an adapter: {error.strerror}; is the machine full?"
+        ) from None
+    try:
+        for end in (own_end, child_end):
+            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        process = subprocess.Popen(
+            command_line,
+            stdin=child_end.fileno(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env=environ,
+            cwd="/",
+            start_new_session=True,  # Ctrl-C in a terminal must not reach it
+        )
+    except OSError as error:
+        own_end.close()
+        raise DriverError(
+            f"driver ros1: {command_line[0]} cannot be started ({error.strerror}); set"
+            " driver_options.python to a Python that has rospy"
+        ) from None
+    finally:
+        child_end.close()
+    return own_end, process

@@ -16,9 +16,10 @@ for the layout of the packets:
 
 The adapter is the base's watchdog and outlives the daemon:
 
-1. The adapter is armed from a non-zero command until the daemon has sent zeros for _DISARM_TIME.
-2. If no command comes for COMMAND_TIMEOUT, an armed adapter sends zeros until the daemon commands
-   again. For ZERO_TIME from the begin of the silence the adapter also turns commands into zeros.
+1. A non-zero command arms the adapter. Zeros of the daemon for _DISARM_TIME disarm it.
+2. An armed adapter that gets no command for COMMAND_TIMEOUT sends zeros until the daemon commands
+   again. A daemon that is back within ZERO_TIME moves nothing before that time is over: the adapter
+   sends zero in place of its commands.
 3. When the daemon closes the socket, the adapter sends zeros for ZERO_TIME, and ends.
 """
 
@@ -65,9 +66,10 @@ _TWIST = struct.Struct("<6d")
 class KeptTopic:
     """The last message of a topic that is published on change, sent until the driver has taken it.
 
-    The class also reports the end of the publisher, which ends the validity of the message. rospy
-    keeps the connection object after that end and connects again, so the object does not show the
-    end. The header object shows the end, since a new connection has a new header.
+    The message is valid only while its publisher is there, so the class also reports the end of
+    the publisher. rospy connects again with the same connection object, which therefore does not
+    show the end. Each connection has a header object of its own: once no open connection has the
+    header of the message, its publisher has ended.
     """
 
     def __init__(self, index: int, adapter: Adapter) -> None:
@@ -202,11 +204,12 @@ class Adapter:
         self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
 
     def _follow_type(self, wanted: Any, connected: int) -> None:
-        """Publish commands in the type to which all listeners subscribe (`wanted`: their types).
+        """Publish commands in the type to which all listeners subscribe.
 
-        Without effect if the types differ, and while a listener is connected. rospy cannot
-        advertise a topic again with another type. So the adapter ends if the type changes, and the
-        driver starts a new adapter.
+        `wanted`: the types of the listeners. `connected`: how many nodes are connected to the topic
+        of commands; while a node is connected the type stays. It also stays if listeners want
+        different types. If the type changes, the adapter ends and the driver starts a new adapter,
+        since rospy cannot advertise a topic again with another type.
         """
         allowed = self._config["command_types"]
         kinds = {kind for kind in wanted if kind in allowed}
@@ -327,24 +330,15 @@ class Adapter:
     def _state(self) -> Any:
         """The event `state`: what the master knows of the driver's topics (adapter.MasterState).
 
-        Ends the adapter if the master lacks this node's subscriptions in two polls in a row: the
-        master was restarted.
+        Ends the adapter if the master was restarted, or if the type of commands must change.
         """
-        # 1. The nodes by topic.
         master = self._master
         publishers, subscribers, _ = master.call("getSystemState")
-        publishers_of, subscribers_of = dict(publishers), dict(subscribers)
+        publishers_of, subscribers_of = dict(publishers), dict(subscribers)  # nodes by topic
+        self._end_after_restart(subscribers_of)
+        types = dict(master.call("getTopicTypes"))
         topics = self._config["topics"]
         command_topic, *further_command_topics = self._config["command_topics"]
-        is_listed = all(master.caller in subscribers_of.get(topic, ()) for topic in topics)
-        self._misses = 0 if is_listed else self._misses + 1
-        if self._misses >= 2:
-            self.end(0.0, "the ROS master has been restarted", "restart")
-        # 2. The topic of commands: other publishers, bases that listen, and their types.
-        types = dict(master.call("getTopicTypes"))
-        other_publishers = [
-            node for node in publishers_of.get(command_topic, ()) if node != master.caller
-        ]
         listeners = [
             node
             for node in subscribers_of.get(command_topic, ())
@@ -355,40 +349,66 @@ class Adapter:
         wants = {}
         if connected < len(listeners):  # a listener that does not connect may want another type
             wants = {node: master.wants(node, command_topic) for node in listeners}
-        self._follow_type(wants.values(), connected)  # ends the adapter if the type must change
-        # 3. Topics that the driver may propose to the user in place of a missing topic: published
-        # topics of each type that the driver reads, and subscribed topics of the command types.
-        candidates = {
+        self._follow_type(wants.values(), connected)
+        return {
+            "event": "state",
+            "master": True,
+            "publishers": {
+                topic: self._alive(publishers_of.get(topic, []))
+                for topic in [*topics, *further_command_topics]
+            },
+            "types": {topic: types.get(topic, "") for topic in topics},
+            "candidates": self._published_topics(types, publishers_of),
+            "taken_topics": self._taken_topics(types, subscribers_of),
+            "others": [
+                node
+                for node in publishers_of.get(command_topic, ())
+                if node != master.caller and master.is_alive(node)
+            ],
+            "listeners": listeners,
+            "connected": connected,
+            "wants": wants,
+            "command_type": self._command_type,
+        }
+
+    def _end_after_restart(self, subscribers_of: Any) -> None:
+        """End the adapter if the master was restarted, and so has forgotten this node.
+
+        The sign: in two polls in a row a subscription of this node is missing in `subscribers_of`,
+        the subscribed nodes by topic.
+        """
+        caller, topics = self._master.caller, self._config["topics"]
+        is_listed = all(caller in subscribers_of.get(topic, ()) for topic in topics)
+        self._misses = 0 if is_listed else self._misses + 1
+        if self._misses >= 2:
+            self.end(0.0, "the ROS master has been restarted", "restart")
+
+    def _published_topics(self, types: Any, publishers_of: Any) -> Any:
+        """The published topics of each type that the driver reads.
+
+        The driver proposes these topics to the user in place of a missing topic.
+        """
+        return {
             kind: sorted(
                 topic
-                for topic, type_ in types.items()
-                if type_ == kind and publishers_of.get(topic)
+                for topic, topic_type in types.items()
+                if topic_type == kind and publishers_of.get(topic)
             )
             for kind in self._config["types"]
         }
-        taken_topics = {
+
+    def _taken_topics(self, types: Any, subscribers_of: Any) -> Any:
+        """The topics of each command type to which a node subscribes that is no adapter.
+
+        The driver proposes these topics to the user if no base takes the commands.
+        """
+        return {
             kind: sorted(
                 topic
                 for topic, nodes in subscribers_of.items()
                 if types.get(topic) == kind and not all(map(_is_adapter, nodes))
             )
             for kind in self._config["command_types"]
-        }
-        heard_topics = [*topics, *further_command_topics]
-        return {
-            "event": "state",
-            "master": True,
-            "publishers": {
-                topic: self._alive(publishers_of.get(topic, [])) for topic in heard_topics
-            },
-            "types": {topic: types.get(topic, "") for topic in topics},
-            "candidates": candidates,
-            "taken_topics": taken_topics,
-            "others": [node for node in other_publishers if master.is_alive(node)],
-            "listeners": listeners,
-            "connected": connected,
-            "wants": wants,
-            "command_type": self._command_type,
         }
 
     def _bases(self) -> int:

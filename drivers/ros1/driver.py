@@ -113,12 +113,13 @@ class Ros1Driver:
     ) -> None:
         """Send a safe command, that is a command that protection has checked.
 
-        While the base is lost, commands are dropped, with two exceptions:
+        While the base is lost, commands are dropped, except:
 
         1. Zero for a stopped robot (`is_stopped`) is sent, since another node may command the base.
         2. For the first 2 s of a loss each command is sent as zero. Half a second of zeros disarms
-           the adapter. An armed adapter would take the following silence for the end of the daemon,
-           and would send zeros against the next node that drives the base.
+           the adapter (adapter_process.py). Without these zeros the adapter would take the silence
+           for the end of the daemon, and would send zeros against the next node that drives the
+           base.
 
         The first command after a loss is sent as zero.
         """
@@ -214,10 +215,11 @@ class Ros1Driver:
     def _config(self, is_check: bool) -> dict[str, Any]:
         """The configuration of an adapter process, as JSON values.
 
-        Topics are named by their index in `topics`: first those of the subscriptions, then the
-        states of actions. `definitions`: md5sum and definition of each message class of commands.
-        `kept_topics`: indices of topics whose last message counts until the next one. `holds`: an
-        earlier adapter has driven the robot, so that this adapter begins with zeros.
+        The messages of the socket name a topic by its index in `topics`: first the topics of the
+        subscriptions, then those of the states of actions. `definitions`: md5sum and definition of
+        each message class of commands. `kept_topics`: indices of topics whose last message counts
+        until the next message. `holds`: this adapter begins with zeros, since an earlier adapter
+        has driven the robot.
         """
         options, foreign = self._options, self._foreign
         subscriptions = self._subscriptions
@@ -352,7 +354,7 @@ class Ros1Driver:
         if not state.master:
             return self._unreachable(state)
         if master.blocks:
-            return diagnosis.driven_by_others(
+            return diagnosis.also_published(
                 master.cmd_vel, state.others, is_heard=self._hears_motion
             )
         graph = master.graph()

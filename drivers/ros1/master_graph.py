@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 from swarmd.drivers.ros.diagnosis import Graph
 from swarmd.drivers.ros.endpoints import Endpoint
@@ -10,6 +10,9 @@ from swarmd.drivers.ros.options import Ros1Options
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.adapter import ForeignMessage, MasterState
+
+_ANY_TYPE = "*"
+"""The type that a node states which takes a topic of any type."""
 
 
 class Ros1:
@@ -73,41 +76,42 @@ class MasterGraph:
 
     def graph(self) -> Graph:
         """The publishers and subscribers of other nodes, from the last state of the master."""
-        state, ends = self.state or MasterState(master=False), list[Endpoint]()
-        # 1. Publishers: of the driver's topics with their nodes, and of topics of the same types.
-        for topic, nodes in state.publishers.items():
-            for node in nodes:
-                master_type = self._type_of(topic, state.types.get(topic, ""))
-                kind = self._foreign_types.get((topic, node), master_type)
-                ends.append(Endpoint(True, topic, kind, node=node))
-        ends += [
-            Endpoint(True, topic, kind)
-            for kind, topics in state.candidates.items()
-            for topic in topics
-            if topic not in state.publishers
-        ]
-        # 2. Subscribers: of the commands with their nodes, and of other topics of command types.
-        for node in state.listeners:
-            # A node that takes any type states `*`; a node that is connected takes `command_type`.
-            kind = state.wants.get(node, "").strip("*") or self.command_type
-            if kind:
-                ends.append(Endpoint(False, self.cmd_vel, kind, node=node))
-        ends += [
-            Endpoint(False, topic, kind)
-            for kind, topics in state.taken_topics.items()
-            for topic in topics
-            if topic != self.cmd_vel
-        ]
+        state = self.state or MasterState(master=False)
         return Graph(
             middleware=Ros1(),
-            endpoints=ends,
+            endpoints=[*self._publishers(state), *self._subscribers(state)],
             options=self._options,
             heard={stats.topic for stats in self._topics.values() if stats.count},
         )
 
+    def _publishers(self, state: MasterState) -> Iterator[Endpoint]:
+        """The publishers of the driver's topics with their nodes, then topics of equal types."""
+        for topic, nodes in state.publishers.items():
+            for node in nodes:
+                master_type = self._type_of(topic, state.types.get(topic, ""))
+                kind = self._foreign_types.get((topic, node), master_type)
+                yield Endpoint(True, topic, kind, node=node)
+        for kind, topics in state.candidates.items():
+            for topic in topics:
+                if topic not in state.publishers:
+                    yield Endpoint(True, topic, kind)
+
+    def _subscribers(self, state: MasterState) -> Iterator[Endpoint]:
+        """The subscribers of the commands with their nodes, then other topics of command types."""
+        for node in state.listeners:
+            wanted = state.wants.get(node, "")  # empty for a connected node
+            takes_command_type = wanted in ("", _ANY_TYPE)
+            kind = self.command_type if takes_command_type else wanted
+            if kind:
+                yield Endpoint(False, self.cmd_vel, kind, node=node)
+        for kind, topics in state.taken_topics.items():
+            for topic in topics:
+                if topic != self.cmd_vel:
+                    yield Endpoint(False, topic, kind)
+
     def _type_of(self, topic: str, kind: str) -> str:
         """The type of a topic by the master; if it knows none, the type of the driver."""
         stats = self._topics.get(topic)
-        if kind in ("", "*") and stats is not None:
+        if kind in ("", _ANY_TYPE) and stats is not None:
             return serialization.type_name(stats.message_type)
         return kind

@@ -18,7 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import zenoh
@@ -108,23 +108,14 @@ class AdminSpaces:
     ) -> None:
         """Make the query that is due, unless the last query has no end yet. Returns at once.
 
-        A whole query lists the nodes of each bridge, and all DDS readers and writers. A whole query
-        is due each PERIOD, and more often while a bridge's first complete list, or the name of a
-        node, may still come. Between whole queries, a query of the readers of the commands is due
-        each WATCH_PERIOD. `announcing`: the ids of the sessions that announce topics of this robot.
+        A whole query lists the nodes of each bridge, and all DDS readers and writers. Between whole
+        queries, a query of the readers of the commands is due each WATCH_PERIOD. `announcing`: the
+        ids of the sessions that announce topics of this robot.
         """
         now, bridges = loop.time(), self.nodes.namespaces
         if not self._root or self._query is not None:
             return
-        if self.nodes.is_naming:  # a DDS reader may still get the name of its node
-            period = WATCH_PERIOD
-        elif not self.nodes.is_awaited(announcing):
-            period = PERIOD
-        elif set(announcing) <= bridges.keys():  # lists that may not be complete yet
-            period = SETTLING
-        else:  # a bridge has not answered yet
-            period = _RETRY
-        if now - self._queried_at >= period:
+        if now - self._queried_at >= self._period(announcing):
             self._queried_at = self._watched_at = now
             # Until a bridge is known, query all: a bridge may list nodes and announce no topic.
             zids = {*announcing, *bridges} or {_ANY}
@@ -134,6 +125,15 @@ class AdminSpaces:
             self._watched_at = now
             selectors = [(zid, self._dds_selector(zid, "reader", self._cmd_vel)) for zid in bridges]
             self._ask(session, selectors, loop, self._compare)  # a change makes a whole query due
+
+    def _period(self, announcing: Collection[str]) -> float:
+        """Seconds from one whole query to the next; fewer while a list is awaited."""
+        if self.nodes.is_naming:  # a DDS reader may still get the name of its node
+            return WATCH_PERIOD
+        if not self.nodes.is_awaited(announcing):
+            return PERIOD
+        have_all_answered = set(announcing) <= self.nodes.namespaces.keys()
+        return SETTLING if have_all_answered else _RETRY  # the first list may not be complete
 
     def _selectors(self, zid: str) -> Iterator[str]:
         """The selectors of a whole query of the bridge `zid`; `*`: of all bridges."""
@@ -168,7 +168,7 @@ class AdminSpaces:
         dropped. `on_reply` and `on_end` run in a thread of Zenoh.
         """
         query, answers, late_bridges = object(), dict[str, bytes](), set[str]()
-        pending = [*selectors]
+        running = [*selectors]  # a list as a counter: its `pop` is safe in several threads
         self._query = query
 
         def on_reply(zid: str, reply: zenoh.Reply) -> None:
@@ -179,8 +179,8 @@ class AdminSpaces:
                 answers[str(sample.key_expr)] = sample.payload.to_bytes()
 
         def on_end() -> None:
-            pending.pop()  # only the number of items counts
-            if not pending:
+            running.pop()
+            if not running:
                 hand_over(loop, finish)
 
         def finish() -> None:
@@ -266,9 +266,10 @@ class _Answer:
 class NodeList:
     """The nodes, and DDS readers and writers, that all bridges list. Pure.
 
-    `endpoints`: of all nodes except the bridges; `zid`: the bridge that lists the node. `dds`: the
-    DDS readers and writers that were queried. `strays`: the DDS readers that belong to no node or
-    to another bridge; their `node` names the process or the bridge.
+    `endpoints`: of all nodes that are no bridges; the `zid` of an endpoint is the bridge that lists
+    the node. `dds`: the DDS readers and writers that were queried. `strays`: the DDS readers that
+    belong to no listed node, or to a bridge other than the one that lists them; the `node` of a
+    stray is the name of its process, or of its bridge.
     """
 
     def __init__(self) -> None:
@@ -301,23 +302,21 @@ class NodeList:
     ) -> None:
         """Update the lists by the answers to a whole query.
 
-        `answers`: the payload of each answer by its key; None if no bridge answered in time. The
-        keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
-        `.../dds/<participant>/reader/<id>/rt/<topic>`, or `writer` for `reader`. `announcing`: the
-        ids of the sessions that announce topics. `late`: the ids of bridges whose answers are not
-        complete; their earlier answers count for MAX_AGE.
+        Args:
+            answers: the payload of each answer by its key; None if no bridge answered in time. The
+                keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`,
+                `.../dds/<participant>`, and `.../dds/<participant>/reader/<id>/rt/<topic>` or the
+                same with `writer`.
+            announcing: the ids of the sessions that announce topics.
+            now: s, the time of the answers.
+            late: the ids of bridges whose answers are not complete; their earlier answers count
+                for MAX_AGE.
         """
-        self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}  # whole queries
-        # 1. The complete answers of this query, by bridge. Equal answers are not decoded again. If
-        # all answers timed out, all bridges are late.
+        self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
         before = self._by_bridge
-        late = {*before} if answers is None else late
-        if answers is not None and answers != self._answers:
-            self._answers, self._read = dict(answers), dict(_by_bridge(answers))
-        read = {} if answers is None else self._read
-        complete = {zid: answer for zid, answer in read.items() if zid not in late}
-        unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
-        # 2. Earlier answers of late bridges are valid, too, unless they are too old.
+        if answers is None:
+            answers, late = {}, {*before}
+        complete = {zid: answer for zid, answer in self._decode(answers).items() if zid not in late}
         kept = {
             zid: answer
             for zid, answer in before.items()
@@ -325,10 +324,25 @@ class NodeList:
         }
         self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(complete, now)
         valid = kept | complete
-        if valid != before:  # decoding and comparing 2000 endpoints takes 40 ms
+        if valid != before:  # comparing 2000 endpoints takes 40 ms, with decoding them
             self._replace(valid, now)
-        # 3. A reader without a node counts as stray at once if its process is no ROS process, else
-        # after NAMING_TIME.
+        self._update_strays(now)
+        # A bridge's list is settled, thus complete, if two answers in a row were equal.
+        unchanged = {zid for zid, answer in complete.items() if before.get(zid) == answer}
+        self._settled = frozenset(unchanged | (self._settled & self._by_bridge.keys()))
+
+    def _decode(self, answers: Mapping[str, bytes]) -> Mapping[str, _Answer]:
+        """The decoded answers by bridge; answers equal to the last ones are not decoded again."""
+        if answers and answers != self._answers:
+            self._answers, self._read = dict(answers), dict(_by_bridge(answers))
+        return self._read if answers else {}
+
+    def _update_strays(self, now: float) -> None:
+        """Set `strays`: readers without a node, once the node's name can no longer come.
+
+        A process that is no ROS process has no nodes. The node of a ROS process may be announced up
+        to NAMING_TIME after its readers.
+        """
         by_bridge = self._by_bridge.values()
         unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
         self._unnamed_since = {key: self._unnamed_since.get(key, now) for key in unnamed}
@@ -338,8 +352,6 @@ class NodeList:
             for key, end in unnamed.items()
             if end.process in not_ros or now - self._unnamed_since[key] >= NAMING_TIME
         )
-        # 4. A bridge's list is settled, thus complete, if two answers in a row were equal.
-        self._settled = frozenset(unchanged | (self._settled & self._by_bridge.keys()))
 
     @property
     def is_naming(self) -> bool:
@@ -389,16 +401,16 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 
     A bridge without the answer `config` is left out.
     """
-    # 1. The payloads of each bridge: its configuration, and its nodes and DDS entities by the last
-    # part of their keys, which are `@/<zid>/ros2/<kind>/<rest>`.
     configs = dict[str, _Config]()
+    # By bridge: the payloads of nodes, and of DDS entities, by the <rest> of their keys, which are
+    # `@/<zid>/ros2/<kind>/<rest>`.
     nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
         zid, kind = parts[1], parts[3]
-        rest = "".join(parts[4:])  # the fifth part; empty without one
+        rest = parts[4] if len(parts) > 4 else ""
         if kind == "config" and not rest and (config := _decoded(_configs, payload)):
             configs[zid] = config
         elif kind == "node" and rest:
@@ -406,8 +418,6 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         elif kind == "dds" and rest:
             in_dds[zid][rest] = payload
     bridge_names = {_BRIDGE, *(config.nodename for config in configs.values())}
-    # 2. The endpoints of each bridge. A stray is a DDS reader that belongs to no listed node, or to
-    # another bridge.
     for zid, config in configs.items():
         prefix = config.namespace.rstrip("/")
         ends = [
@@ -415,17 +425,28 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
             for name, payload in nodes[zid].items()
             for end in _of_node(zid, prefix, name, payload)
         ]
-        of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
-        dds_ends, processes, not_ros = _ends_in_dds(zid, prefix, in_dds[zid])
-        # A stray of another bridge gets the bridge's name, by the process.
-        processes |= {end.process: end.node for end in ends if end not in of_nodes}
-        node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
-        strays = (
-            replace(end, node=processes.get(end.process, _NAMELESS))
-            for end in dds_ends
-            if not end.is_publisher and (end.process, end.topic) not in node_readers
-        )
-        yield zid, _Answer(prefix, frozenset(of_nodes), dds_ends, frozenset(strays), not_ros)
+        yield zid, _answer(prefix, ends, bridge_names, _ends_in_dds(zid, prefix, in_dds[zid]))
+
+
+def _answer(
+    prefix: str, ends: Collection[Endpoint], bridge_names: Collection[str], in_dds: _DdsEnds
+) -> _Answer:
+    """The answer of a bridge with the namespace `prefix`, whose nodes have the endpoints `ends`.
+
+    `bridge_names`: the names of the nodes that are bridges. A stray is a DDS reader that belongs to
+    no listed node, or to another bridge.
+    """
+    of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
+    # The name of the owner of a stray, by its process: of a bridge, else of the process.
+    bridges = {end.process: end.node for end in ends if end not in of_nodes}
+    owners = {**in_dds.processes, **bridges}
+    node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
+    strays = frozenset(
+        replace(end, node=owners.get(end.process, _NAMELESS))
+        for end in in_dds.ends
+        if not end.is_publisher and (end.process, end.topic) not in node_readers
+    )
+    return _Answer(prefix, frozenset(of_nodes), in_dds.ends, strays, in_dds.not_ros)
 
 
 def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:
@@ -442,12 +463,19 @@ def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpo
                 )
 
 
-def _ends_in_dds(
-    zid: str, prefix: str, answers: Mapping[str, bytes]
-) -> tuple[frozenset[Endpoint], dict[str, str], frozenset[str]]:
-    """The DDS readers and writers, a name for each participant, and the participants without ROS.
+class _DdsEnds(NamedTuple):
+    """The DDS entities that a bridge lists."""
 
-    CycloneDDS states the name of a process; other implementations do not, and get _NAMELESS.
+    ends: frozenset[Endpoint]  # readers and writers
+    processes: Mapping[str, str]  # the name of each participant
+    not_ros: frozenset[str]  # participants that are no ROS processes
+
+
+def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnds:
+    """The DDS entities in the `answers` of a bridge, the payloads by the end of their keys.
+
+    CycloneDDS states the name of a process. The participants of other implementations are called
+    _NAMELESS.
     """
     ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
@@ -464,7 +492,7 @@ def _ends_in_dds(
             quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
             end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
             ends.append(replace(end, quality=quality, process=participant))
-    return frozenset(ends), processes, frozenset(others)
+    return _DdsEnds(frozenset(ends), processes, frozenset(others))
 
 
 def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:

@@ -51,9 +51,10 @@ class CommandCredit:
     def offer(self, twist: Twist, now: float) -> Twist | None:
         """The command to send now in place of `twist`; None if no command may be sent.
 
-        1. Zero is returned itself. So is a command while a fresh sign of life is not yet used.
-        2. Any other command is held, in place of an earlier held command. The result is zero if the
-           hub has been silent for MAX_SILENCE since the query, otherwise None.
+        1. Zero may always be sent. Another command may be sent if a fresh sign of life is left,
+           which the command uses up. Both drop an earlier held command.
+        2. Otherwise `twist` is held, in place of an earlier held command. Zero is sent instead once
+           the hub has been silent for MAX_SILENCE since the query, and nothing until then.
         """
         self._held = None
         if twist.is_zero or self._spend(now):

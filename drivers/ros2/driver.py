@@ -185,9 +185,7 @@ class RosDriver:
         return diagnosis.DriverCheck(
             graph=graph,
             endpoint=self._options.endpoint,
-            connection_fault=""
-            if is_connected
-            else diagnosis.unreachable(self._scheme, self._options.endpoint),
+            connection_fault="" if is_connected else self._unreachable(),
             subscriptions=self._subscriptions,
             spec=self._platform.scan,
             cmd_vel=self._cmd_vel,
@@ -274,9 +272,7 @@ class RosDriver:
             if session is not None:
                 return session
             within = MAX_OPEN_TIME
-            self._report_state(
-                sink, False, diagnosis.unreachable(self._scheme, self._options.endpoint)
-            )
+            self._report_state(sink, False, self._unreachable())
 
     def _subscribe(
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
@@ -314,10 +310,9 @@ class RosDriver:
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Query the announcements; the base stays lost until the answer is complete.
 
-        The callbacks are direct (`indirect=False`): Zenoh's receiving thread runs them in the order
-        of the link. So the end of the answer comes after all tokens of `_subscribe`. An indirect
-        callback has its own thread: a scan could overtake the token that names the base's command
-        type.
+        Zenoh's receiving thread runs direct callbacks (`indirect=False`) in the order of the link.
+        So the end of the answer comes after all tokens of `_subscribe`. Indirect callbacks would
+        have a thread of their own: a scan could overtake the token with the base's command type.
         """
         self._graph_query = query = object()
         errors: list[zenoh.ReplyError] = []
@@ -353,38 +348,43 @@ class RosDriver:
         end = self._scheme.parse_token(token)
         if end is None:
             return
-        # 1. Keep or drop the endpoint. Topics of this robot have twice the limit, so that the
-        # announcements of other topics cannot fill the table before them.
         now = asyncio.get_running_loop().time()
         self._foreign_ends = None  # merge anew
+        # Announcements of other topics must not fill the table before those of this robot.
         max_endpoints = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)
         if is_declared and len(self._endpoints) < max_endpoints:
             self._endpoints.setdefault(token, replace(end, since=now))
         elif not is_declared:
             self._endpoints.pop(token, None)
             self._withdrawn_at = now
-        # 2. A server publishes the states of its action's goals. Without a server no state would
-        # say that a goal has ended, so all its goals end here, and after a last state that comes
-        # late (`_ended_servers`).
         if end.is_publisher and end.topic in self._foreign.actions:
-            self._ended_servers.discard(end.topic)
-            if not self._foreign_graph().publishers(end.topic):
-                self._ended_servers.add(end.topic)
-                self._foreign.end_goals(end.topic, now)
-        # 3. A base has come or left: the command type may change. The next base gets zero first.
-        if not end.is_publisher and end.topic == self._cmd_vel:
+            self._on_action_server(end.topic, now)
+        if not end.is_publisher and end.topic == self._cmd_vel:  # a base has come or left
             if not is_declared:
-                self._gate.require_zero()
+                self._gate.require_zero()  # the next base gets zero first
             self._command_type = self._wanted_type()
             self._bridges.renew()
-        # 4. A publisher of a kept topic has come or left: query its last message, or drop it.
-        # Without a publisher no query: a bridge's cache outlives its DDS writer.
         if end.is_publisher and end.topic in self._kept and self._session:
-            if not is_declared:
-                self._subscriptions.forget(end.topic)
-            if is_declared or self._foreign_graph().publishers(end.topic):
-                key = self._scheme.subscription_key(end.topic)
-                query_kept(self._session, key, self._kept[end.topic])
+            self._on_kept_publisher(self._session, end.topic, has_left=not is_declared)
+
+    def _on_action_server(self, topic: str, now: float) -> None:
+        """Take a change of the servers that publish the states of an action's goals on `topic`.
+
+        When the last server has left, no state will say that a goal has ended. So all goals end,
+        once now and again after a state that comes late (`_ended_servers`).
+        """
+        self._ended_servers.discard(topic)
+        if not self._foreign_graph().publishers(topic):
+            self._ended_servers.add(topic)
+            self._foreign.end_goals(topic, now)
+
+    def _on_kept_publisher(self, session: zenoh.Session, topic: str, *, has_left: bool) -> None:
+        """Drop the last message of a publisher that has left; query that of the present ones."""
+        if has_left:
+            self._subscriptions.forget(topic)
+            if not self._foreign_graph().publishers(topic):
+                return  # a bridge's cache outlives its DDS writer, and would answer
+        query_kept(session, self._scheme.subscription_key(topic), self._kept[topic])
 
     def _on_nodes(self) -> None:
         """Take a new list of a bridge's nodes: the command type may be another."""
@@ -526,67 +526,64 @@ class RosDriver:
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened_at: float) -> None:
         """Detect changes of hub, topics and base, each _PERIOD; times in s of the loop's clock.
 
-        A hub is the Zenoh router or bridge that the session is linked to. The gate lets commands
-        pass; while it is closed the base counts as lost.
+        The first change that applies closes the gate (the base counts as lost), or is reported.
         """
-        # 1. The hub: linked, started again (another id), or gone. `_hubs` keeps the last known ids.
-        hubs, last_hubs = linked_hubs(session), self._hubs
-        self._hubs = hubs or last_hubs
-        was_linked, self._was_linked = self._was_linked, bool(hubs)
-        # Linked again, or to another hub: the base may have missed the last zero.
-        if hubs and (not was_linked or hubs != last_hubs):
-            self._gate.repeat_zero(now)
-            if last_hubs:  # the first link of a session has its query already
-                self._query_graph(session, asyncio.get_running_loop())
-        if not hubs and was_linked:
-            self._subscriptions.forget()  # messages on change may be missed from now on
+        was_linked, is_same_hub = self._was_linked, self._watch_hub(session, now)
         if self._gate.is_open:
             self._subscriptions.deliver_inputs(sink, now)
-        # 2. The first change that applies closes the gate, or is only reported to the daemon.
-        # Without a change, zeros are repeated after a loss, but not against another node that
-        # drives.
-        silence_s = now - self._subscriptions.last_arrival
         last_conflict, self._conflict = self._conflict, self._find_conflict()
-        is_open = self._gate.is_open
-        if is_open and not hubs:
-            self._close_gate(sink, diagnosis.unreachable(self._scheme, self._options.endpoint))
-        elif is_open and last_hubs and hubs != last_hubs:
-            self._close_gate(sink, f"{self._place()} was started again")
-        elif is_open and silence_s > self._sensor_timeout:
-            self._close_gate(
-                sink, f"no scan and no odometry from {self._place()} for {silence_s:.1f} s"
-            )
-        elif is_open and (fault := self._command_fault(now)):
-            self._close_gate(sink, fault)
-        elif is_open and self._command_type is not self._opened_type:
-            self._close_gate(
-                sink, f"the base wants another type of commands on {self._cmd_vel} now"
-            )
-        elif is_open and last_conflict != self._conflict:
+        if self._gate.is_open and (loss := self._loss(now, is_same_hub=is_same_hub)):
+            self._close_gate(sink, loss)
+        elif self._gate.is_open and last_conflict != self._conflict:
             self._report_state(sink, True, self._conflict.text if self._conflict else self._place())
         elif self._reported is not None and was_linked != self._was_linked:
             # Report the same state again: `gets_zero` has changed with the link.
             self._report_state(sink, *self._reported[:2])
         elif self._gate.repeats_zero(now) and not self._foreign.source(now):
             self._put(ZERO, frame="")
-        # 3. Explain from time to time why the base is lost, or which topics are missing.
         if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened_at >= _EXPLAIN_PERIOD:
-            self._explain(sink, now, is_linked=bool(hubs))
+            self._explain(sink, now)
 
-    def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
+    def _watch_hub(self, session: zenoh.Session, now: float) -> bool:
+        """Set `_was_linked`, and `_hubs` to the last linked hubs; False if the hub is another now.
+
+        A hub is the Zenoh router or bridge that the session is linked to, by its id. A hub that was
+        started again has another id.
+        """
+        last_hubs, was_linked = self._hubs, self._was_linked
+        hubs = linked_hubs(session)
+        self._hubs, self._was_linked = hubs or last_hubs, bool(hubs)
+        if hubs and (not was_linked or hubs != last_hubs):
+            self._gate.repeat_zero(now)  # the base may have missed the last zero
+            if last_hubs:  # the first link of a session has its query already
+                self._query_graph(session, asyncio.get_running_loop())
+        if not hubs and was_linked:
+            self._subscriptions.forget()  # messages on change may be missed from now on
+        return not last_hubs or self._hubs == last_hubs
+
+    def _loss(self, now: float, *, is_same_hub: bool) -> str:
+        """Why the base, connected so far, is lost now; empty if it is still connected."""
+        if not self._was_linked:
+            return self._unreachable()
+        if not is_same_hub:
+            return f"{self._place()} was started again"
+        silence_s = now - self._subscriptions.last_arrival
+        if silence_s > self._sensor_timeout:
+            return f"no scan and no odometry from {self._place()} for {silence_s:.1f} s"
+        if fault := self._command_fault(now):
+            return fault
+        if self._command_type is not self._opened_type:
+            return f"the base wants another type of commands on {self._cmd_vel} now"
+        return ""
+
+    def _explain(self, sink: Sink, now: float) -> None:
         """Report again why the base is lost, or what is missing although the base is connected."""
-        if is_linked:
+        text = self._unreachable()
+        if self._was_linked:
             is_alive = now - self._subscriptions.last_arrival <= self._sensor_timeout
             fault = self._command_fault(now) if is_alive or self._foreign.source(now) else ""
-            self._report_state(
-                sink, self._gate.is_open, fault or self._topic_fault(now) or self._place()
-            )
-        else:
-            self._report_state(
-                sink,
-                self._gate.is_open,
-                diagnosis.unreachable(self._scheme, self._options.endpoint),
-            )
+            text = fault or self._topic_fault(now) or self._place()
+        self._report_state(sink, self._gate.is_open, text)
 
     def _command_fault(self, now: float) -> str:
         """Why the base must not be commanded although its messages arrive; empty otherwise."""
@@ -637,6 +634,9 @@ class RosDriver:
 
     def _place(self) -> str:
         return f"{self._scheme.hub} at {self._options.endpoint}"
+
+    def _unreachable(self) -> str:
+        return diagnosis.unreachable(self._scheme, self._options.endpoint)
 
     def _report_state(self, sink: Sink, is_up: bool, text: str) -> None:
         """Report the state of the base if it has changed; log a change of `is_up` or `text`."""

@@ -149,11 +149,11 @@ class _Robot:
                     TopicEnd(topic, message_type, True, encoder.is_reliable, encoder.depth)
                     for topic, message_type in encoder.topics
                 ]
-        # rmw_zenoh has a token of the node first. The tokens of `published` and of `command` come
-        # last, in order.
-        tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
+        # The tokens of the ends come last, in order; rmw_zenoh has a token of the node before them.
+        ends = [*published, command]
+        tokens = scheme.tokens(str(hub.info.zid()), ends)
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
-        self._tokens = tokens[-1 - len(published) :]
+        self._tokens = tokens[-len(ends) :]
         self._publishers = [
             realtime_publisher(hub, scheme.key(end.topic, end.message_type)) for end in published
         ]

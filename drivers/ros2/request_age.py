@@ -1,18 +1,20 @@
 """Bounds the time for which a request of ROS waited at the hub and on the link. Pure.
 
 A request carries no age. The hub (bridge or router) and TCP keep a request while the hub or this
-process is frozen, or while the link is cut. So this process probes the hub all the time:
+process is frozen, or while the link is cut. So this process probes the hub all the time, and takes
+an upper bound of the age from the answers:
 
-1. The link keeps the order. A request that comes after the answer to a probe was handed to the link
-   after the hub got that probe. So the request is no older than the last answered probe.
-2. A hub that continues after a freeze answers the probes first. Then it may still pass on requests
-   that have waited in front of it, up to the time that the slowest answer took. So the slowest
-   answer of the last SETTLE_TIME is added to each age. After a gap of MAX_AGE between two answers,
-   the age of a request is unknown for SETTLE_TIME.
-3. A link that was lost begins anew, without any answered probe.
+1. The link keeps the order of requests and answers. So a request that comes after the answer to a
+   probe passed the hub after that probe was sent: it waited on the link for no longer than since
+   then.
+2. A hub that was frozen answers the probes first, and then passes on the requests that wait in its
+   input. Each may have waited there as long as the slowest answer took. So the slowest answer of
+   the last SETTLE_TIME is added to the age. After a gap of MAX_AGE between two answers, the age is
+   unknown for SETTLE_TIME.
+3. After a loss of the link no probe counts as answered.
 
-What waited longer in front of a hub that answers all the time is not detected, except by the stamp
-of the middleware (`by_stamp`).
+A hub that answers all the time may still hold requests back for longer. Such a wait is not
+detected, except by the stamp of the middleware (`by_stamp`).
 """
 
 from __future__ import annotations

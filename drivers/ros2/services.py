@@ -118,10 +118,10 @@ class CommandServices:
         self._declared.clear()
 
     def _on_query(self, loop: asyncio.AbstractEventLoop, name: str, query: zenoh.Query) -> None:
-        """Check a call on a thread of Zenoh, and hand it to the loop.
+        """Check a query on a thread of Zenoh; hand a call of the service `name` to the loop.
 
-        A query of another program, such as for many keys, takes no share of the rate: a stop must
-        pass beside a flood of such queries.
+        Calls beyond the rate limit of the service are refused. Queries that are no calls, such as
+        for many keys, do not count in this limit: a stop must pass beside a flood of such queries.
         """
         attachment = None if query.attachment is None else query.attachment.to_bytes()
         payload = b"" if query.payload is None else query.payload.to_bytes()

@@ -107,13 +107,14 @@ def command_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 
 def query_kept(session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
-    """Query the publishers of a key for their last message.
+    """Query the publishers of a key for their last message, and pass the answers to `receive`.
 
-    A newer message may arrive before the answer. A publisher with durability TRANSIENT_LOCAL is an
-    advanced publisher of zenoh-ext, in the bridge ros2dds 1.10 and in rmw_zenoh since 0.2.2: its
-    cache answers on `<key>/@adv/**`. Other publishers do not answer. An advanced subscriber is not
-    used here: it drops a message that it has received before. After a loss of the link the driver
-    has forgotten the last value of a reading, and needs the same message again.
+    A newer message may arrive before the answer. Only publishers with durability TRANSIENT_LOCAL
+    answer. They are advanced publishers of zenoh-ext (in the bridge ros2dds 1.10, and in rmw_zenoh
+    since 0.2.2), whose cache answers on `<key>/@adv/**`.
+
+    An advanced subscriber would query by itself, but drops a message that it has received before.
+    After a loss of the link the driver has forgotten this message, and needs it again.
     """
 
     def on_reply(reply: zenoh.Reply) -> None:

@@ -23,9 +23,11 @@ def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[s
     """The bytes of a zero command for each key to which a base may subscribe.
 
     `wanted`: the name of the message class that the base takes; empty while unknown. If Twist and
-    TwistStamped have one key, the zero has the class `wanted`. While `wanted` is unknown, the zero
-    is a TwistStamped with an empty frame: a base that reads these bytes as a Twist gets
-    5e-324 m/s. With the frame `base_link` the base would read 1e180 m/s to the side.
+    TwistStamped have the same key, the zero has the class `wanted`.
+
+    While `wanted` is empty, this zero is a TwistStamped with an empty frame. A base that takes a
+    Twist reads 5e-324 m/s in its bytes. In those of a TwistStamped with the frame `base_link` it
+    would read 1e180 m/s to the side.
     """
     topic = options.topic(options.cmd_vel)
     # The class `wanted` comes last, and so takes the place of another class with the same key.

@@ -31,9 +31,10 @@ _PROTECTION = "protection is a section of the platform file, and never off"
 class Counterpart(NamedTuple):
     """The pattern of swarmd that does the same as a node of ROS2swarm.
 
-    `pattern`: its name; empty without such a pattern. `fixed`: parameters that choose the equations
-    of ROS2swarm. `names`: our parameter for each name of the node. `without`: the reason why a name
-    of the node has no parameter here. `note`: how the pattern differs.
+    `pattern`: the name of the pattern; empty if no pattern does the same. `fixed`: the parameters
+    by which the pattern uses the equations of ROS2swarm. `names`: maps parameters of the node to
+    parameters of the pattern. `without`: maps parameters of the node that the pattern lacks to the
+    reason. `note`: how the pattern differs, or why there is no pattern.
     """
 
     pattern: str
@@ -190,8 +191,9 @@ _VOTES = {
     "voter_model": "voter_model",
     "discussed_dispersion": "majority_rule",
 }
-"""The prefix of the opinions, by node that votes."""
+"""For each node that votes: the prefix of its parameters of opinions."""
 _OPINIONS = ("choose_start_value_at_random", "initial_value", "min_opinion", "max_opinion")
+"""These parameters, behind the prefix and `_`."""
 
 
 def read_parameter_file(path: Path) -> Conversion:
@@ -207,20 +209,23 @@ def read_parameter_file(path: Path) -> Conversion:
         raise ConfigError(f"{path}: {node} has no counterpart: {counterpart.note}")
     parameters: dict[str, Any] = dict(counterpart.fixed)
     left_out: dict[str, str] = {}
-    # The file of a node that votes has names of opinions, which `_opinions` converts together.
-    vote = _VOTES.get(node)
-    opinions = {} if vote is None else _opinions(path, vote, given)
-    names_of_vote = {f"{vote}_{end}" for end in _OPINIONS}  # read by `_opinions`
     notes = [counterpart.note] if counterpart.note else []
+    opinions: dict[str, Any] = {}
+    opinion_names: set[str] = set()  # parameters of the node from which `opinions` are computed
+    if node in _VOTES:
+        prefix = _VOTES[node]
+        opinions = _opinions(path, prefix, given)
+        opinion_names = {f"{prefix}_{end}" for end in _OPINIONS}
+        lowest = given.get(f"{prefix}_min_opinion", 0)
+        if lowest != 0:
+            notes.append(f"opinion 0 here is opinion {lowest} of ROS2swarm")
     for name, value in given.items():
         if name in counterpart.names:
             parameters[counterpart.names[name]] = _number(path, name, value)
         elif name in counterpart.without:
             left_out[name] = counterpart.without[name]
-        elif vote is None or name not in names_of_vote:
+        elif name not in opinion_names:
             left_out[name] = "ROS2swarm has no such parameter in this node"
-    if opinions and (lowest := given.get(f"{vote}_min_opinion", 0)) != 0:
-        notes.append(f"opinion 0 here is opinion {lowest} of ROS2swarm")
     return Conversion(node, counterpart.pattern, parameters | opinions, left_out, tuple(notes))
 
 

@@ -13,9 +13,9 @@ Attraction alone would leave a row unchanged, since the robots of a row hide one
 may roll: move along the outside of the group until three robots are adjacent, as atoms do on a
 crystal. A robot rolls from time to time if fewer than three robots are adjacent, but more are in
 sight or send messages. If all robots in sight lie in a line, the robot rolls before it settles. The
-time between tries doubles with each try, so that the swarm comes to rest. The time is reset when
-more robots are in sight than ever before. A robot with few robots in sight finally leads: it drives
-away to search for the rest of the swarm.
+time until the next roll doubles with each roll, so that the swarm comes to rest. The robot starts
+with the first time again when it sees more robots than ever before. A robot with few robots in
+sight finally leads: it drives away to search for the rest of the swarm.
 
 Limits: a robot within about 0.2 m of a wall is taken for a part of the wall, a pillar counts as a
 robot, and groups farther apart than `range` meet only by chance.
@@ -156,6 +156,27 @@ def _range(robot: tuple[float, float]) -> float:
     return robot[0]
 
 
+def _may_be_lost(view: _Surroundings, received: int) -> bool:
+    """True if few robots are in sight, and further robots may be out of sight.
+
+    `received`: the number of robots that are heard. No robot is out of sight if robots are heard,
+    and as many are in sight.
+    """
+    are_all_in_sight = 0 < received <= view.seen
+    return view.seen <= _FEW_ROBOTS and not are_all_in_sight
+
+
+def _is_incomplete(view: _Surroundings, received: int) -> bool:
+    """True if too few robots are adjacent to this robot, although there are or may be more.
+
+    `received`: the number of robots that are heard.
+    """
+    are_more_heard = received > view.seen
+    are_some_apart = view.adjacent < len(view.robots)
+    has_more = are_more_heard or are_some_apart or _may_be_lost(view, received)
+    return view.adjacent < _MIN_ADJACENT and has_more
+
+
 class Attraction(FieldPattern[AttractionParams]):
     """Drives to other robots and stands next to them; alone it searches."""
 
@@ -169,6 +190,7 @@ class Attraction(FieldPattern[AttractionParams]):
         self.state = "search"
         self._since = 0.0  # s, the time at which `state` began
         self._rest_time = _FIRST_REST_TIME  # s in a state before the next try to roll or lead
+        self._has_tried = False  # since `_rest_time` was reset
         self._most_seen = 0  # robots in one scan so far
         self._side = float(context.rng.choice((-1.0, 1.0)))  # of a roll: 1 left, -1 right
         self._view: _Surroundings | None = None  # of the last scan
@@ -268,40 +290,28 @@ class Attraction(FieldPattern[AttractionParams]):
         """
         if len(view.robots) == 0:
             return "search"
-        # 1. More robots in sight than ever before: a robot that leads has found the rest of the
-        # swarm, and the waits between tries begin anew.
-        present_state = self.state
-        if view.seen > self._most_seen:
-            self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
-            present_state = "gather" if present_state == "lead" else present_state
-        in_state_s = now - self._since  # of `self.state`, also after a lead that ends here
-        # 2. Go on with a roll or a lead.
-        # The swarm is known to be small: robots are heard, and all of them are in sight.
-        is_small_swarm = 0 < received <= view.seen
-        # Few robots are in sight, and the swarm may be larger: the rest may be lost.
-        may_be_lost = view.seen <= _FEW_ROBOTS and not is_small_swarm
-        # Each fully visible robot is adjacent, and no more robots are heard than are in sight.
-        are_all_adjacent = view.adjacent == len(view.robots) and received <= view.seen
-        # A place is incomplete if too few robots are adjacent, and there are or may be more robots.
-        is_incomplete = view.adjacent < _MIN_ADJACENT and (may_be_lost or not are_all_adjacent)
-        if present_state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
+        in_state_s = now - self._since
+        sees_more_than_ever = view.seen > self._most_seen
+        if sees_more_than_ever:
+            self._most_seen = view.seen
+            self._rest_time, self._has_tried = _FIRST_REST_TIME, False
+        is_incomplete = _is_incomplete(view, received)
+        if self.state == "roll" and is_incomplete and in_state_s < _ROLL_TIME:
             return "roll"
-        if present_state == "lead" and in_state_s < _LEAD_TIME:
+        # A robot that leads gathers once it sees more robots: it has found the rest of the swarm.
+        if self.state == "lead" and not sees_more_than_ever and in_state_s < _LEAD_TIME:
             return "lead"
-        # 3. Begin a roll or a lead, after a wait (`_rest_time`) that `_try` doubles each time.
-        # `free`: the length of the pull, less what near obstacles take off.
-        is_pulled = view.free > (_STOP_PULL if present_state == "gather" else _START_PULL)
-        # A robot in a line rolls before it settles: the first try since `_rest_time` was reset.
-        is_first_try = self._rest_time == _FIRST_REST_TIME
-        may_begin = is_in_line and present_state == "gather" and is_first_try
-        # A robot at rest tries a few times.
+        is_gathering = self.state == "gather" or (self.state == "lead" and sees_more_than_ever)
+        is_pulled = view.free > (_STOP_PULL if is_gathering else _START_PULL)
+        # A robot in a line rolls once before it settles. A settled robot tries several times.
+        is_line_roll = is_in_line and is_gathering and not self._has_tried
         may_try_again = (
-            present_state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
+            self.state == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
         )
-        if (may_begin or may_try_again) and in_state_s > self._rest_time:
-            if may_be_lost and self._rest_time > _LEAD_REST_TIME:
+        if (is_line_roll or may_try_again) and in_state_s > self._rest_time:
+            if self._rest_time > _LEAD_REST_TIME and _may_be_lost(view, received):
                 return self._try("lead", view)
-            if may_begin or is_incomplete:
+            if is_line_roll or is_incomplete:
                 return self._try("roll", view)
         return "gather" if is_pulled else "settled"
 
@@ -310,7 +320,7 @@ class Attraction(FieldPattern[AttractionParams]):
 
         If two robots are adjacent, the robot rolls around the nearer one, away from the other.
         """
-        self._rest_time *= 2.0
+        self._rest_time, self._has_tried = 2.0 * self._rest_time, True
         if view.adjacent > 1:
             (_, first), (_, second) = sorted(view.robots, key=_range)[:2]
             turn = math.sin(second - first)

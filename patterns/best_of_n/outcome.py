@@ -25,7 +25,11 @@ _VALENTINI = "Valentini et al. 2016, 100 Kilobots: the better option wins"
 _FASTER = "Valentini et al. 2016: 1.89 times (rho_b 0.5)"
 _LIMITS = "Valentini et al. 2016: 2 times (rho_b 0.5) to 20 times (0.99)"
 _GROUPS = "Valentini et al. 2016: consensus after 55-69 min (25), 66-80 min (5)"
-_HARD = "speed against accuracy; the bounds: ours"
+_OURS = "speed against accuracy; the bounds: ours"
+_EASY, _HARD = 0.5, 0.9
+"""The quality of the worse option; the better option has the quality 1."""
+_SMALL_GROUP, _LARGE_GROUP = 5, 25
+"""Robots whose opinions a robot counts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +37,7 @@ class _Setting:
     seed: int
     rule: str
     worse: float
-    group: int = 5
+    group: int = _SMALL_GROUP
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,53 +49,52 @@ class Choice:
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_hard: bool = True) -> list[Outcome]:
-    """Compare the share and the time of wins of the better of two options with the papers' results.
+    """Compare with the papers how often, and how fast, the better of two options wins.
 
     A swarm of point robots (no bodies) makes one run for each seed, rule and pair of qualities. The
     choice between the qualities 1 and 0.5 is easy. `has_hard`: the choice between 1 and 0.9 is
-    measured too. An outcome: text of the number, bound, values of the runs, source of the bound.
+    measured too. Each outcome has the measured values, their bound and the source of the bound.
     """
 
-    def runs_of(rule: str, worse_quality: float, group: int = 5) -> list[Choice]:
+    def runs_of(rule: str, worse_quality: float, group: int = _SMALL_GROUP) -> list[Choice]:
         settings = [_Setting(seed, rule, worse_quality, group) for seed in seeds]
         return each(choose, settings, jobs)
 
-    # 1. The easy choice. `won` gives the share of runs that the better option won.
-    majority, voter = runs_of("majority", 0.5), runs_of("voter", 0.5)
-    label = "qualities 1 and 0.5: share won by the better"
+    majority, voter = runs_of("majority", _EASY), runs_of("voter", _EASY)
+    easy, hard = "qualities 1 and 0.5", "qualities 1 and 0.9"
     easy_outcomes = [
-        at_least(NAME, f"{label}, majority", 0.9, won(majority), _VALENTINI),
-        at_least(NAME, f"{label}, voter", 0.9, won(voter), _VALENTINI),
+        at_least(
+            NAME, f"{easy}: share won by the better, majority", 0.9, won(majority), _VALENTINI
+        ),
+        at_least(NAME, f"{easy}: share won by the better, voter", 0.9, won(voter), _VALENTINI),
     ]
     if not has_hard:
         return easy_outcomes
-    # 2. The hard choice, and the times of both choices by rule and by size of group. `taken` gives
-    # the time of each run in s until nine tenths of the robots agree.
-    hard_majority, hard_voter = runs_of("majority", 0.9), runs_of("voter", 0.9)
-    large_group = runs_of("majority", 0.9, 25)
-    easy_ratio = ratio_of(taken(voter), taken(majority))
-    hard_ratio = ratio_of(taken(hard_voter), taken(hard_majority))
-    group_ratio = ratio_of(taken(hard_majority), taken(large_group))
-    label, ratio_label = "qualities 1 and 0.9", "time of the voter / of the majority"
+    hard_majority, hard_voter = runs_of("majority", _HARD), runs_of("voter", _HARD)
+    large_group = runs_of("majority", _HARD, _LARGE_GROUP)
+    easy_ratio = ratio_of(times(voter), times(majority))
+    hard_ratio = ratio_of(times(hard_voter), times(hard_majority))
+    group_ratio = ratio_of(times(hard_majority), times(large_group))
+    ratio_label = "time of the voter / of the majority"
     return [
         *easy_outcomes,
-        at_least(NAME, f"qualities 1 and 0.5: {ratio_label}", 1.0, easy_ratio, _FASTER),
-        at_least(NAME, f"{label}: share won, majority", 0.4, won(hard_majority), _HARD),
-        at_least(NAME, f"{label}: share won, majority, groups of 25", 0.3, won(large_group), _HARD),
-        at_least(NAME, f"{label}: share won, voter", 0.5, won(hard_voter), _HARD),
-        at_least(NAME, f"{label}: {ratio_label}", 1.5, hard_ratio, _LIMITS),
-        at_least(NAME, f"{label}: time in groups of 5 / of 25", 1.0, group_ratio, _GROUPS),
+        at_least(NAME, f"{easy}: {ratio_label}", 1.0, easy_ratio, _FASTER),
+        at_least(NAME, f"{hard}: share won, majority", 0.4, won(hard_majority), _OURS),
+        at_least(NAME, f"{hard}: share won, majority, groups of 25", 0.3, won(large_group), _OURS),
+        at_least(NAME, f"{hard}: share won, voter", 0.5, won(hard_voter), _OURS),
+        at_least(NAME, f"{hard}: {ratio_label}", 1.5, hard_ratio, _LIMITS),
+        at_least(NAME, f"{hard}: time in groups of 5 / of 25", 1.0, group_ratio, _GROUPS),
     ]
 
 
 def won(choices: Sequence[Choice]) -> Joined:
     """The share of the runs that the better option won."""
-    return share_of(one.is_best for one in choices)
+    return share_of(choice.is_best for choice in choices)
 
 
-def taken(choices: Sequence[Choice]) -> list[float]:
-    """The time of each run in s; `SECONDS` where it has not ended by then."""
-    return [min(one.at, SECONDS) for one in choices]
+def times(choices: Sequence[Choice]) -> list[float]:
+    """The time in s until nine tenths of the robots agree, at most `SECONDS`, of each run."""
+    return [min(choice.at, SECONDS) for choice in choices]
 
 
 def choose(setting: _Setting) -> Choice:

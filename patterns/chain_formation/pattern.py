@@ -42,7 +42,9 @@ from swarmd.api import (
 )
 
 _CHANNEL, _WALK = "chain", "walk"
-_MAX_HOPS, _GOAL = 10_000, -1
+_MAX_HOPS = 10_000
+# The hops that the goal sends, and that a robot without a place in a chain reports.
+_GOAL = _NO_HOPS = -1
 # In multiples of the distance of members: a member that is nearer than _MIN_GAP is too near, and
 # an explorer that is within _ARRIVAL of a member is at the member.
 _MIN_GAP, _ARRIVAL = 0.8, 1.3
@@ -156,44 +158,47 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
     def step(self, inputs: Inputs) -> Outputs:
         """Drive by the robot's state; a member of a chain also sends its message.
 
-        Nest and goal stand. A robot with a place in a chain holds it, a robot that senses a member
-        explores, and all other robots search by a random walk. Nothing is sent without a scan.
+        Nothing is sent or commanded without a scan, except by nest and goal.
         """
         now, params = inputs.now, self.params
-        self._hear(inputs)  # sets `_places`: the places of the members that the robot senses
-        # 1. The command, the membership and the state to report. `_hold` and `_explore` may change
-        # the membership: a member leaves its chain, or an explorer joins a chain.
-        state: str = params.role
-        if params.role != "robot":
-            twist = ZERO
-            hops = 0 if params.role == "nest" else _GOAL
-            self._membership = _Member(hops, "", self._leads(), now)
-        elif inputs.scan is None:
+        self._hear(inputs)
+        if inputs.scan is None and params.role == "robot":
             return Outputs()
-        elif self._membership is not None:
-            twist = self._hold(inputs, self._membership)
-            state = "home" if self._membership is None else "chain"
-        elif self._places:
-            twist = self._explore(inputs)
-            if self._membership is not None:
-                state = "chain"
-            elif twist == ZERO:
-                state = "rest"
-            else:
-                state = "home" if self._is_homeward else "explore"
-        else:
-            self._waypoint, self._is_homeward = "", False
-            twist, state = self.step_part(_WALK, inputs).twist or ZERO, "search"
-        # 2. The message of a member, every `share_period`, and the report.
+        twist, state = self._command(inputs)
         member, messages = self._membership, dict[str, Value]()
         if member is not None and now >= self._share_at:
             self._share_at = now + params.share_period
             messages[_CHANNEL] = [member.hops, member.before, member.leads]
-        # Reported hops of -1: the goal, or a robot without a place in a chain.
-        report: dict[str, Scalar] = {"state": state, "hops": _GOAL, "leads": False}
+        report: dict[str, Scalar] = {"state": state, "hops": _NO_HOPS, "leads": False}
         if member is not None:
             report.update(hops=member.hops, leads=member.leads)
         return Outputs(twist, messages, report)
+
+    def _command(self, inputs: Inputs) -> tuple[Twist, str]:
+        """The command, and the state to report; sets the membership of the robot in a chain.
+
+        Nest and goal stand. A member holds its place, or leaves its chain. A robot that senses a
+        member explores, or joins a chain. Any other robot searches by a random walk.
+        """
+        params = self.params
+        if params.role != "robot":
+            hops = 0 if params.role == "nest" else _GOAL
+            self._membership = _Member(hops, "", self._leads(), inputs.now)
+            return ZERO, params.role
+        if self._membership is not None:
+            twist = self._hold(inputs, self._membership)
+            has_left = self._membership is None
+            return twist, "home" if has_left else "chain"
+        if not self._places:
+            self._waypoint, self._is_homeward = "", False
+            return self.step_part(_WALK, inputs).twist or ZERO, "search"
+        twist = self._explore(inputs)
+        has_joined = self._membership is not None
+        if has_joined:
+            return twist, "chain"
+        if twist == ZERO:
+            return twist, "rest"
+        return twist, "home" if self._is_homeward else "explore"
 
     def _hear(self, inputs: Inputs) -> None:
         """Keep the latest messages of members, and the places of the members that are sensed.
@@ -236,46 +241,54 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
     def _hold(self, inputs: Inputs, member: _Member) -> Twist:
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
-        `member`: the robot's own membership: hops to the nest, id of the member before it (towards
-        the nest), and whether the chain leads to the goal. To leave, the robot sets `_membership`
-        to None and drives home. A robot leaves if the member before it is lost, or if a member with
-        a lower rank has its place. The tail of a chain that does not lead to the goal leaves at the
-        rate `leave`.
+        `member`: the robot's own membership. To leave, the robot sets `_membership` to None, and
+        drives home. A robot leaves if the member before it is lost, or if another member keeps the
+        same place. The tail of a chain that does not lead to the goal leaves at the rate `leave`.
         """
-        params = self.params
-        robot = self.context.robot
         before_place = self._places.get(member.before)  # m, in the base frame
         leads = self._leads()
-        is_tail = not self._after(robot)  # no member is behind this robot
-        # 1. Two members at one place: the member with the lower rank stays. First comes a member
-        # that leads to the goal, then a member with a chain behind it, then the lower id.
-        own_rank = (not leads, is_tail, robot)
-        is_double = any(
-            (not self._heard[rival].leads, not self._after(rival), rival) < own_rank
-            and math.hypot(*self._places[rival]) < _MIN_GAP * params.distance
-            for rival in self._after(member.before)
-        )
-        # 2. Leave the chain. The rate `leave` in 1/s gives a probability for each step.
+        is_tail = not self._after(self.context.robot)  # no member is behind this robot
         may_leave = is_tail and not leads
-        leaves = may_leave and float(self.context.rng.random()) < params.leave * inputs.dt
-        if before_place is None or is_double or leaves:
+        # The rate `leave` in 1/s gives a probability for each step.
+        leaves = may_leave and float(self.context.rng.random()) < self.params.leave * inputs.dt
+        if before_place is None or leaves or self._must_yield(member, leads, is_tail):
             self._membership = None
             self._waypoint = member.before
             self._is_homeward = True
             return ZERO
         hops = self._heard[member.before].hops + 1
         self._membership = _Member(hops, member.before, leads, inputs.now)
-        # 3. Keep the place. A chain that leads to the goal stands. The first member (`hops` is 1)
-        # also drives around the nest, at right angles to the direction of the nest. The chain turns
-        # with this member.
-        if leads:
+        if leads:  # a chain that leads to the goal stands
             return ZERO
-        place_x, place_y = self._place_after(member.before)  # m, this robot's own place
+        return self._keep_place(member.before, before_place, is_first=hops == 1)
+
+    def _must_yield(self, member: _Member, leads: bool, is_tail: bool) -> bool:
+        """True if another member of a lower rank keeps the place of this robot in the chain.
+
+        The lowest rank has a member that leads to the goal, then a member with a chain behind it,
+        then the member with the lower id. `member`, `leads`, `is_tail`: of this robot.
+        """
+        own_rank = (not leads, is_tail, self.context.robot)
+        return any(
+            (not self._heard[rival].leads, not self._after(rival), rival) < own_rank
+            and math.hypot(*self._places[rival]) < _MIN_GAP * self.params.distance
+            for rival in self._after(member.before)
+        )
+
+    def _keep_place(self, before: str, before_place: Vector, *, is_first: bool) -> Twist:
+        """The command that keeps the place behind the member `before`, at `before_place` in m.
+
+        The first member of a chain (`is_first`) also drives around the nest, at right angles to the
+        direction of the nest, and the chain turns with this member.
+        """
+        params = self.params
+        place_x, place_y = self._place_after(before)  # m, the place to keep
         is_at_place = math.hypot(place_x, place_y) <= _SLACK * params.distance
-        # x, y: the velocity in m/s. `drive_along` drives at 1 m/s for each m to the place.
+        # The velocity in m/s: 1 m/s for each m to the place, and `sweep` in rad/s about the nest.
         x, y = (0.0, 0.0) if is_at_place else (place_x, place_y)
-        if hops == 1:  # `sweep` is in rad/s
-            x, y = x + params.sweep * before_place[1], y - params.sweep * before_place[0]
+        if is_first:
+            nest_x, nest_y = before_place
+            x, y = x + params.sweep * nest_y, y - params.sweep * nest_x
         if not (x or y):
             return ZERO
         return drive_along(x, y, speed=params.speed, turn=params.turn)
@@ -302,57 +315,63 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         the command zero.
         """
         params, places = self.params, self._places
-        # 1. The waypoint. A member that is reached is replaced by the next member.
         if self._waypoint not in places:
             self._waypoint = min(places, key=lambda name: math.hypot(*places[name]))
             self._starts_chain = False
-        reached = self._waypoint
-        has_arrived = math.hypot(*places[reached]) <= _ARRIVAL * params.distance
+        waypoint = self._waypoint
+        has_arrived = math.hypot(*places[waypoint]) <= _ARRIVAL * params.distance
         if has_arrived:
-            self._waypoint = self._next_waypoint(reached)
-        # `_next_waypoint` returns `reached` where no member comes next: at a tail, or at the nest
-        # if it has drawn that the robot starts a chain (`_starts_chain`, and `_turn_sign` at
-        # random).
-        is_at_end = has_arrived and self._waypoint == reached
-        # 2. Rest or join, neither on the way home. No robot joins where a member is too near.
-        is_outward_end = is_at_end and not self._is_homeward
-        if is_outward_end and self._heard[reached].leads and not self._starts_chain:
-            return ZERO
-        nearest_m = min(math.hypot(*place) for place in places.values())
-        may_join = is_outward_end and nearest_m >= _MIN_GAP * params.distance
-        if may_join and float(self.context.rng.random()) < params.join * inputs.dt:
-            self._membership = _Member(self._heard[reached].hops + 1, reached, False, inputs.now)
-            return ZERO
-        # 3. The direction of motion (x, y) in the base frame.
-        x, y = places[self._waypoint]
-        range_m = math.hypot(x, y) or 1.0
-        if is_at_end and self._starts_chain:
-            # Circle the nest: along the tangent, corrected by the error of the distance.
-            sign = self._turn_sign
-            error = (range_m - params.distance) / params.distance
-            x, y = (
-                error * x / range_m + sign * y / range_m,
-                error * y / range_m - sign * x / range_m,
-            )
-        elif is_at_end:
-            x, y = self._place_after(self._waypoint)  # the next place of the chain
-        else:  # to the right of the chain, to pass robots that come back
-            lane = _LANE * params.distance / range_m
-            x, y = x + lane * y, y - lane * x
-        # 4. The length of (x, y) is the share of the speed: 1 from 0.25 m on, less when nearer.
+            self._waypoint = self._next_waypoint(waypoint)
+        # No member comes next: at a tail, or at the nest if the robot starts a chain.
+        is_at_end = has_arrived and self._waypoint == waypoint
+        if is_at_end and not self._is_homeward:
+            member = self._heard[waypoint]
+            if member.leads and not self._starts_chain:
+                return ZERO
+            nearest_m = min(math.hypot(*place) for place in places.values())
+            may_join = nearest_m >= _MIN_GAP * params.distance  # else two members are at one place
+            if may_join and float(self.context.rng.random()) < params.join * inputs.dt:
+                self._membership = _Member(member.hops + 1, waypoint, False, inputs.now)
+                return ZERO
+        x, y = self._way(is_at_end=is_at_end)
+        # The length of (x, y) becomes the share of the speed: 1 from 0.25 m on, less when nearer.
         length = math.hypot(x, y)
         scale = min(1.0, 4.0 * length) / length if length > 1e-6 else 0.0
-        x, y = scale * x, scale * y
-        return NearPoints(()).steer(x, y, params.speed, params.turn, spacing=0.0, brake=1.0)
+        no_obstacles = NearPoints(())
+        return no_obstacles.steer(
+            scale * x, scale * y, params.speed, params.turn, spacing=0.0, brake=1.0
+        )
+
+    def _way(self, *, is_at_end: bool) -> Vector:
+        """The vector in m in the base frame along which an explorer drives.
+
+        To the waypoint, to the right of the chain so that robots that come back pass. `is_at_end`:
+        the robot waits to join at the waypoint: it circles the nest to start a chain, or drives to
+        the next place of the chain.
+        """
+        distance = self.params.distance
+        x, y = self._places[self._waypoint]
+        range_m = math.hypot(x, y) or 1.0
+        if is_at_end and not self._starts_chain:
+            return self._place_after(self._waypoint)
+        if not is_at_end:
+            lane = _LANE * distance / range_m
+            return x + lane * y, y - lane * x
+        # Along the tangent of the circle, corrected by the error of the distance.
+        sign = self._turn_sign
+        error = (range_m - distance) / distance
+        return (
+            error * x / range_m + sign * y / range_m,
+            error * y / range_m - sign * x / range_m,
+        )
 
     def _next_waypoint(self, reached: str) -> str:
-        """The id of the member to drive to next from the member `reached`.
+        """The id of the member to drive to next from the member `reached`; `reached` without any.
 
-        1. The nest on arrival: a chain that leads to the goal, if any. Without such a chain: any
-           chain, or seldom no chain, so that the robot starts a chain.
-        2. The nest while the robot starts a chain: `reached`.
-        3. On the way home: the member before `reached`. On the way out: the member after it.
-        4. No member to drive to: `reached`.
+        At the nest an arriving robot draws a chain: a chain that leads to the goal if there is any,
+        else any chain or, seldom, none. With none the robot starts a chain (`_starts_chain`), and
+        circles the nest in a random direction (`_turn_sign`). At any other member: the member
+        before `reached` on the way home, the member after `reached` on the way out.
         """
         member, after = self._heard[reached], self._after(reached)
         if member.hops == 0:

@@ -79,7 +79,7 @@ def outcomes(
 
     For each seed a swarm of point robots (no bodies) runs with each rule on floors with the
     `shares` of black tiles, by default those of SHARES except 0.56. `has_bodies`: simulated Burgers
-    also run, with the majority rule. An outcome: text of the number, bound, values of the runs,
+    also run, with the majority rule. Each outcome has the measured values, their bound and the
     source of the bound.
     """
     runs = agreements(seeds, jobs, shares)  # by rule and share

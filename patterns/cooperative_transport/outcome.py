@@ -35,8 +35,8 @@ def outcomes(
     """Measure whether six robots push the box to the lamp, and how long the path of the box is.
 
     A robot alone must not move the box. `shapes`: sides of the box in m. Six robots run `duration`
-    s for each seed and shape; a single robot runs once. An outcome: text of the number, bound,
-    values of the runs, source of the bound.
+    s for each seed and shape; a single robot runs once. Each outcome has the measured values, their
+    bound and the source of the bound.
     """
     sweep = {"arena.boxes.0.size": [list(shape) for shape in shapes]}
     changes = {"duration": duration, "trace_rate": 2.0}

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from swarmd.api import (
     ZERO,
+    Array,
     Context,
     Inputs,
     MovementPattern,
@@ -330,45 +331,56 @@ class Flocking(MovementPattern[FlockingParams]):
     def _next_state(self, scan: Scan) -> tuple[str, bool]:
         """The next state of law "paper", and whether the robot also drives straight ahead.
 
-        The first rule that applies gives the state: left, right or straight. The scan has four
-        sectors of 90 degrees. The width of an object is the angle in rad that its rays fill in a
-        sector. `_filled` gives the widths ahead, left, behind and right.
-
-        1. An object near ahead: turn away from its nearest point, without driving.
-        2. An object near on the left: turn right. Ahead: to either side. On the right: left.
-           Wider objects are walls, which do not count in this rule.
-        3. A far object, no wall, on the left or the right: turn to the wider of the two.
-        4. A far object behind: turn around to either side, without driving.
-        5. Else straight on.
+        The state is left, right or straight: away from a near object, else towards a far object,
+        else straight on.
         """
-        params = self.params
         ranges = np.where(np.isnan(scan.ranges), math.inf, np.maximum(scan.ranges, scan.range_min))
         bearings = (scan.bearings + math.pi) % (2.0 * math.pi) - math.pi
         # 0: ahead, 1: left, 2: behind, 3: right.
         sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
-        # Near objects: rules 1 and 2.
-        ahead, left, _, right = _filled(sector, ranges < params.near)
-        if ahead > _NEAR_WIDTH:
+        away = self._away_from_near(ranges, bearings, sector)
+        if away is not None:
+            return away
+        return self._toward_far(ranges, sector, scan.range_max) or ("straight", True)
+
+    def _away_from_near(
+        self, ranges: Array, bearings: Array, sector: NDArray[np.int64]
+    ) -> tuple[str, bool] | None:
+        """The state, and whether the robot drives, because of a near object; None without any.
+
+        `ranges`, `bearings`, `sector`: (n,) m, rad, and the sector of each ray. The width of an
+        object is the angle in rad that its rays fill in a sector.
+        """
+        ahead, left, _, right = _filled(sector, ranges < self.params.near)
+        if ahead > _NEAR_WIDTH:  # turn away from the nearest point ahead, without driving
             nearest = bearings[np.argmin(np.where(sector == 0, ranges, math.inf))]
             return ("right" if nearest > 0.0 else "left"), False
-        min_width, max_width = 0.5 * _NEAR_WIDTH, _WALL_WIDTH
+        min_width, max_width = 0.5 * _NEAR_WIDTH, _WALL_WIDTH  # a wider object is a wall
         if min_width <= left < max_width:
             return "right", True
         if min_width <= ahead < max_width:
             return self._either(), True
         if min_width <= right < max_width:
             return "left", True
-        # Far objects: rules 3 to 5. From afar a robot is narrower than _NEAR_WIDTH, so a wider
-        # object is a wall. A width of 0 stands for a wall, or for no object.
-        is_seen = ranges < scan.range_max
-        _, left, _, right = _filled(sector, is_seen & (ranges > params.far_aside))
+        return None
+
+    def _toward_far(
+        self, ranges: Array, sector: NDArray[np.int64], range_max: float
+    ) -> tuple[str, bool] | None:
+        """The state, and whether the robot drives, because of a far object; None without any.
+
+        `ranges`, `sector`: (n,) m, and the sector of each ray. `range_max`: m, of the sensor. From
+        afar a robot is narrower than _NEAR_WIDTH, so a wider object is a wall and does not count.
+        """
+        is_seen = ranges < range_max
+        _, left, _, right = _filled(sector, is_seen & (ranges > self.params.far_aside))
         left, right = (width if width < _NEAR_WIDTH else 0.0 for width in (left, right))
         if left != right:
             return ("left" if left > right else "right"), True
-        _, _, behind, _ = _filled(sector, is_seen & (ranges > params.far_behind))
-        if 0.0 < behind < _NEAR_WIDTH:
+        _, _, behind, _ = _filled(sector, is_seen & (ranges > self.params.far_behind))
+        if 0.0 < behind < _NEAR_WIDTH:  # turn around, without driving
             return self._either(), False
-        return "straight", True
+        return None
 
     def _either(self) -> str:
         """The side to which the robot already turns, else a random side."""

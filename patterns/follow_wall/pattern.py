@@ -16,6 +16,8 @@ from swarmd.api import (
     Inputs,
     NearPoints,
     Params,
+    Ray,
+    Scan,
     TimedPattern,
     TopSpeed,
     TopTurn,
@@ -93,30 +95,36 @@ class FollowWall(TimedPattern[FollowWallParams]):
         Where the wall ends the robot drives an arc around its end, for three quarters of a turn at
         most. Without a wall after the arc the robot drives straight ahead.
         """
-        params = self.params
-        side = self._side
         scan = inputs.scan
-        lidar_offset = self.context.platform.scan.offset
-        # 1. The heading in rad in the base frame: along the tangent of the nearest surface, turned
-        # to the wall or away from it by the error of the distance.
-        ray = nearest(scan, bearing=side * math.pi / 2.0, half_width=_HALF_WIDTH)
-        if ray is not None and ray.range <= params.reach:
-            ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], lidar_offset)
-            error = (distance - params.distance) / max(params.distance, _MIN_DISTANCE)
-            tangent = bearing - side * math.pi / 2.0
-            heading = tangent + side * max(-1.0, min(1.0, error)) * _MAX_APPROACH
-            # Timed states from now on, in s: `follow`, then `around`, then `search`. Each return
-            # from the wall begins them again, so that `around` starts only without a wall.
+        ray = nearest(scan, bearing=self._side * math.pi / 2.0, half_width=_HALF_WIDTH)
+        if ray is not None and ray.range <= self.params.reach:
+            # The states `follow`, `around` and the default `search` begin anew with each step that
+            # sees the wall. So `around` begins _MEMORY s after the wall has ended.
             around = turn_time(1.5 * math.pi, self._end_turn_rate)
             self.begin(inputs.now, follow=_MEMORY, around=around)
-        elif self.state(inputs.now) != "search":
-            # No wall: an arc of radius `distance` around its end.
-            return Twist(self._end_turn_rate * params.distance, side * self._end_turn_rate)
-        else:
-            heading = 0.0
-        # 2. The speed along the heading.
+            return self._steer(scan, self._heading(ray))
+        if self.state(inputs.now) == "search":
+            return self._steer(scan, 0.0)
+        # No wall: an arc of radius `distance` around its end.
+        speed = self._end_turn_rate * self.params.distance
+        return Twist(speed, self._side * self._end_turn_rate)
+
+    def _heading(self, ray: Ray) -> float:
+        """The heading in rad in the base frame, along the tangent of the surface at `ray`.
+
+        The heading is turned to the surface or away from it by the error of the distance.
+        """
+        offset, wanted = self.context.platform.scan.offset, self.params.distance
+        ((distance, bearing),) = polar_from_base([[ray.range, ray.bearing]], offset)
+        error = (distance - wanted) / max(wanted, _MIN_DISTANCE)
+        tangent = bearing - self._side * math.pi / 2.0
+        return tangent + self._side * max(-1.0, min(1.0, error)) * _MAX_APPROACH
+
+    def _steer(self, scan: Scan | None, heading: float) -> Twist:
+        """The command along a heading in rad, slower where an obstacle is near ahead."""
+        params = self.params
         points = closest_points(scan, within=params.distance + 1.0).tolist()
-        near_points = NearPoints(polar_from_base(points, lidar_offset))
+        near_points = NearPoints(polar_from_base(points, self.context.platform.scan.offset))
         return near_points.steer(
             math.cos(heading),
             math.sin(heading),

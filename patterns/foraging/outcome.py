@@ -33,37 +33,35 @@ def outcomes(
 
     For each seed there is a run of each size, and a run of one robot without the lamp of the nest.
     The first of `sizes` is 1. With more than two sizes the last size must be a crowd, whose robots
-    deliver less than the robots of a smaller group. An outcome: text of the number, bound, values
-    of the runs, source of the bound.
+    deliver less than the robots of a smaller group. Each outcome has the measured values, their
+    bound and the source of the bound.
     """
+    alone, largest = sizes[0], sizes[-1]
     runs = {size: run(size, seeds, jobs, duration) for size in sizes}
     # Items a minute of the whole group in each run, and their mean over the runs.
     group_rates = {size: group_rate(results, size) for size, results in runs.items()}
     mean_rates = {size: float(np.mean(rates)) for size, rates in group_rates.items()}
-    smallest, largest = sizes[0], sizes[-1]
     best = max(sizes, key=lambda size: mean_rates[size])
-    rise = ratio_of(group_rates[best], group_rates[smallest])
-    dark_rates = group_rate(run(smallest, seeds, jobs, duration, DARK), 1)
-    dark_ratio = ratio_of(dark_rates, group_rates[smallest])
-    measured = [
-        at_least(NAME, f"the group: items of {best} robots / of one", RISE, rise, _SOURCE),
+    rise = ratio_of(group_rates[best], group_rates[alone])
+    of_groups = [at_least(NAME, f"the group: items of {best} robots / of one", RISE, rise, _SOURCE)]
+    if len(sizes) > 2:
+        fall_label = f"the group: items of {largest} robots / of {best}"
+        fall = ratio_of(group_rates[largest], group_rates[best])
+        robot_rates = [mean_rates[size] / size for size in sizes]
+        steps = [larger / smaller for smaller, larger in itertools.pairwise(robot_rates)]
+        step_label = "a robot: items of a size / of that before"
+        of_groups.append(at_most(NAME, fall_label, FALL, fall, _SOURCE))
+        of_groups.append(at_most(NAME, step_label, 1.0, steps, _SOURCE))
+    dark_rates = group_rate(run(alone, seeds, jobs, duration, DARK), alone)
+    dark_ratio = ratio_of(dark_rates, group_rates[alone])
+    return [
+        *of_groups,
         at_most(
             NAME, "one robot: without the lamp / with it", CHANCE,
             dark_ratio, "ours: random search for the nest",
         ),
         no_contacts(NAME, runs[largest]),
     ]  # fmt: skip
-    if len(sizes) > 2:
-        fall_label = f"the group: items of {largest} robots / of {best}"
-        fall = ratio_of(group_rates[largest], group_rates[best])
-        robot_rates = [mean_rates[size] / size for size in sizes]
-        steps = [later / before for before, later in itertools.pairwise(robot_rates)]
-        step_label = "a robot: items of a size / of that before"
-        measured[1:1] = [  # behind the first outcome of the group
-            at_most(NAME, fall_label, FALL, fall, _SOURCE),
-            at_most(NAME, step_label, 1.0, steps, _SOURCE),
-        ]
-    return measured
 
 
 def run(
@@ -75,5 +73,5 @@ def run(
 
 
 def group_rate(found: Results, robots: int) -> list[float]:
-    """The items a minute of the whole group in each run."""
+    """The items a minute of the whole group of `robots` in each run."""
     return [robots * value for value in metric(found, "items_delivered")]

@@ -42,7 +42,7 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_more: bool = True) -> l
 
     For each seed a swarm of point robots (no bodies) runs. A bond joins two robots that are near
     each other. `has_more`: also points with a weak repulsion, where two robots may share a place of
-    the lattice, and Burgers with bodies. An outcome: text of the number, bound, values of the runs,
+    the lattice, and Burgers with bodies. Each outcome has the measured values, their bound and the
     source of the bound.
     """
     runs = each(run, [(seed, {}) for seed in seeds], jobs)
@@ -100,9 +100,9 @@ def run(given: tuple[int, Mapping[str, float]]) -> tuple[Lattice, Lattice, float
 def lattice(places: Array) -> Lattice:
     """The order of robots at places (n, 2) in m.
 
-    The order psi6 of a robot is the absolute mean of exp(6 i bearing) over its bonds: 1 if they are
-    multiples of 60 degrees apart. The mean is over the robots with two bonds or more. Without a
-    bond: all zero, and a spread of inf.
+    The order psi6 of a robot is the absolute mean of exp(6 i bearing) over its bonds: it is 1 if
+    the angles between the bonds are multiples of 60 degrees. `Lattice.psi6` is the mean over the
+    robots with two bonds or more. Without a bond `spread` is inf, and the other values are 0.
     """
     offsets = places[None] - places[:, None]  # (n, n, 2) m
     distances = np.hypot(offsets[..., 0], offsets[..., 1]) / DISTANCE

@@ -44,8 +44,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_bodies: bool = True) ->
 
     For each seed a chain of point robots (no bodies) runs with the default headway, and a chain
     with a headway of one lag, for which string stability is lost. The gap error of a robot is the
-    difference between its gap and the policy's gap. `has_bodies`: also Burgers on a circle. An
-    outcome: text of the number, bound, values of the runs, source of the bound.
+    difference between its gap and the policy's gap. `has_bodies`: also Burgers on a circle. Each
+    outcome has the measured values, their bound and the source of the bound.
     """
     stable = each(run, [(seed, HEADWAY, LAG) for seed in seeds], jobs)
     unstable = each(run, [(seed, SHORT, SHORT) for seed in seeds], jobs)

@@ -7,10 +7,10 @@ which amplifies no frequency where headway >= 2 lag: string stability (Ploeg, va
 Nijmeijer, "Lp string stability of cascaded systems", IEEE Trans. Control Systems Technology 22,
 2014).
 
-Ours: behind the leader the robots follow in the order of their ids. Of the earlier robots that it
-senses, a robot follows the last in this order. So a lost robot leaves a gap in the chain only for
-`lease`. A robot that senses no earlier robot leads. The leader's id passes down the chain by
-messages.
+Ours: behind the leader the robots follow in the order of their ids. Each robot follows the robot
+that is next before it in this order among the robots that it senses. So the chain closes within
+`lease` when a robot is lost. A robot that senses no earlier robot leads. The leader's id passes
+down the chain by messages.
 """
 
 from __future__ import annotations
@@ -125,31 +125,22 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
     def step(self, inputs: Inputs) -> Outputs:
         """Follow the robot before this robot at a time headway, or lead; pass on the leader's id.
 
-        The chain is in the order of ids behind the leader. `aim` is the speed in m/s at which the
-        gap would be right (constant time headway), and the commanded speed follows with the time
-        constant `lag`.
+        The chain is in the order of ids behind the leader.
         """
         now, params = inputs.now, self.params
         self._started_at = now if self._started_at is None else self._started_at
         predecessor = self._predecessor(inputs)
-        if predecessor is None and self._sensed_at:
-            # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
-            aim, turn = self._speed, 0.0
-            before_id = max(self._sensed_at, key=self._chain_order)  # the last before this robot
-        elif predecessor is None:  # lead
-            before_id = ""
-            # At the start the robot waits until other robots can be sensed.
-            is_ready = now - self._started_at >= params.lease
-            aim, turn = (params.pace * params.speed, params.curve) if is_ready else (0.0, 0.0)
-            if is_ready and self._leader != self.context.robot:
-                self._lost, self._leader = self._leader, self.context.robot
-        else:  # follow
-            before_id, distance, bearing = predecessor
-            aim = (distance - params.standstill) / params.headway
-            turn = 2.0 * bearing  # proportional, 2 rad/s for each rad
-            if abs(bearing) > 0.5 * math.pi:
-                aim = 0.0  # turn first
+        if predecessor is not None:
+            before_id = predecessor.id
+            aim, turn = self._following(predecessor)
             self._adopt(inputs, before_id)
+        elif self._sensed_at:
+            # An earlier robot of the chain was sensed within `lease`: drive on at the same speed.
+            before_id = max(self._sensed_at, key=self._chain_order)  # the last before this robot
+            aim, turn = self._speed, 0.0
+        else:
+            before_id = ""
+            aim, turn = self._leading(now - self._started_at)
         # The lag is a first-order low-pass filter; without a lag the speed is the aim.
         gain = min(1.0, inputs.dt / params.lag) if params.lag > 0.0 else 1.0
         aim = max(-params.speed, min(params.speed, aim))
@@ -165,6 +156,26 @@ class LeaderFollowing(Pattern[LeaderFollowingParams]):
             return Outputs(twist, report=report)
         self._share_at = now + params.share_period
         return Outputs(twist, {_CHANNEL: self._leader}, report)
+
+    def _following(self, predecessor: _Predecessor) -> tuple[float, float]:
+        """The speed in m/s at which the gap is right, and the turn rate, not yet limited.
+
+        The right gap is `standstill` plus the way in `headway` s at this speed.
+        """
+        aim = (predecessor.distance - self.params.standstill) / self.params.headway
+        must_turn_first = abs(predecessor.bearing) > 0.5 * math.pi
+        return (0.0 if must_turn_first else aim), 2.0 * predecessor.bearing  # 2 rad/s for each rad
+
+    def _leading(self, run_time: float) -> tuple[float, float]:
+        """The speed in m/s and the turn rate of a leader; takes the lead if another robot had it.
+
+        `run_time`: s since the start. A robot stands at first: others may not be sensed yet.
+        """
+        if run_time < self.params.lease:
+            return 0.0, 0.0
+        if self._leader != self.context.robot:
+            self._lost, self._leader = self._leader, self.context.robot
+        return self.params.pace * self.params.speed, self.params.curve
 
     def _predecessor(self, inputs: Inputs) -> _Predecessor | None:
         """The last sensed robot before this robot in the chain; None if none is sensed now.

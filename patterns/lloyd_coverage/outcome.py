@@ -34,8 +34,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) ->
     """Measure the cost of the places at which the robots settle, and how it falls.
 
     The cost is the mean square distance of the room's places to the nearest robot. For each seed
-    there is a run of point robots (no bodies), and a run of Burgers of `duration` s. An outcome:
-    text of the number, bound, values of the runs, source of the bound.
+    there is a run of point robots (no bodies), and a run of Burgers of `duration` s. Each outcome
+    has the measured values, their bound and the source of the bound.
     """
     # Of each run the cost at each sample, and the largest way of a robot to its centroid in m.
     runs = each(costs, seeds, jobs)

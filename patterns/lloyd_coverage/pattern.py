@@ -5,8 +5,8 @@ Trans. Robotics and Automation 20(2), 2004: each robot drives to the centroid of
 the places that are nearer to it than to another robot. The cost, the mean square distance of all
 places to the nearest robot, never rises (Lloyd's algorithm).
 
-Ours: the cell ends at what the lidar sees and at `reach`, so that no map and no shared frame is
-needed. Where no wall is in reach the robots spread over an open floor until cells are discs.
+Ours: the cell ends at the returns of the lidar and at `reach`, so that the robots need no map and
+no shared frame. On an open floor, without walls in reach, the robots spread until cells are discs.
 
 Limits: a place behind a corner is in no cell. The cost has many minima.
 """
@@ -110,8 +110,8 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
     def _cell_centroid(self, scan: Scan, neighbors: Sequence[Neighbor]) -> tuple[float, float]:
         """The centroid (x, y) of the robot's Voronoi cell in m in the base frame.
 
-        The cell is a star of triangles from the robot to each two neighbouring rays. A ray ends at
-        its return, at `reach`, or at the line halfway to a neighbour. An empty cell: (0, 0).
+        The cell consists of triangles, each between two neighbouring rays. A ray ends at its
+        return, at `reach`, or at the line halfway to a neighbour. (0, 0) for an empty cell.
         """
         # 1. The ends of the rays as bearing and distance from the axle, in the order of bearings.
         is_known, reach = ~np.isnan(scan.ranges), min(self.params.reach, scan.range_max)
@@ -129,8 +129,8 @@ class LloydCoverage(MovementPattern[LloydCoverageParams]):
                 cosine = np.cos(angle - neighbor.bearing)
                 halfway = 0.5 * neighbor.distance / np.maximum(cosine, 1e-9)
                 length = np.where(cosine > 0.0, np.minimum(length, halfway), length)
-        # 3. Twice the area of the triangle of each two neighbouring rays; the last ray's neighbour
-        # is the first ray. Rays too far apart have no triangle, and the area 0.
+        # 3. Twice the area of the triangle from each ray to the next; the first ray follows the
+        # last ray. Rays that are too far apart have no triangle, and the area 0.
         gap = np.append(np.diff(angle), angle[:1] + 2.0 * math.pi - angle[-1:])
         gap = np.where(gap <= _MAX_GAP, gap, 0.0)
         double_area = length * np.roll(length, -1) * np.sin(gap)

@@ -98,8 +98,9 @@ def split(seeds: Sequence[int], jobs: int = 1) -> Outcome:
 def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     """How often opinion 0 wins if three robots hold opinion 0, three hold 1, and one holds 2.
 
-    All robots decide in rounds. By symmetry 0 and 1 win equally often. The value is the difference
-    from a half in standard errors; inf if some run has another winner or none.
+    All robots decide in rounds. By symmetry opinions 0 and 1 should win equally often. The value is
+    by how many standard errors the share of opinion 0 differs from a half; inf if opinion 2 or no
+    opinion wins a run.
     """
     results = debates(seeds, jobs, params=IN_STEP, held=(0, 0, 0, 1, 1, 1, 2))
     wins = [sum(result.winner == opinion for result in results) for opinion in (0, 1)]

@@ -51,8 +51,8 @@ def outcomes(
 
     For each seed there is a run of point robots (no bodies) with each of `numbers`. `has_bodies`:
     also a run of four points whose messages are all lost, and of three Burgers. The ideal is the
-    mean idleness if N robots drive evenly spaced on the shortest closed way. An outcome: text of
-    the number, bound, values of the runs, source of the bound.
+    mean idleness if N robots drive evenly spaced on the shortest closed way. Each outcome has the
+    measured values, their bound and the source of the bound.
     """
     by_number = {
         number: each(run, [(seed, number, CLEAR) for seed in seeds], jobs) for number in numbers

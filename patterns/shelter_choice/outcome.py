@@ -51,8 +51,8 @@ def outcomes(
     """Measure how the robots divide between two equal shelters.
 
     For each seed there is a run with shelters that hold all robots. `has_controls`: also a run with
-    shelters that hold half of the robots each, and a run in which robots ignore each other. An
-    outcome: text of the number, bound, values of the runs, source of the bound.
+    shelters that hold half of the robots each, and a run in which robots ignore each other. Each
+    outcome has the measured values, their bound and the source of the bound.
     """
 
     def choices_with(**params: Value) -> list[Choice]:

@@ -14,6 +14,7 @@ The robots send their roles. Sheep are slower by the factor `pace`, as in the so
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from swarmd.api import (
@@ -21,6 +22,7 @@ from swarmd.api import (
     Context,
     Inputs,
     NearPoints,
+    Neighbor,
     Outputs,
     Params,
     Pattern,
@@ -125,21 +127,8 @@ class Shepherding(Pattern[ShepherdingParams]):
         A shepherd that senses no sheep or no goal stands.
         """
         params = self.params
-        # 1. The places of the neighbours in m in the base frame, by the role that each sent. The
-        # roles of robots that are no longer sensed are forgotten, so that the table is bounded.
-        for message in inputs.messages:
-            if message.channel == _CHANNEL and isinstance(message.value, str):
-                self._roles[message.sender] = message.value[:16]
-        places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
-        for neighbor in inputs.neighbors:
-            role = self._roles.get(neighbor.id, "")
-            distance, bearing = neighbor.distance, neighbor.bearing
-            if role in places and distance is not None and bearing is not None:
-                places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
-        self._roles = {
-            neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
-        }
-        # 2. The command of the role, and the message.
+        self._hear(inputs)
+        places = self._places(inputs.neighbors)
         report: dict[str, Scalar] = {"role": params.role}
         twist = ZERO
         if params.role == "sheep":
@@ -151,6 +140,26 @@ class Shepherding(Pattern[ShepherdingParams]):
             return Outputs(twist, report=report)
         self._share_at = inputs.now + params.share_period
         return Outputs(twist, {_CHANNEL: params.role}, report)
+
+    def _hear(self, inputs: Inputs) -> None:
+        """Set `_roles`: the last role that each neighbour has sent; empty without any."""
+        for message in inputs.messages:
+            if message.channel == _CHANNEL and isinstance(message.value, str):
+                self._roles[message.sender] = message.value[:16]
+        # Robots that are no neighbours any more are forgotten, so that the table is bounded.
+        self._roles = {
+            neighbor.id: self._roles.get(neighbor.id, "") for neighbor in inputs.neighbors
+        }
+
+    def _places(self, neighbors: Sequence[Neighbor]) -> dict[str, list[Vector]]:
+        """The places of the sensed neighbours in m in the base frame, by their roles."""
+        places: dict[str, list[Vector]] = {"sheep": [], "shepherd": [], "goal": []}
+        for neighbor in neighbors:
+            role = self._roles[neighbor.id]
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if role in places and distance is not None and bearing is not None:
+                places[role].append((distance * math.cos(bearing), distance * math.sin(bearing)))
+        return places
 
     def _flee(self, sheep: list[Vector], shepherds: list[Vector]) -> Vector:
         """The way of a sheep: away from sheep that are too near, to the herd, from shepherds."""

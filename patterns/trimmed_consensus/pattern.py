@@ -3,10 +3,10 @@
 Source: LeBlanc, Zhang, Koutsoukos and Sundaram, "Resilient asymptotic consensus in robust
 networks", IEEE J. Selected Areas in Communications 31(4), 2013 (W-MSR). A robot drops the `trim`
 largest of the neighbours' values above its own value, and the `trim` smallest of the values below.
-The new value is the mean of the remaining values and its own value. The source proves: in a
-(2 trim + 1)-robust network the honest robots agree, on a value between their first values, if each
-has at most `trim` neighbours that lie. A complete network of more than 4 trim robots has this
-robustness.
+The new value is the mean of the remaining values and its own value. The source proves that the
+honest robots agree on a value between their first values, if each has at most `trim` neighbours
+that lie, and if the network is (2 trim + 1)-robust. A complete network of more than 4 trim robots
+is (2 trim + 1)-robust.
 
 Ours: the values come in messages that may be late or lost; the last value of each neighbour counts.
 `trim: 0` is plain averaging (Olfati-Saber and Murray 2004), in which one liar moves the swarm to

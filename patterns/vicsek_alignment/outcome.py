@@ -42,8 +42,8 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_sizes: bool = True) -> 
     """Measure the polar order of the headings (0: random, 1: all equal) against the noise in rad.
 
     For each seed forty robots run at five levels of noise, and ten robots at two levels. Without
-    `has_sizes` only forty robots run, at the least and the most noise. An outcome: text of the
-    number, bound, values of the runs, source of the bound.
+    `has_sizes` only forty robots run, at the least and the most noise. Each outcome has the
+    measured values, their bound and the source of the bound.
     """
 
     def orders(noise: float, robots: int = ROBOTS) -> list[float]:

@@ -68,9 +68,9 @@ def stop_of(times: Array, distances: Array, stop_time: float) -> Braking | None:
 def stopping(stops: Sequence[Braking]) -> tuple[Figure, Figure]:
     """The deceleration in m/s2 or rad/s2 and the delay in s, from stops at two or more speeds.
 
-    A stop from the speed v takes the distance v (delay + v / 2b) with the deceleration b. So a line
-    is fitted to `Braking.seconds` (distance over speed) as a function of speed. A figure without a
-    value says why: fewer than four stops, or a slope within three standard deviations of 0.
+    A line is fitted to `Braking.seconds` (distance over speed) as a function of speed, see the head
+    of the file. With fewer than four stops neither figure has a value. If the slope is within three
+    standard deviations of 0, the deceleration has no value.
     """
     if len(stops) < 4:
         no_figure = Figure(why="fewer than four stops")
@@ -110,8 +110,8 @@ def scale_of(distances: Sequence[tuple[float, float]], why: str) -> Figure:
     """The scale of odometry: distance by odometry over distance by scans.
 
     `distances`: of each drive, the distance by odometry and the distance by scans, in m. The value
-    is the slope of least squares: a place by a scan is some mm off at any distance, so that a short
-    drive has little weight. Without drives a figure with the reason `why`.
+    is the slope of least squares, in which a short drive has little weight: a place by a scan has
+    an error of some mm at any distance. Without drives a figure with the reason `why`.
     """
     if not distances:
         return Figure(why=why)
@@ -127,13 +127,17 @@ def turn_delay(
 ) -> tuple[Figure, Figure]:
     """The scan delay in s, and the scale of odometry: turn by odometry over turn by scans.
 
-    The scan delay is the time from the measurement of a scan to its arrival. The robot has turned
-    to and fro. `scan_headings`: (m,) rad from scans that arrived at `arrivals` (m,) s.
-    `odometry_headings`: (n,) rad at `times` (n,) s of the same clock. Headings are not wrapped. A
-    figure without a value says why.
+    The scan delay is the time from the measurement of a scan to its arrival. A figure without a
+    value says why.
 
     For each candidate delay, scale and offset are fitted by least squares, and the delay with the
     least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
+
+    Args:
+        arrivals: (m,) s, of scans while the robot turned to and fro.
+        scan_headings: (m,) rad, not wrapped, by these scans.
+        times: (n,) s of the same clock.
+        odometry_headings: (n,) rad, not wrapped, at `times`.
     """
     # With each candidate delay the time of measurement must lie within the odometry.
     usable = arrivals - _MAX_DELAY >= times[0]
@@ -142,7 +146,7 @@ def turn_delay(
         no_figure = Figure(why="fewer than eight scans of the turns could be matched")
         return no_figure, no_figure
 
-    # 1. The candidate delay with the least squared error.
+    # 1. The candidate delay with the least squared error, refined by a parabola.
     delays = np.arange(0.0, _MAX_DELAY, _DELAY_STEP)
     fits = [
         _fit_scale(np.interp(arrivals - candidate, times, odometry_headings), scan_headings)
@@ -155,30 +159,35 @@ def turn_delay(
         no_figure = Figure(why=text)
         return no_figure, no_figure
     delay = float(delays[best])
-    if best > 0:  # refine the delay by a parabola through the least error and its two neighbours
+    if best > 0:
         before, least, after = errors[best - 1 : best + 2]
         delay += _DELAY_STEP * 0.5 * float((before - after) / (before - 2.0 * least + after))
-
-    # 2. The turn rate at the scans, by central differences (root mean square, rad/s).
-    rates = np.interp(arrivals - delay + _RATE_STEP, times, odometry_headings)
-    rates -= np.interp(arrivals - delay - _RATE_STEP, times, odometry_headings)
-    rate = float(np.sqrt(np.mean((rates / (2.0 * _RATE_STEP)) ** 2)))
-    if rate < _LEAST_TURN_RATE:
+    turn_rate = _turn_rate(arrivals - delay, times, odometry_headings)
+    if turn_rate < _LEAST_TURN_RATE:
         no_figure = Figure(why="the robot did not turn")
         return no_figure, no_figure
 
-    # 3. The deviations, from the error of the headings in rad; the fit has 3 parameters. For the
-    # delay that of a single scan, since a delay must hold for each scan; for the scale the standard
-    # error of a fitted slope. The fit scales odometry to scans, so the figure of odometry is the
-    # reciprocal of its scale.
+    # 2. The deviations. `error`: rad, of the headings; the fit has 3 parameters.
     count = len(arrivals)
     error = math.sqrt(float(errors[best]) / (count - 3))
     scans_per_odometry = fits[best][0]
     heading_deviation = float(np.std(scan_headings))
     return (
-        Figure(delay, error / rate, count),
+        # The deviation of a single scan, since a delay must hold for each scan.
+        Figure(delay, error / turn_rate, count),
+        # The standard error of a fitted slope.
         Figure(1.0 / scans_per_odometry, error / (heading_deviation * math.sqrt(count)), count),
     )
+
+
+def _turn_rate(at: Array, times: Array, headings: Array) -> float:
+    """The turn rate in rad/s at the times `at`, by central differences (root mean square).
+
+    `headings`: (n,) rad at `times` (n,) s.
+    """
+    turns = np.interp(at + _RATE_STEP, times, headings)
+    turns -= np.interp(at - _RATE_STEP, times, headings)
+    return float(np.sqrt(np.mean((turns / (2.0 * _RATE_STEP)) ** 2)))
 
 
 def _fit_scale(odometry_headings: Array, scan_headings: Array) -> tuple[float, float]:

@@ -38,10 +38,10 @@ def top_speeds(platform: Platform) -> dict[str, float]:
 def needed_floor(platform: Platform, late: float = 0.0) -> float:
     """The side in m of the free square floor that a calibration needs, rounded up to 0.1 m.
 
-    The robot stands in the middle. The floor has room for the longest drive, and ahead for the gap
-    that mode `barrier` needs at top speed (docs/safety.md). For a base that moves sideways the
-    floor has this gap at the sides, too. `late`: s by which scans arrive later than declared, which
-    protection adds to the age of scans.
+    The robot stands in the middle. The floor has room for the longest drive, and behind its end for
+    the gap that mode `barrier` needs at top speed (docs/safety.md); for a base that moves sideways,
+    in both directions of motion. `late`: s by which scans arrive later than declared; protection
+    keeps a larger gap then.
     """
     front, left = platform.footprint.max(axis=0).tolist()
     speeds = top_speeds(platform)
@@ -77,8 +77,8 @@ def _needed_half(platform: Platform, speed: float, reach: float, late: float) ->
 def travel(speed: float) -> float:
     """The distance in m that a drive of a calibration at `speed` m/s takes, with its stop.
 
-    Of this distance 0.3 s times `speed` is for the stop. A base with a longer stop (such as from
-    0.4 m/s on with 1.0 m/s2 and a delay of 0.1 s) also uses the gap that `needed_floor` adds.
+    The distance has 0.3 s times `speed` for the stop. A longer stop also uses the gap that
+    `needed_floor` adds. At 1.0 m/s2 and a delay of 0.1 s stops from above 0.4 m/s are longer.
     """
     return _TRAVEL_TIME * speed
 

@@ -286,18 +286,20 @@ class Calibration(Pattern[CalibrationParams]):
     ) -> _Drives:
         """Measure stops on an axis: to and fro, from two speeds.
 
-        Appends to `stops` the commanded speed and the measured stop (`Braking`) of each drive, and
-        to `scales` the distances of the drive in m by odometry and by scans. After a drive without
-        a steady speed, all stops are repeated at a slower speed. Ends the calibration by _EndError
-        after more than _RETRIES such drives.
+        `stops` and `scales` are filled: `stops` with the commanded speed and the measured stop of
+        each drive, `scales` with the distances of each drive in m by odometry and by scans. After a
+        drive without a steady speed, all drives are repeated at a slower speed. _EndError after
+        more than _RETRIES such drives.
         """
         failures, words = 0, _AXES[axis]
-        while len(stops) < 4 * self.params.repeats:
-            # Four drives: to and fro at the top speed, then to and fro at a slow speed.
-            top, index = self._speeds[axis], len(stops)
-            speed = top if index % 4 < 2 else _SLOW * top
-            self._step_name = f"{words.move} {index + 1} of {4 * self.params.repeats}"
-            stop = yield from self._stop(speed if index % 2 == 0 else -speed, axis, scales)
+        # To and fro at the top speed, then to and fro at a slow speed; this `repeats` times.
+        speed_shares = (1.0, -1.0, _SLOW, -_SLOW)
+        drive_count = len(speed_shares) * self.params.repeats
+        while len(stops) < drive_count:
+            self._step_name = f"{words.move} {len(stops) + 1} of {drive_count}"
+            share = speed_shares[len(stops) % len(speed_shares)]
+            speed = abs(share) * self._speeds[axis]
+            stop = yield from self._stop(math.copysign(speed, share), axis, scales)
             if stop is not None:
                 stops.append((speed, stop))
                 continue
@@ -334,15 +336,8 @@ class Calibration(Pattern[CalibrationParams]):
                 steady_since = self._now
             drive_time = self._now - begin
             is_too_long = distances[-1] > self._farthest[axis] or drive_time > _LONGEST_DRIVE
-            # Odometry must show a share of the commanded motion in the last _UNSEEN_TIME s.
-            recent = distances[-1] - np.interp(self._now - _UNSEEN_TIME, times, distances)
-            least = _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME
-            if drive_time > _UNSEEN_TIME and recent < least:
-                words = _AXES[axis]
-                raise _EndError(
-                    f"odometry shows no {words.way} when {abs(speed):.2f} {words.unit} are"
-                    f" commanded: {words.unseen}, or protection stops it"
-                )
+            if drive_time > _UNSEEN_TIME:
+                self._check_motion(times, distances, speed, axis)
 
         # 2. Stop, and measure the stop.
         stop_time = self._now
@@ -355,6 +350,20 @@ class Calibration(Pattern[CalibrationParams]):
         if axis != "angular":  # turns are compared with scans in `_swing`
             self._compare(pose_before, self._rest(), scales)
         return stop
+
+    def _check_motion(self, times: Array, distances: Array, speed: float, axis: str) -> None:
+        """End if odometry shows hardly any motion in the last _UNSEEN_TIME s of a drive.
+
+        `distances`: (n,) travelled m or rad at `times` (n,) s. `speed`: the commanded speed on
+        `axis` in m/s or rad/s.
+        """
+        recent = distances[-1] - np.interp(self._now - _UNSEEN_TIME, times, distances)
+        if recent < _UNSEEN_SHARE * abs(speed) * _UNSEEN_TIME:
+            words = _AXES[axis]
+            raise _EndError(
+                f"odometry shows no {words.way} when {abs(speed):.2f} {words.unit} are"
+                f" commanded: {words.unseen}, or protection stops it"
+            )
 
     def _back(self, twist: Twist, seconds: float) -> _Drives:
         """Undo a drive that failed, so that the robot stays on the floor."""
@@ -444,58 +453,77 @@ class Calibration(Pattern[CalibrationParams]):
         in m by odometry and by scans. `headings`: arrival in s and heading in rad of each matched
         scan of the turns. `track`: (n, 4) odometry of the turns: s, x, y, yaw.
         """
-        # 1. Scan delay, and scale of odometry in turns.
-        measured: dict[str, Figure] = {}
-        arrivals, scan_headings = np.array(headings).reshape(-1, 2).T
-        odometry_headings = track[:, 3] - self._start.yaw
-        scan_delay, turn_scale = turn_delay(arrivals, scan_headings, track[:, 0], odometry_headings)
-        if self._reference is None or not headings:
-            why = "what stands around shows no turn: too few returns, or a round room"
-            scan_delay = turn_scale = Figure(why=why)
-
-        # 2. Deceleration, delay, speed and scale of each axis.
-        barrier = self.context.platform.protection.get("barrier") or {}
+        scan_delay, turn_scale = self._of_turns(headings, track)
         why = "what stands around does not show the way: too little of it, or a bare corridor"
+        measured: dict[str, Figure] = {}
         for axis, pairs in stops.items():
             scale = turn_scale if axis == "angular" else scale_of(scales[axis], why)
-            deceleration, reaction = stopping([stop for _, stop in pairs])
-            top_speed = max(speed for speed, _ in pairs)
-            speed_ratios = [stop.speed / speed for speed, stop in pairs if speed == top_speed]
-            speed_ratio = mean_of(speed_ratios, "no steady drive")
-            if scale.is_measured:  # to metres by scans, by which protection measures its gaps
-                speed_ratio, deceleration = speed_ratio.over(scale), deceleration.over(scale)
-            # `braking_linear` also holds for the lateral axis.
-            key = "braking_angular" if axis == "angular" else "braking_linear"
-            declared = float(barrier.get(key, math.nan))
-            measured[f"braking_{axis}"] = deceleration._replace(assumed=declared)
-            measured[f"reaction_{axis}"] = reaction._replace(assumed=REACTION_TIME)
-            measured[f"speed_{axis}"] = speed_ratio._replace(assumed=1.0)
-            measured[f"odometry_{axis}"] = scale._replace(assumed=1.0)
+            measured |= self._of_axis(axis, pairs, scale)
         measured["margin"] = self._margin(*(measured[f"reaction_{axis}"] for axis in stops))
-
-        # 3. Ages. `_offset`: the robot's clock less odometry's clock, by the fastest sample.
+        # `_offset`: the robot's clock less odometry's clock, by the fastest sample.
         ages = np.array(self._ages) - self._offset
         measured["odometry_age"] = mean_of(ages.tolist(), "no odometry")
-        if scan_delay.is_measured and self._scan is not None and self._scan.ages is not None:
-            # `turn_delay` gives the age of the newest ray, since a matched pose is the pose at that
-            # ray. The scan delay is the mean age of all rays, so the mean time by which rays are
-            # older than the newest is added: 0 while the order of rays is unknown, where all ages
-            # are equal and a matched pose is the pose at the mean ray.
-            ray_ages = self._scan.ages - self._scan.ages.min()
-            scan_delay = scan_delay._replace(value=scan_delay.value + float(ray_ages.mean()))
-        measured["scan_delay"] = scan_delay._replace(assumed=self._spec.latency)
+        measured["scan_delay"] = scan_delay
         self._report = {
             "state": figures.DONE,
             "drove": " ".join(f"{self._speeds[axis]:.6g}" for axis in AXES if axis in stops),
             **{name: figure.text for name, figure in measured.items()},
         }
 
+    def _of_turns(
+        self, headings: Sequence[tuple[float, float]], track: Array
+    ) -> tuple[Figure, Figure]:
+        """The scan delay in s, and the scale of odometry in turns; arguments as for `_finish`.
+
+        The scan delay is the mean age of the rays of a scan on arrival.
+        """
+        if self._reference is None or not headings:
+            why = "what stands around shows no turn: too few returns, or a round room"
+            no_figure = Figure(why=why)
+            return no_figure._replace(assumed=self._spec.latency), no_figure
+        arrivals, scan_headings = np.array(headings).T
+        odometry_headings = track[:, 3] - self._start.yaw
+        delay, scale = turn_delay(arrivals, scan_headings, track[:, 0], odometry_headings)
+        if delay.is_measured and self._scan is not None and self._scan.ages is not None:
+            # `turn_delay` gives the age of the newest ray, since a matched pose is the pose at that
+            # ray. So the mean time by which rays are older than the newest ray is added. This time
+            # is 0 while the order of the rays is unknown: all ages are equal then, and a matched
+            # pose is the pose at the mean ray.
+            ray_ages = self._scan.ages - self._scan.ages.min()
+            delay = delay._replace(value=delay.value + float(ray_ages.mean()))
+        return delay._replace(assumed=self._spec.latency), scale
+
+    def _of_axis(
+        self, axis: str, pairs: Sequence[tuple[float, Braking]], scale: Figure
+    ) -> dict[str, Figure]:
+        """The deceleration, the reaction delay, the speed and the scale of an axis, by name.
+
+        `pairs`: commanded speed and stop of each drive. `scale`: the scale of odometry. The speed
+        is measured over commanded, at the top speed.
+        """
+        deceleration, reaction = stopping([stop for _, stop in pairs])
+        top_speed = max(speed for speed, _ in pairs)
+        speed_ratios = [stop.speed / speed for speed, stop in pairs if speed == top_speed]
+        speed_ratio = mean_of(speed_ratios, "no steady drive")
+        if scale.is_measured:  # to metres by scans, by which protection measures its gaps
+            speed_ratio, deceleration = speed_ratio.over(scale), deceleration.over(scale)
+        # `braking_linear` also holds for the lateral axis.
+        key = "braking_angular" if axis == "angular" else "braking_linear"
+        barrier = self.context.platform.protection.get("barrier") or {}
+        declared = float(barrier.get(key, math.nan))
+        return {
+            f"braking_{axis}": deceleration._replace(assumed=declared),
+            f"reaction_{axis}": reaction._replace(assumed=REACTION_TIME),
+            f"speed_{axis}": speed_ratio._replace(assumed=1.0),
+            f"odometry_{axis}": scale._replace(assumed=1.0),
+        }
+
     def _margin(self, *delays: Figure) -> Figure:
         """The protection margin in m that a base needs if it responds later than assumed.
 
         `delays`: the reaction delays of the axes in s; each counts with two standard deviations.
-        For the time by which the longest delay exceeds REACTION_TIME, the robot's surface and an
-        object still approach each other, so the margin grows by that time at both speeds.
+        The longest of them exceeds REACTION_TIME by some time, in which the robot's surface and an
+        object still approach each other. The margin grows by the distance of this approach.
         """
         barrier = self.context.platform.protection.get("barrier")
         if barrier is None:

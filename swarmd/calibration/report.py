@@ -52,12 +52,14 @@ def settings(
     """
     chosen = []
 
-    # 1. Decelerations and speed limits. `braking_linear` must hold on the lateral axis, too.
-    moves_sideways = len(drove) > 2
-    for axis, speed in zip(AXES, drove, strict=False):
-        if axis != "lateral":
-            axes = ("linear", "lateral") if axis == "linear" and moves_sideways else (axis,)
-            chosen += _braking(axis, {name: figures[f"braking_{name}"] for name in axes})
+    # 1. Decelerations and speed limits.
+    top_speeds = dict(zip(AXES, drove, strict=False))
+    for axis, speed in top_speeds.items():
+        if axis == "linear":  # `braking_linear` must hold on the lateral axis, too
+            braked_axes = [name for name in ("linear", "lateral") if name in top_speeds]
+            chosen += _braking(axis, {name: figures[f"braking_{name}"] for name in braked_axes})
+        elif axis == "angular":
+            chosen += _braking(axis, {axis: figures["braking_angular"]})
         speed_ratio = figures[f"speed_{axis}"]  # measured over commanded
         if speed_ratio.is_measured and speed_ratio.value < 1.0 - _SLOWER:
             text = f"{_text(speed_ratio)} of the {speed:.3g} commanded"
@@ -72,15 +74,9 @@ def settings(
         is_safe = value >= scan_delay.assumed  # a longer latency makes the robot more careful
         chosen.append(Setting("scan.latency", value, scan_delay.assumed, text, is_safe))
     if sweep is not None and sweep.direction:  # empty: the order is not known
-        yaml = "null"  # all rays at one time
-        if sweep.duration:
-            yaml = (
-                f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction},"
-                f" duration: {sweep.duration:.3g}}}"
-            )
         text = f"measured in {sweep.samples} pairs of scans"
         # "measured" for the present value: without the key the daemon measures the sweep itself.
-        chosen.append(Setting("scan.sweep", yaml, "measured", text, True))
+        chosen.append(Setting("scan.sweep", _sweep_yaml(sweep), "measured", text, True))
 
     # 3. The margin of protection.
     if margin.is_measured and margin.value > margin.assumed:
@@ -92,11 +88,22 @@ def settings(
     return chosen
 
 
-def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
-    """The setting `braking_linear` or `braking_angular` (by `word`): a list of at most one setting.
+def _sweep_yaml(sweep: SweepFigure) -> str:
+    """The value of `scan.sweep` as YAML; null if all rays are measured at one time."""
+    if not sweep.duration:
+        return "null"
+    return (
+        f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction},"
+        f" duration: {sweep.duration:.3g}}}"
+    )
 
-    Its value is the weakest deceleration of the axes in `brakes`. Empty if no axis was measured. A
-    stronger deceleration than assumed is set only if each axis was measured.
+
+def _braking(word: str, brakes: Mapping[str, Figure]) -> list[Setting]:
+    """The setting `braking_<word>` as a list, which is empty if the setting is not to change.
+
+    `brakes`: by axis, the decelerations of the axes for which the setting holds. The value is the
+    weakest of these. The list is empty if no axis was measured, and also if the value is stronger
+    than assumed while an axis was not measured.
     """
     candidates = []
     for axis, brake in brakes.items():

@@ -1,7 +1,7 @@
 """Decides which commands a driver publishes: none to a lost base, zero first and last. Pure.
 
-A driver whose base other nodes may command passes `is_stopped` to `filter`; any other driver omits
-`is_stopped`. `protection/arbiter.py` applies the limits before this gate.
+Some bases take the commands of other nodes, too: only the driver of such a base passes `is_stopped`
+to `filter`. `protection/arbiter.py` applies the limits before this gate.
 """
 
 from __future__ import annotations

@@ -31,9 +31,9 @@ class Sink(Protocol):
     ) -> None:
         """Take the connection state: `is_up`, or the reason in `text` why the base is lost.
 
-        `hold`: why the robot must not move although its base is connected. `gets_zero`: the base
-        counts as lost, but the driver still sends the zeros of a stopped robot to it. Also True for
-        a driver that moves no base at all.
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: zeros of a
+        stopped robot reach the base although the base counts as lost; a driver that moves no base
+        passes True, too.
         """
 
     def dropped(self, what: str) -> None:
@@ -76,11 +76,13 @@ class ZeroSenderSpec:
 class ZeroSender(Protocol):
     """A second connection to a base, which sends nothing but zero.
 
-    It lives in the watchdog's process (`watchdog.py`), which has no event loop. A sender whose
-    `open` may return before the connection is made also has the attribute `is_connected`; while it
-    is False the daemon's commands are zero. A base may understand only one form of zero, which the
-    driver learns in operation (`ZeroSenderProvider`): a sender that needs this hint has the method
-    `take_hint(hint)`.
+    The sender lives in the watchdog's process (`watchdog.py`), which has no event loop. Some
+    senders have more than the methods below:
+
+    - `is_connected`, an attribute, if `open` may return before the connection is made. While it is
+      False the daemon's commands are zero.
+    - `take_hint(hint)`, if the base understands only one form of zero, and the driver learns this
+      form in operation (`ZeroSenderProvider`).
     """
 
     def open(self) -> None:
@@ -167,9 +169,8 @@ class RestingDriver(Protocol):
     def rest(self, take_late: TakeLate | None) -> None:
         """Keep odometry back until the next scan or `read`, then hand it to `take_late`.
 
-        `take_late` None: the rest has ended. The driver hands over what has arrived now, and each
-        later reading at once. Called at each tick of a resting robot, and at the event that ends
-        the rest.
+        The daemon calls this method at each tick of a resting robot, and with None when the rest
+        ends. With None the driver hands over now what has arrived, and each later reading at once.
         """
 
     def read(self) -> None:

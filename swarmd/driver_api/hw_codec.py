@@ -2,10 +2,13 @@
 
 A simulated robot is any process that listens as `RobotServer` of `network/carriers/robot_link.py`.
 The daemon sends the frames `cmd_vel`, `grip` and `sent` (a message of its pattern, for the robot's
-radio); the robot sends the frames of KINDS and `received` (messages that its radio heard). An input
-is encoded as in a recording, except scans and odometry, which are frequent. The arrays of a scan
-are little-endian float32; regular bearings and ages are (first, step). `range_min` and `range_max`
-come from the platform file, not from the message.
+radio). The robot sends the frames of KINDS, which are its inputs, and `received` (messages that its
+radio heard).
+
+Scans and odometry are frequent and have encodings of their own; any other input is encoded as in a
+recording. The arrays of a scan are little-endian float32; evenly spaced bearings or ages are sent
+as their first value and step. `range_min` and `range_max` come from the platform file, not from the
+message.
 """
 
 from __future__ import annotations

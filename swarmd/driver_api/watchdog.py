@@ -9,11 +9,10 @@ end.
    until the daemon ticks again. A daemon that is back before the zeros end sends zero as well, so
    that the base stands.
 3. Before the first tick the watchdog sends nothing.
-4. When the daemon has ended, the watchdog sends zeros until a request to end: a farewell of the
-   daemon, SIGTERM, the end of the process to which the watchdog is tied, or relief by the watchdog
-   of a new daemon for this robot, whose sender is open by then. The watchdog ends at this request,
-   but not before the 2 s of zeros are over. If the daemon has never ticked, the watchdog ends with
-   the daemon.
+4. When the daemon has ended, the watchdog sends zeros until it has a reason to end, and for at
+   least 2 s. The reasons are a farewell of the daemon, SIGTERM, the end of the process to which the
+   watchdog is tied, and a new watchdog: that of a new daemon for this robot, once its sender is
+   open. If the daemon has never ticked, the watchdog ends with the daemon.
 """
 
 from __future__ import annotations

@@ -45,8 +45,8 @@ class CombinedPattern(Pattern[P]):
     def combine(self, outputs: Mapping[str, Outputs], inputs: Inputs) -> Outputs:
         """Combine the outputs of all parts: the first command and grip, all messages and reports.
 
-        A report gets the name `part.key`. The result is done once all parts are done. Override this
-        method for another combination.
+        Each value of a part's report gets the name `part.key`. The combined pattern is done once
+        all parts are done. A pattern overrides this method for another combination.
         """
         twists = [part.twist for part in outputs.values() if part.twist is not None]
         reasons = [part.done for part in outputs.values() if part.done is not None]

@@ -122,15 +122,10 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
         case conditions.Reading():
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
-        # The count of neighbours: compared with a limit, or with a slope drawn at random by a
-        # probability that rises with the count, 0.5 at the limit.
         case conditions.Neighbors(slope=None):
             return lambda seen: _count(condition, seen) >= condition.count
-        case conditions.Neighbors(slope=slope):
-            slope = slope or 0.0  # never None here, for type checkers
-            return _drawn(
-                lambda seen: _logistic(slope * (_count(condition, seen) - condition.count)), started
-            )
+        case conditions.Neighbors():
+            return _drawn(lambda seen: _probability(condition, seen), started)
         case conditions.Probability():
             return _drawn(lambda seen: condition.value, started)
 
@@ -171,8 +166,11 @@ def _count(condition: conditions.Neighbors, seen: Observation) -> int:
     )
 
 
-def _logistic(x: float) -> float:
-    return 0.5 * (1.0 + math.tanh(0.5 * x))
+def _probability(condition: conditions.Neighbors, seen: Observation) -> float:
+    """The probability within a second of a condition with a slope: 0.5 at its `count`."""
+    assert condition.slope is not None
+    x = condition.slope * (_count(condition, seen) - condition.count)
+    return 0.5 * (1.0 + math.tanh(0.5 * x))  # the logistic function, without overflow
 
 
 def _is_as_wanted(condition: conditions.Reported, value: Scalar | None) -> bool:

@@ -97,10 +97,10 @@ class Reading(Struct, frozen=True, tag="reading", forbid_unknown_fields=True):
 class Neighbors(Struct, frozen=True, tag="neighbors", forbid_unknown_fields=True):
     """There are at least `count` neighbours within `within` m; without `within`, in radio reach.
 
-    With `slope` the condition is drawn. With n neighbours the condition holds within a second with
-    probability 1 / (1 + exp(slope (count - n))). This is the "neighbour count" of AutoMoDe (the
-    automatic design of Francesca et al. 2014); with a negative slope, its "inverted neighbour
-    count".
+    With `slope` chance decides: with n neighbours the condition becomes true within a second with
+    the probability 1 / (1 + exp(slope (count - n))). So a positive slope makes the condition likely
+    with many neighbours (the "neighbour count" of AutoMoDe, the automatic design of Francesca et
+    al. 2014), and a negative slope with few (the "inverted neighbour count").
     """
 
     count: Annotated[float, Meta(ge=0.0, le=1000.0)] = field(name="neighbors")

@@ -45,23 +45,29 @@ def assemble(
 ) -> Assembled:
     """Make the pattern called `name` for one robot, with the patterns that it contains.
 
-    `layers`: the parameters as (source, values), weakest first. `find` returns the class of a
-    pattern. `rng`: the random generator of the pattern. `channel_prefix`: put before the names of
-    its message channels. UnknownPatternError for an unknown name, MissingSensorError if the
-    platform lacks a sensor, ParameterError for a wrong parameter, PluginError for a wrong class.
+    UnknownPatternError for an unknown name, MissingSensorError if the platform lacks a sensor,
+    ParameterError for a wrong parameter, PluginError for a wrong class.
+
+    Args:
+        name: of the pattern.
+        layers: the parameters as (source, values), weakest first.
+        find: returns the class of a pattern.
+        robot: the id of the robot.
+        platform: of the robot.
+        rng: the random generator of the pattern.
+        channel_prefix: put before the names of the message channels of the pattern; empty for a
+            pattern that no other pattern contains.
     """
     kind = find(name)
     _check_needs(name, kind.needs, platform)
     params, sources = build(kind.params_type, full_layers(kind, platform, layers))
 
-    # The pattern calls this function for each pattern that it contains. A `private` inner pattern
-    # has message channels of its own (`part-channel`). Any other inner pattern shares the channels
-    # of the stand-alone pattern (`inner_name/channel`). Here only the prefix of this level is made:
-    # a pattern that is itself an inner pattern puts its own prefix before the names of its parts'
-    # channels, unless they contain `/` and so are shared.
     def make(
         inner_name: str, /, *, part: str = "", private: bool = False, **inner_params: Value
     ) -> Pattern[Any]:
+        """Make a pattern that the pattern contains, as `Make` in behavior.py says."""
+        # A private part has channels of its own, and any other part shares the channels of the
+        # stand-alone pattern.
         prefix = f"{part or inner_name}-" if private else f"{inner_name}/"
         platform_params = platform.patterns.get(inner_name, {})
         return assemble(

@@ -85,10 +85,10 @@ def radius_of(spacing: float, count: int) -> float:
 def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
     """The centers (k, 2) in m of objects up to `reach` m away and at most `width` m wide.
 
-    `offset`: the position of the lidar in the base frame, in m. An object is assumed to be as deep
-    as wide. An object that a nearer object hides on one side is assumed to have the usual width of
-    the free objects, measured from its visible side. An object hidden on both sides is ignored: a
-    wall behind two robots may look like such an object.
+    `offset`: the position of the lidar in the base frame, in m. An object counts as deep as it is
+    wide. An object that a nearer object hides on one side counts as wide as the median of the
+    whole objects, from its visible edge on. An object that is hidden on both sides is ignored,
+    since a wall behind two robots looks like such an object.
     """
     objects = clusters(scan, within=reach).objects
     centers = _kernel.robot_centers(objects, _MAX_RANGE_SHARE * reach, width, offset)
@@ -122,8 +122,8 @@ class _Track:
 class NeighborTracker:
     """Positions of neighbours that are measured rarely and with noise while the robot moves.
 
-    Each new range and bearing is transformed to the odometry frame; repeated measurements of one
-    place are averaged. A neighbour that is not sensed for a moment keeps its position.
+    Each new range and bearing gives a position in the odometry frame. The positions of a neighbour
+    that stands are averaged. A neighbour that is not sensed for a moment keeps its position.
     """
 
     def __init__(self) -> None:

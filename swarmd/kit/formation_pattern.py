@@ -195,40 +195,42 @@ class FormationPattern(MovementPattern[F]):
         The goal is this robot's place in the formation, in m in the odometry frame; None without a
         robot in sight. `pose`: of the base in the odometry frame.
         """
-        params = self.params
-        offset = self.context.platform.scan.offset
-        # 1. The points to keep clear of, from each new scan.
         is_new_scan = scan.seq != self._seq
         if is_new_scan:
             self._seq = scan.seq
-            # Ranges are from the lidar, and the base may be nearer to a point by the offset.
-            obstacle_reach = params.clearance + params.brake + math.hypot(*offset)
-            points = closest_points(scan, within=obstacle_reach).tolist()
-            self._points = NearPoints(polar_from_base(points, offset))
-        # 2. The other robots (k, 2) in m in the base frame: measured by range and bearing, or taken
-        #    from the objects of a new scan. By lidar the goal stays until the next new scan.
-        if not self._by_lidar:
-            others = self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
-        elif is_new_scan:
-            robot_reach = min(params.range, scan.range_max)
-            others = robot_centers(
-                scan, reach=robot_reach, width=params.object_width, offset=offset
-            )
-        else:
-            return
+            self._set_points(scan)
+        if self._by_lidar and not is_new_scan:
+            return  # the robots in sight are still those of the last scan
+        others = self._others(inputs, scan, pose)
         self._seen = len(others)
         if not len(others):
             self._goal = None
             return
-        # 3. The goal, low-pass filtered (first order) with _PLACE_TIME_CONSTANT.
         goal = to_odometry_frame(self.place(others).tolist(), pose)
-        elapsed_s = max(inputs.now - self._aimed_at, 0.0)
-        weight = 1.0 - math.exp(-elapsed_s / _PLACE_TIME_CONSTANT)
-        if self._goal is not None:
+        if self._goal is not None:  # low-pass filter (first order)
+            elapsed_s = max(inputs.now - self._aimed_at, 0.0)
+            weight = 1.0 - math.exp(-elapsed_s / _PLACE_TIME_CONSTANT)
             (x, y), (new_x, new_y) = self._goal, goal
             goal = x + weight * (new_x - x), y + weight * (new_y - y)
         self._goal = goal
         self._aimed_at = inputs.now
+
+    def _set_points(self, scan: Scan) -> None:
+        """Set the points to keep clear of, from a new scan."""
+        offset = self.context.platform.scan.offset
+        # Ranges are from the lidar, and the base may be nearer to a point by the offset.
+        reach = self.params.clearance + self.params.brake + math.hypot(*offset)
+        points = closest_points(scan, within=reach).tolist()
+        self._points = NearPoints(polar_from_base(points, offset))
+
+    def _others(self, inputs: Inputs, scan: Scan, pose: Pose) -> Array:
+        """The other robots (k, 2) in m in the base frame: objects of the scan, or neighbours."""
+        params = self.params
+        if not self._by_lidar:
+            return self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
+        reach = min(params.range, scan.range_max)
+        offset = self.context.platform.scan.offset
+        return robot_centers(scan, reach=reach, width=params.object_width, offset=offset)
 
     def _follow(self, x: float, y: float, length: float) -> Twist:
         params, points = self.params, self._points

@@ -126,16 +126,14 @@ class NearPoints:
         length: cython.double = math.hypot(x, y)
         if not _MIN_LENGTH < length < INFINITY:
             return ZERO
-        # The heading error to the target, of the rear end in reverse. The base slows down with the
-        # error, and only turns from 90 degrees on.
-        sign = -1.0 if may_back and x < 0.0 else 1.0
-        heading_error = atan2(sign * y, sign * x)
+        sign = -1.0 if may_back and x < 0.0 else 1.0  # of the motion: -1 in reverse
         speed_share: cython.double = min(length, _MAX_REVERSE_SHARE if sign < 0.0 else 1.0)
+        # The base slows down with the error of its heading, and only turns from 90 degrees on.
+        heading_error = atan2(sign * y, sign * x)
         speed_share *= math.pow(max(cos(heading_error), 0.0), 2.0)
-        # Slow down before points. `toward_x`: the cosine of a point's bearing, so the share of the
-        # speed toward the point. That speed falls from full speed at the range spacing + brake to
-        # zero at the range spacing. The order of the points, and their sine, serve `keep_clear`
-        # only.
+        # The speed toward a point falls from full speed at the range spacing + brake to zero at the
+        # range spacing. `toward_x`, the cosine of the bearing, is the share of the speed that leads
+        # toward the point.
         for distance, toward_x, _ in self._farthest_first:
             ahead = sign * toward_x
             if ahead > 0.0:
@@ -167,20 +165,18 @@ def robot_centers(objects: list, reach: cython.double, width: cython.double, off
     centers, weights = [], []  # (range, bearing) from the lidar, and number of rays
     for i in candidates:
         away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
-        # A partly hidden object counts as wide as the median of the whole objects. Its visible edge
-        # stays, so its center lies farther to the hidden side than the middle of the visible part.
-        # From the lidar, that middle is `visible_angle` from the edge. The center of a circle of
-        # radius `half` is asin(half / (away + half)) from its edge.
-        if not is_free[i]:
-            # 1: the left is hidden, -1: the right, 0: no nearer object of the lists is beside it.
-            side = _hidden_side(ranges, bearings, widths, i)
-            if side == _BOTH:
-                continue
-            if side:
-                visible_angle = half / max(away, _MIN_RANGE)
-                half = max(half, usual_half)
-                shift_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
-                bearing += side * max(shift_angle, 0.0)
+        side = 0 if is_free[i] else _hidden_side(ranges, bearings, widths, i)
+        if side == _BOTH:
+            continue
+        if side:
+            # The whole object is assumed to be as wide as the median. Its visible edge is
+            # `visible_angle` from the middle of the visible part, and asin(half / (away + half))
+            # from the center of a circle of radius `half`. So the center lies farther to the hidden
+            # side than this middle, by the difference.
+            visible_angle = half / max(away, _MIN_RANGE)
+            half = max(half, usual_half)
+            shift_angle = asin(half / max(away + half, _MIN_RANGE)) - visible_angle
+            bearing += side * max(shift_angle, 0.0)
         # The center lies half a width behind the visible side.
         centers.append((away + half, bearing))
         weights.append(counts[i])
@@ -200,7 +196,7 @@ _BOTH = cython.declare(cython.int, 2)
 def _hidden_side(
     ranges: list, bearings: list, widths: list, index: cython.Py_ssize_t
 ) -> cython.int:
-    """The side on which nearer objects hide a part of one: 1 left, -1 right, 0 none, or `_BOTH`."""
+    """The side on which nearer objects hide the object `index`: 1 left, -1 right, 0, or `_BOTH`."""
     i: cython.Py_ssize_t
     own_range: cython.double = ranges[index]
     own_bearing: cython.double = bearings[index]

@@ -45,10 +45,11 @@ def from_base(points: Array, offset: tuple[float, float]) -> Array:
 
 
 def keep_clear(vector: Array, points: Array, *, spacing: float, brake: float) -> Array:
-    """The vector limited so that it leads no closer than `spacing` m to points (k, 2).
+    """The vector limited so that it leads no closer than `spacing` m to `points`.
 
-    Points are range, bearing. The component towards a point is at most (range - spacing) / brake:
-    it falls from 1 at `spacing + brake` to 0 at `spacing`; nearer points push the vector away.
+    `points`: (k, 2) range in m and bearing in rad. The component of the vector towards a point is
+    limited to (range - spacing) / brake: to 1 at the range `spacing + brake`, to 0 at the range
+    `spacing`. A nearer point makes the component negative, so that the vector leads away.
     """
     x, y = float(vector[0]), float(vector[1])
     return np.array(NearPoints(points.tolist()).keep_clear(x, y, spacing=spacing, brake=brake))
@@ -105,8 +106,8 @@ def turn_time(angle: float, turn: float) -> float:
 def drive_along(x: float, y: float, *, speed: float, turn: float, gain: float = 1.0) -> Twist:
     """The command along a vector, forward or backward, whichever needs less of a turn.
 
-    The speeds are `gain` times the forward part of the vector and 2 `gain` times the angle to it,
-    at most `speed` m/s and `turn` rad/s.
+    The linear speed is `gain` times the forward part of the vector, at most `speed` m/s. The
+    angular speed is 2 `gain` times the angle to the vector, at most `turn` rad/s.
     """
     angle = math.atan2(y, x) if x >= 0.0 else math.atan2(-y, -x)
     linear = max(-speed, min(speed, gain * x))

@@ -32,11 +32,11 @@ class RoundVote(NamedTuple):
 class VoteWindow:
     """Collects votes in a window of `length` s: tumbling, or sliding if there is a `period`.
 
-    - A tumbling window opens anew whenever it is closed; earlier votes do not count.
-    - A sliding window is closed every `period` s, and counts the votes of the last `length` s, also
+    - A tumbling window is followed by the next window, which begins without votes.
+    - A sliding window ends every `period` s, and counts the votes of the last `length` s, also
       votes that an earlier window has counted.
     - Votes received more than `expiry` s before the end of a window do not count.
-    - The first window (or period) is shorter: the share `first` of its length.
+    - The first window (or period) lasts only the share `first` of its length.
     """
 
     def __init__(
@@ -91,13 +91,14 @@ class Rounds:
     """Synchronised updates: the votes of one round decide, then the next round begins.
 
     1. A round lasts at least `pause` s and at most `length` s. In between, the round ends as soon
-       as no robot heard in the last `expiry` s is in an earlier round.
-    2. A robot that is one round ahead counts with its vote of this round: its messages hold both
-       votes. Robots further ahead do not count.
-    3. If more than half of the robots are further ahead, this robot has fallen behind, and jumps to
-       their median round.
+       as no robot is in an earlier round, of the robots heard in the last `expiry` s.
+    2. A robot that is one round ahead counts with its vote of this round, since its messages hold
+       the votes of two rounds. A robot that is two rounds ahead or more does not count.
+    3. If more than half of the robots are two rounds ahead or more, this robot has fallen behind,
+       and jumps to the median round of the robots.
 
-    So a lost message, a robot that left, and a robot that sends arbitrary rounds block no robot.
+    So no robot waits for ever for a lost message, for a robot that has left, or for a robot that
+    sends arbitrary rounds.
 
     Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
     acknowledgements, votes are repeated, together with the previous vote.

@@ -232,11 +232,11 @@ class BlindSectors:
     ) -> cython.int:
         """Compare the returns in the direction `d` (an index) with the object last seen there.
 
-        An object is seen if all rays in the direction have a return. An object is static if
-        _STREAK comparisons in a row see the same object. A sector of the sensor that has missed an
-        object waits (`_pending`, by direction and sector) until the object proves to be static;
-        the miss then counts against the sector (`_missed`, by sector and direction). `x`, `y`: m,
-        the place of the robot.
+        An object is seen if all rays in the direction have a return, and is static once _STREAK
+        comparisons in a row have seen it. A sector of the sensor that has missed an object waits
+        until the object proves to be static. Then the miss counts against the sector. `_pending`
+        has the waiting sectors, by direction and sector. `_missed` has the misses that count, by
+        sector and direction. `x`, `y`: m, the place of the robot.
         """
         k: cython.Py_ssize_t
 
@@ -250,23 +250,22 @@ class BlindSectors:
         # Comparisons in a row that saw this object: 1 for a new object, 0 without an object.
         self._streak[d] = self._streak[d] + 1 if is_same else is_seen
 
-        # 2. The sectors that have missed the object, and wait. A sector that has returns now is not
-        # blind: its misses are forgotten. A static object ends the wait with a miss. A new object,
-        # or an object that is no longer known, ends the wait without a miss.
+        # 2. The sectors that have missed the object, and wait.
         is_static: cython.bint = self._is_known[d] and self._streak[d] >= _STREAK
-        is_decided: cython.bint = is_static or not self._is_known[d] or is_new
+        # A new object, or an object that is no longer known, ends the wait without a miss.
+        is_decided: cython.bint = is_static or is_new or not self._is_known[d]
         for k in range(_SECTORS):
-            if self._return_streak[k]:
+            if self._return_streak[k]:  # a sector that has returns now is not blind
                 self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
             elif is_decided and self._pending[_SECTORS * d + k]:
                 self._pending[_SECTORS * d + k] = False
                 self._missed[_SECTORS * k + d] |= is_static
 
-        # 3. Stores an object that is new or static. A new object is not known (-inf) until static.
+        # 3. Stores an object that is new or static.
         if self._streak[d] >= _STREAK:
             self._seen_at[d] = now
         if is_new:
-            self._seen_at[d] = -INFINITY
+            self._seen_at[d] = -INFINITY  # not known until it proves to be static
         if is_new or (is_seen and self._streak[d] >= _STREAK):
             self._range[d] = distance
             self._x[d], self._y[d] = x, y

@@ -87,10 +87,10 @@ class ScanConditioner:
 
     @property
     def known_at(self) -> float:
-        """The time in s of the data in the last returned scan.
+        """The time in s at which the data of the last returned scan were known.
 
-        Usually the arrival of the scan. Earlier if the scan has a sector wider than `max_gap` from
-        the memory of the rays, or if the scan repeats an earlier scan.
+        This is the arrival of the scan, or an earlier time if the scan repeats an earlier scan, or
+        if the memory of the rays has filled a sector wider than `max_gap`.
         """
         return self._rays.known_at
 
@@ -105,50 +105,53 @@ class ScanConditioner:
         `scan`: the raw scan of the driver. `odometry`: the last reading; None without a reading.
         `now`: s on this machine's clock, the arrival of the scan.
         """
-        # 1. Form: lengths, bearings without a gap, ages, and a stamp that rises. The same bearings
-        # object as before was checked before.
-        raw_ranges, bearings = scan.ranges, scan.bearings
         stamp: cython.double = scan.stamp
-        if raw_ranges.ndim != 1 or not isfinite(stamp):
+        if not isfinite(stamp) or not self._has_form(scan):
             return Reason.INVALID_SCAN
-        n: cython.Py_ssize_t = len(raw_ranges)
-        if n == 0 or (bearings is not self._bearings and raw_ranges.shape != bearings.shape):
-            return Reason.INVALID_SCAN
-        if bearings is not self._bearings and not self._takes_bearings(bearings):
-            return Reason.INVALID_SCAN
-        if n != len(self._bearings) or not self._takes_ages(scan.ages, n):
-            return Reason.INVALID_SCAN
-        reason = self._not_newer(scan.seq, stamp, raw_ranges)
+        reason = self._not_newer(scan.seq, stamp, scan.ranges)
         if reason is not None:
             return reason
 
-        # 2. A frozen sensor sends the same ranges again and again. With noise (`_is_noisy`) an
-        # exact repeat is implausible for a sensor that measures.
-        ranges = np.array(raw_ranges, np.float64)
+        # A frozen sensor sends the same ranges again and again. With noise (`_is_noisy`) an exact
+        # repeat is implausible for a sensor that measures.
+        ranges = np.array(scan.ranges, np.float64)
         values: cython.double[::1] = view_of(ranges)
+        measured_at: cython.double = now
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
-            now = self._rays.known_at  # a repeat has no new data: its rays are as old as before
             if self._repeat_count >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
+            measured_at = self._rays.known_at  # a repeat has no new data
 
-        # 3. Blind sectors become unknown; then unknown rays are filled from memory.
         yaw: cython.double = NAN
         if odometry is not None:
             yaw = odometry.pose.yaw
-        self._blind.mark(values, self._bearings, odometry, now)
-        if not self._rays.interpret(values, self._bearings, yaw, now):
+        self._blind.mark(values, self._bearings, odometry, measured_at)
+        if not self._rays.interpret(values, self._bearings, yaw, measured_at):
             return Reason.INVALID_SCAN
         ranges.setflags(write=False)  # pattern and memory share the array
         limits = self._range_min, self._range_max
         return Scan(scan.seq, stamp, ranges, self._bearings, *limits, self._ages, self._latency)
 
     @cython.cfunc
-    def _takes_bearings(self, bearings) -> cython.bint:
-        """Store the bearings as `_bearings`.
+    def _has_form(self, scan) -> cython.bint:
+        """True if lengths, bearings and ages of a scan are valid; stores bearings and ages."""
+        ranges, bearings = scan.ranges, scan.bearings
+        if ranges.ndim != 1 or len(ranges) == 0:
+            return False
+        # The array of an earlier scan was checked with that scan.
+        is_new: cython.bint = bearings is not self._bearings
+        if is_new and (ranges.shape != bearings.shape or not self._takes_bearings(bearings)):
+            return False
+        n: cython.Py_ssize_t = len(ranges)
+        return n == len(self._bearings) and self._takes_ages(scan.ages, n)
 
-        False, and nothing is stored, if a bearing is not finite, or a sector has no ray. Later
-        stages compare bearings by identity. So `_bearings` stays the same object while bearings
-        have equal values, and is a copy if the driver may write to the given array.
+    @cython.cfunc
+    def _takes_bearings(self, bearings) -> cython.bint:
+        """Store the bearings as `_bearings`; False, and nothing is stored, if they are not valid.
+
+        They are not valid if one is not finite, or if they leave a sector without rays. `_bearings`
+        stays the same object while bearings have equal values, since later stages compare bearings
+        by identity. It is a copy if the driver may write to the given array.
         """
         if not np.array_equal(bearings, self._bearings):
             if not np.isfinite(bearings).all() or widest_between_rays(bearings) > self._max_sector:
@@ -175,10 +178,11 @@ class ScanConditioner:
 
     @cython.cfunc
     def _not_newer(self, seq, stamp: cython.double, ranges):
-        """The reason to reject a scan that is not newer than all scans before; else None.
+        """None for a scan that is newer than all scans before; else the reason to reject it.
 
-        None also after a restart of the sensor: _RESTART_SCANS scans in a row whose sequence
-        numbers and stamps rise again. The class lists the reasons.
+        The reasons are FROZEN_SCAN, FROZEN_STAMP and CLOCK_SET (see the class). A sensor that was
+        restarted has lower numbers and stamps: it is accepted once _RESTART_SCANS scans in a row
+        have rising numbers and stamps again.
         """
         # Newer than the last scan; a number above all numbers so far.
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq

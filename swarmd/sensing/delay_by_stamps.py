@@ -1,9 +1,9 @@
 """Measures the delay of scans by stamps, where one clock stamps scan and odometry.
 
 The least difference of arrival and stamp of odometry in the last second gives the offset between
-that clock and the robot's clock. The stamp of a scan is the time of its oldest ray, as in ROS. Two
-delays cannot be measured: the delay of odometry itself, and a common delay of scan and odometry
-that has lasted for more than that second.
+the clock of the stamps and the robot's clock. The stamp of a scan is the time of its oldest ray, as
+in ROS. Two delays cannot be measured: the delay of odometry itself, and a common delay of scan and
+odometry that lasts for longer than a second.
 """
 
 from __future__ import annotations
@@ -153,15 +153,15 @@ class DelayByStamps:
             self._period_count += 1
         self._lowest, self._period_ends = INFINITY, now + _PERIOD_TIME
 
-        # 2. The lowest lag of the last two periods (inf: no period has had a reading so far). The
-        # ages of scans in the period that ends now were computed with `previous_lowest`. If the new
-        # lowest lag is suddenly higher, these ages are invalid.
+        # 2. The lowest lag of the last two periods (inf: no period has had a reading so far).
         previous_lowest: cython.double = self._lowest_before
         self._lowest_before = INFINITY
         for k in range(max(self._period_count - 2, 0), self._period_count):
             self._lowest_before = min(self._lowest_before, self._minima[k])
+        # A jump: scan and odometry were late together, or their clock was set back. The ages of
+        # the last scans are wrong then, since they were computed with `previous_lowest`.
         if previous_lowest + _CLOCK_JUMP < self._lowest_before < INFINITY:
-            self._age_count = 0  # scan and odometry were late together, or their clock was set back
+            self._age_count = 0
 
         # 3. A clock that does not run at real time, such as the clock of a slow simulator.
         rise_count: cython.int = 0

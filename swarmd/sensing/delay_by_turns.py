@@ -234,11 +234,12 @@ class DelayByTurns:
         if self._ray_step == 0.0:
             return
 
-        # 2. With enough pairs, only two of four scans are used, to save time: a scan whose count
-        # modulo 4 is 0 is the first of a pair, a scan with 1 is the second.
+        # 2. With enough pairs, only two of four scans make a pair, to save time.
         self._scan_count += 1
-        if self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 > 1:
+        saves_time: cython.bint = self.pairs >= _ENOUGH_PAIRS
+        if saves_time and self._scan_count % 4 > 1:
             return
+        is_first: cython.bint = not had_last or (saves_time and self._scan_count % 4 == 0)
 
         # 3. Stores this scan. Skips a pair that is too far apart in time or place.
         previous_arrival: cython.double = self._scan_at
@@ -247,8 +248,8 @@ class DelayByTurns:
         self._store_ranges(scan)
         self._scan_at, self._has_last = arrival, True
         self._x, self._y = self.pose.x, self.pose.y
-        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scan_count % 4 == 0):
-            return  # the first scan of a pair
+        if is_first:
+            return
         if arrival - previous_arrival > _MAX_SCAN_PERIOD or self._end == self._first:
             return  # too far apart, or no reading of odometry
         if previous_arrival - _LONGEST_DELAY < self._times[self._first]:
@@ -444,16 +445,16 @@ class DelayByTurns:
         if highest == _CANDIDATES - 1 or (highest - lowest) * _DELAY_STEP > _MAX_INTERVAL:
             return 0
 
-        # 2. The minimum of the parabola. Its curvature gives the standard deviation, which _ALIKE
-        # widens, as errors of pairs are not independent. `best` needs a candidate on each side: the
-        # first candidate gives way to the second, and the longest has returned above.
-        best = max(best, 1)
-        error_before: cython.double = self._errors[best - 1]
-        error_after: cython.double = self._errors[best + 1]
-        curvature: cython.double = error_before - 2.0 * self._errors[best] + error_after
+        # 2. The minimum of the parabola through three candidates. The middle candidate is the best,
+        # or the second if the first is the best. It is not the longest, which has returned above.
+        # The curvature gives the standard deviation, which _ALIKE widens.
+        middle: cython.Py_ssize_t = max(best, 1)
+        error_before: cython.double = self._errors[middle - 1]
+        error_after: cython.double = self._errors[middle + 1]
+        curvature: cython.double = error_before - 2.0 * self._errors[middle] + error_after
         if curvature > 0.0:
             change: cython.double = 0.5 * _DELAY_STEP * (error_before - error_after) / curvature
-            self.delay = max(_DELAY_STEP * best + change, 0.0)
+            self.delay = max(_DELAY_STEP * middle + change, 0.0)
             spread: cython.double = _ALIKE * _DELAY_STEP * sqrt(2.0 * variance / curvature)
             self.spread = max(spread, _MIN_DELAY_SPREAD)
         return 0

@@ -88,14 +88,14 @@ def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:
 class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
-    The returned scan has `ages` and `newest_age`. Its ages come from the first of these sources
-    that gives ages: the measured sweep (`measured`), the driver, the platform's `sweep`.
-    Exceptions:
+    The returned scan has the ages of its rays, and the age of its newest ray (`newest_age`). The
+    ages come from the measured sweep (`measured`); without a `measured`, from the driver; without
+    ages by the driver, from the platform's `sweep`. Rays are moved except in these cases:
 
-    - Without a source, the scan is returned unchanged.
-    - While the measured sweep is not known, rays are not moved. The scan counts as measured at the
-      time of its mean ray, and each ray gets the greatest age that a ray may have at that time.
-    - Without odometry that reaches back over the whole scan, rays are not moved, but have ages.
+    - Without ages, the scan is returned unchanged.
+    - While `measured` does not know the order of the rays, the scan counts as measured at the time
+      of its mean ray, and each ray has the greatest age that a ray may have at that time.
+    - Without odometry that reaches back over the whole scan, rays have ages, but are not moved.
     - At rest, the scan keeps its bearings (the same object).
     """
 
@@ -147,8 +147,7 @@ class Deskewer:
             odometry_age: s since the last reading arrived; None without a fresh reading.
             delay: s by which the scan is older than the platform's `latency` says.
         """
-        # 1. The ages of the rays, by the driver, the platform's sweep or the measured sweep (the
-        # order in which the sensor measures its rays). While its order is unknown, no ray moves.
+        # 1. The ages of the rays: None if neither the measured sweep nor the driver gives them.
         ages = scan.ages
         if self._measured_sweep is not None:
             ages = self._measured_sweep.ages(scan)
@@ -163,15 +162,16 @@ class Deskewer:
         if bearings is not self._bearings_of_scan or ages is not self._ages_of_scan:
             self._set_rays(bearings, ages)
 
-        # 2. Moves the rays to the stamp of the newest ray. `latest + age` is `now` on the clock of
-        # odometry: the last stamp, and the time since its reading arrived.
-        # The scan states the age of its newest ray without the measured `delay`.
-        delayed_age: cython.double = self._newest_age + delay
+        # 2. Moves the rays to the time of the newest ray, if odometry is fresh. The returned scan
+        # states the age of this ray without the measured `delay`.
+        newest_age: cython.double = self._newest_age + delay
+        newest_at: cython.double = now - newest_age
         moved = None
         if odometry_age is not None:
-            age: cython.double = odometry_age
-            newest_stamp: cython.double = self._history.latest + age - delayed_age
-            moved = self._move_scan_rays(ranges, newest_stamp, now - delayed_age - self._last_at)
+            seconds_since_reading: cython.double = odometry_age
+            # `now` on the clock of odometry, less the age of the newest ray.
+            newest_stamp: cython.double = self._history.latest + seconds_since_reading - newest_age
+            moved = self._move_scan_rays(ranges, newest_stamp, newest_at - self._last_at)
 
         # 3. The new scan. Its first rays may come from the scan before, see `_move_scan_rays`.
         if moved is None:
@@ -180,7 +180,7 @@ class Deskewer:
         else:
             result = _scan_with(scan, moved[0], moved[1], moved[2], self._newest_age)
             self._filled_count = len(result.ranges) - len(ranges)
-        self._last_scan, self._last_at = result, now - delayed_age
+        self._last_scan, self._last_at = result, newest_at
         return result
 
     @cython.cfunc
@@ -199,27 +199,29 @@ class Deskewer:
     def _move_scan_rays(self, ranges_of_scan, stamp: cython.double, seconds: cython.double):
         """Ranges, bearings and ages (k,) of a scan, moved to the stamp of its newest ray.
 
-        Rays of the scan before fill an unmeasured sector; these rays come first, so k may exceed n.
-        None if the rays are not to be moved: at rest, if odometry does not reach back over the
-        scan, if all rays have the same age, or if an unmeasured sector cannot be filled.
+        The rays that fill an unmeasured sector come first, so k may exceed n. None if the rays are
+        not to be moved: at rest, if odometry does not reach back over the scan, if all rays have
+        the same age, or if an unmeasured sector cannot be filled.
 
-        `ranges_of_scan`: (n,) m, the ranges of the scan. `stamp`: s on the clock of odometry, of
-        the newest ray. `seconds`: s by which the newest ray of the scan before is older.
+        Args:
+            ranges_of_scan: (n,) m, the ranges of the scan.
+            stamp: s on the clock of odometry, of the newest ray.
+            seconds: s from the newest ray of the scan before to the newest ray of this scan.
         """
         history: OdometryHistory = self._history
         path_rows: cython.Py_ssize_t = history.set_path(stamp, self.span)
         if path_rows == 0:
             return None
-        # rad: the sector that the sensor missed, if the robot turned against it. The pose at the
-        # end of the path has yaw 0. The last row has the begin of the scan, so its yaw is minus the
-        # turn of the robot during the scan.
-        unmeasured: cython.double = self._direction * history.path[path_rows - 1, 3]
+        # 1. The width in rad of the unmeasured sector; below 0 if the robot turns with the sensor.
+        # The last row has the pose at the begin of the scan; the pose at its end has yaw 0.
+        yaw_at_begin: cython.double = history.path[path_rows - 1, 3]
+        unmeasured: cython.double = self._direction * yaw_at_begin
         # A sector below half the angle between two rays lacks no ray.
         is_filled: cython.bint = unmeasured > 0.5 * self._spacing
         if is_filled and not self._can_fill(stamp, seconds):
             return None
 
-        # Makes room, fills the sector, then moves the rays of this scan.
+        # 2. Fills the sector with the first rays of the result.
         count: cython.Py_ssize_t = self._ages.shape[0]
         filled_count: cython.Py_ssize_t = 0
         capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if is_filled else 0)
@@ -233,6 +235,8 @@ class Deskewer:
             filled_count = self._fill_sector(unmeasured, seconds, distances, angles, view_of(ages))
             ranges, bearings = ranges[: filled_count + count], bearings[: filled_count + count]
             ages = ages[: filled_count + count]
+
+        # 3. Moves the rays of this scan, which follow.
         move_rays(
             view_of(ranges_of_scan),
             self._bearings,
@@ -268,20 +272,22 @@ class Deskewer:
     ) -> cython.Py_ssize_t:
         """Fill the unmeasured sector with rays of the scan before; the number of these rays.
 
-        Sets distances, angles and ages of these rays. Behind them, sets the ages of this scan;
-        the caller then sets the distances and angles there by `move_rays`, which sets no ages.
-        `set_motion` of the history must have been called for the motion between the scans.
+        Sets distances, angles and ages of these rays, and behind them the ages of this scan. The
+        caller must have set the motion between the scans (`set_motion` of the history).
 
-        `unmeasured`: rad, the width of the sector. `seconds`: s between the newest rays of both
-        scans. `distances`, `angles`, `ages`: the (k,) arrays to fill, in m, rad and s.
+        Args:
+            unmeasured: rad, the width of the sector.
+            seconds: s from the newest ray of the scan before to the newest ray of this scan.
+            distances, angles, ages: (k,) m, rad, s; the arrays to fill.
         """
         last = self._last_scan
         i: cython.Py_ssize_t
-        # `_oldest` is the bearing of the oldest ray as measured. De-skew moves this ray by
-        # `unmeasured` in the direction of the sweep, away from the newest ray, which stays. The
-        # sector lies in between: from half a ray before `_oldest`, in the direction of the sweep.
-        self._sector_args[0] = self._oldest - 0.5 * self._direction * self._spacing
-        self._sector_args[1], self._sector_args[2] = self._direction, unmeasured
+        # De-skew moves the oldest ray by `unmeasured` in the direction of the sweep, and not the
+        # newest ray. So the sector begins at the bearing at which the oldest ray was measured, less
+        # half the angle between two rays, and extends in the direction of the sweep.
+        start: cython.double = self._oldest - 0.5 * self._direction * self._spacing
+        self._sector_args[0], self._sector_args[1] = start, self._direction
+        self._sector_args[2] = unmeasured
         count: cython.Py_ssize_t = rays_in_sector(
             view_of(last.ranges),
             view_of(last.bearings),

@@ -10,11 +10,11 @@ driver gives its rays, and this module measures the order of the rays:
 2. The displacements are compared with those that odometry predicts for each candidate. Candidates:
    all rays at once; rising or falling order of the message, for the duration that the driver gives,
    for the scan period and for half of it.
-3. The same orders, begun at another ray than the message's first, are candidates, too. If such a
+3. Orders that begin at another ray than the first ray of the message are candidates, too. If such a
    candidate fits best, no order is set: the platform has to give its sweep.
 4. Errors are limited, since objects move (Huber, "Robust Estimation of a Location Parameter",
-   1964). A candidate is set if a paired test finds it better than each other candidate, after turns
-   to both sides.
+   1964). After turns to both sides, an order is set if a paired test finds its candidate better
+   than each other candidate.
 """
 
 from __future__ import annotations
@@ -132,9 +132,10 @@ class _Layout(NamedTuple):
 class _ScanAtPose:
     """A scan with the pose of the sensor at its mean ray.
 
-    `at` in s is the time of the mean ray on the clock of odometry, `yaw` in rad (not wrapped) the
-    heading at that time. `x`, `y` in m: the place of the sensor when the scan arrived, taken for
-    the place at that time. `skew` in rad is the turn during the scan.
+    `at`: s on the clock of odometry, the time of the mean ray. `yaw`: rad, not wrapped, the heading
+    at the time `at`. `x`, `y`: m, the place of the sensor; the place at the arrival of the scan is
+    used, since a pair of scans needs a robot that hardly moves. `skew`: rad, the turn of the robot
+    during the scan.
     """
 
     def __init__(
@@ -254,7 +255,8 @@ class MeasuredSweep:
         """Take in a raw scan: compare it with the stored scan whose skew differs most.
 
         The skew is the turn of the robot during a scan. Two scans with different skews show in
-        which order the sensor measures its rays.
+        which order the sensor measures its rays. Ignores scans that show nothing new, and most
+        scans once the order is known.
 
         Args:
             scan: the raw scan.
@@ -263,56 +265,68 @@ class MeasuredSweep:
             headings: the headings of the robot by odometry.
             base: the pose of the base when the scan arrived.
         """
-        # 1. Skips scans that show nothing new.
         layout = self._update_layout(scan)
         half = 0.5 * self._longest_scan()  # s from the mean ray to the oldest and the newest ray
         self._scan_count += 1
-        # The stored scans got their times, and so their headings, by a delay that was wrong.
         if abs(delay - self._delay) > _MAX_DELAY_CHANGE:
+            # The stored scans got their times, and so their headings, by a wrong delay.
             self._delay = delay
             self._forget_pairs()
-        # Most scans of a known order.
         if self.order is not None and self._scan_count % _SCAN_STRIDE:
             return
         time = arrival - delay  # of the mean ray
-        # Unusable rays; rays that are all measured at once, by the driver; a scan that began before
-        # the oldest heading.
-        if layout.fault or layout.claim == 0.0 or time - half < headings.times[0]:
+        are_all_at_once = layout.claim == 0.0  # by the driver
+        began_before_headings = time - half < headings.times[0]
+        if layout.fault or are_all_at_once or began_before_headings:
             return
         begin_yaw, yaw, end_yaw = np.interp((time - half, time, time + half), *headings).tolist()
-        stored, skew = self._stored_scans, end_yaw - begin_yaw
-        turned = abs(yaw - stored[-1].yaw) if stored else math.inf
-        # rad since the last pair; a jump of the heading counts as _MAX_TURN at most.
+        skew = end_yaw - begin_yaw
+        # A jump of the heading counts as _MAX_TURN at most.
         self._turned += min(abs(yaw - self._yaw), _MAX_TURN)
         self._yaw = yaw
-        # A repeat of the last stored scan by a robot at rest. After half of _MAX_SCAN_PERIOD a
-        # repeat is stored, so that a later turn has a partner.
-        age_of_last = time - stored[-1].at if stored else 0.0
-        is_last_fresh = 0.0 < age_of_last < 0.5 * _MAX_SCAN_PERIOD
-        if turned + abs(skew) < _AT_REST and is_last_fresh:
+        if self._repeats_last(time, yaw, skew):
             return
-
-        # 2. The partner: the stored scan whose skew differs most.
         cos, sin = math.cos(base.yaw), math.sin(base.yaw)
         ahead, left = self._offset
         sensor = Pose(base.x + cos * ahead - sin * left, base.y + sin * ahead + cos * left, yaw)
         scan_at_pose = _ScanAtPose(scan, layout, time, headings, sensor, skew)
-        partner, greatest_difference = None, _MIN_SKEW
-        for earlier in stored:
-            difference = abs(skew - earlier.skew)
-            if difference > greatest_difference and earlier.is_comparable(scan_at_pose):
-                partner, greatest_difference = earlier, difference
-
-        # 3. Stores the scan. Stored scans are _SPACING apart in heading, except the newest: the new
-        # scan replaces the newest if the robot is within _SPACING of the stored scan before that.
-        if len(stored) > 1 and abs(yaw - stored[-2].yaw) < _SPACING:
-            stored.pop()
-        stored.append(scan_at_pose)
-
-        # 4. Compares the pair, once the robot has turned far enough since the last pair.
-        if partner is not None and self._turned > (_SPACING if self.order is None else _CHECK_TURN):
+        partner = self._partner_of(scan_at_pose)
+        self._store(scan_at_pose)
+        needed_turn = _SPACING if self.order is None else _CHECK_TURN
+        if partner is not None and self._turned > needed_turn:
             self._turned = 0.0
             self._compare(partner, scan_at_pose)
+
+    def _repeats_last(self, time: float, yaw: float, skew: float) -> bool:
+        """True for a scan that repeats the newest stored scan, since the robot is at rest.
+
+        `time`: s, of the mean ray. `yaw`, `skew`: rad. False after half of _MAX_SCAN_PERIOD: then a
+        repeat is stored, so that a scan of a later turn has a partner.
+        """
+        if not self._stored_scans:
+            return False
+        newest = self._stored_scans[-1]
+        is_fresh = 0.0 < time - newest.at < 0.5 * _MAX_SCAN_PERIOD
+        return is_fresh and abs(yaw - newest.yaw) + abs(skew) < _AT_REST
+
+    def _partner_of(self, scan: _ScanAtPose) -> _ScanAtPose | None:
+        """The comparable stored scan whose skew differs most, and by more than _MIN_SKEW."""
+        partner, greatest_difference = None, _MIN_SKEW
+        for earlier in self._stored_scans:
+            difference = abs(scan.skew - earlier.skew)
+            if difference > greatest_difference and earlier.is_comparable(scan):
+                partner, greatest_difference = earlier, difference
+        return partner
+
+    def _store(self, scan: _ScanAtPose) -> None:
+        """Store the newest scan. All scans before the newest stay _SPACING apart in heading."""
+        stored = self._stored_scans
+        if len(stored) > 1:
+            before_newest = stored[-2]
+            is_newest_needed = abs(scan.yaw - before_newest.yaw) >= _SPACING
+            if not is_newest_needed:
+                stored.pop()
+        stored.append(scan)
 
     def forget_scans(self) -> None:
         """Drop the kept scans, as when the clock of odometry was set."""
@@ -399,10 +413,7 @@ class MeasuredSweep:
     def _decide(self) -> None:
         """Set the order if a single candidate fits better than all others in a paired test.
 
-        The mean errors of all pairs of scans are compared with those of the best candidate. Each
-        pair votes between -1 (better) and 1 (worse) on each other candidate. A candidate is worse
-        if three measures say so: the mean vote, the mean error, and the mean errors of turns to
-        each side.
+        The order is unknown again if the pairs of scans contradict the present order.
         """
         # (p, c) the mean error of each candidate for each pair, and the side of each turn.
         rows, sides = np.array(self._mean_errors), np.array(self._sides)
@@ -411,9 +422,22 @@ class MeasuredSweep:
         if len(rows) < _MIN_PAIRS or min(left_count, len(rows) - left_count) < _MIN_PAIRS_OF_SIDE:
             return
 
-        # 1. The best candidate, and by how much each other candidate is worse.
-        means = rows.mean(axis=0)
-        best = int(means.argmin())
+        best = int(rows.mean(axis=0).argmin())
+        is_worse = self._is_worse(rows, best, is_left)
+        order = self._order_by(best, is_worse)
+        if order != self.order:
+            self.order, self._ages = order, None
+            self._pair_count = len(rows)
+            self._forget_pairs()
+
+    def _is_worse(self, rows: Array, best: int, is_left: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(c,) whether each candidate is worse than candidate `best`, by a paired test.
+
+        `rows`: (p, c) rad, the mean error of each candidate for each pair of scans. `is_left`: (p,)
+        the pairs of turns to the left. A candidate is worse if three measures say so: the mean
+        vote, the mean error, and the mean errors of turns to each side. Each pair votes between -1
+        (better) and 1 (worse) on each candidate.
+        """
         worse_by = rows - rows[:, best : best + 1]
         # Pairs differ much in their errors. So a vote is the difference in units of the median
         # difference, limited to 1: it counts how often a candidate is worse, not by how much.
@@ -424,26 +448,25 @@ class MeasuredSweep:
         needed_errors = np.where(
             self._candidates.is_neighbor(best), _ERRORS_OF_NEIGHBOR, _STANDARD_ERRORS
         )
-        is_worse = votes.mean(axis=0) > needed_errors * standard_errors
-        is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * means[best]
+        is_worse: NDArray[np.bool_] = votes.mean(axis=0) > needed_errors * standard_errors
+        is_worse &= worse_by.mean(axis=0) > _MIN_BETTER * rows.mean(axis=0)[best]
         is_worse &= (worse_by[is_left].mean(axis=0) > 0.0) & (worse_by[~is_left].mean(axis=0) > 0.0)
+        return is_worse
 
-        # 2. Sets the order if all other candidates are worse. A candidate that begins at another
-        # ray than the message's first (start other than 0) is never set: then there is no order.
-        # Else keeps the present order, unless the votes contradict that order.
-        orders, order = self._candidates.orders, None
-        if np.count_nonzero(is_worse) == len(is_worse) - 1:
-            order = orders[best] if orders[best].start == 0.0 else None
-            self._reason = (
-                "" if order else "its rays do not follow one another in the message's order"
-            )
-        elif self.order is None or not is_worse[orders.index(self.order)]:
-            order = self.order
-            self._reason = "its turns do not tell one order of rays from another yet"
-        if order != self.order:
-            self.order, self._ages = order, None
-            self._pair_count = len(rows)
-            self._forget_pairs()
+    def _order_by(self, best: int, is_worse: NDArray[np.bool_]) -> Order | None:
+        """The order by the candidate `best`, and by which candidates are worse; sets the reason."""
+        orders = self._candidates.orders
+        if np.count_nonzero(is_worse) == len(is_worse) - 1:  # all other candidates are worse
+            if orders[best].start == 0.0:
+                self._reason = ""
+                return orders[best]
+            self._reason = "its rays do not follow one another in the message's order"
+            return None
+        is_contradicted = self.order is not None and is_worse[orders.index(self.order)]
+        if is_contradicted:
+            return None
+        self._reason = "its turns do not tell one order of rays from another yet"
+        return self.order
 
 
 def _is_same(before: Array | None, now: Array | None) -> bool:

@@ -70,12 +70,11 @@ class OdometryHistory:
         self.path, self.motion = memoryview(np.empty((_READINGS + 2, 4))), array("d", 3 * [0.0])
 
     def take(self, odometry: Odometry, now: cython.double) -> bool | None:
-        """Store a reading that arrived at `now`; True for a new stamp, None for an invalid reading.
+        """Store a reading that arrived at `now` s; True for a new stamp, None if it is invalid.
 
-        False for a repeated stamp. A reading that equals the newest stored reading in all values is
-        not stored again. Before any different reading is stored, all earlier readings are dropped
-        if its stamp is not above the newest stamp, or if its pose jumps: by more than MAX_STEP plus
-        MAX_SPEED times the seconds since the newest stamp.
+        False for the stamp of the reading before. A copy of the newest stored reading is not stored
+        again. A reading whose stamp does not rise, or whose pose jumps, drops all earlier readings.
+        A pose jumps by more than MAX_STEP plus MAX_SPEED times the seconds since the newest stamp.
         """
         pose, twist = odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
@@ -101,8 +100,8 @@ class OdometryHistory:
         if is_new and self._delay is not None:
             self._delay.read(stamp, yaw, angular, pose, now)
 
-        # 2. A repeated reading changes nothing; a jump drops the earlier readings. The same bound
-        # holds for m and for rad.
+        # 2. A copy changes nothing; a jump drops the earlier readings. The same bound holds for m
+        # and for rad.
         r: cython.double[::1] = self._readings
         start: cython.Py_ssize_t = self._place(0)
         if self._count:

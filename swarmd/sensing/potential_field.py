@@ -16,8 +16,7 @@ import numpy as np
 from swarmd.core.values import ZERO, Array, Twist
 
 # repulsion: away from near rays; attraction: towards rays, far rays weigh more; attraction2:
-# towards rays, near rays weigh more. The paper's bias points forward, backward (as a negative
-# value) and backward, in this order.
+# towards rays, near rays weigh more.
 FieldKind: TypeAlias = Literal["repulsion", "attraction", "attraction2"]
 
 # A shorter sum is rounding noise of rays that cancel out; its direction is meaningless.
@@ -55,16 +54,15 @@ def potential_field(
         range_max: m, the reach of the field, greater than `range_min`; with 0 no return is in
             range.
         range_min: m; a nearer ray counts as a ray at `range_min`.
-        bias: added to the vector's x (forward); subtracted for "attraction2", as in the paper.
+        bias: added to the vector's x (forward), or subtracted for "attraction2": the paper gives
+            the bias of both attractions backward, as a negative value and as a positive value.
         ray_threshold: up to this number of returns within range, `is_alone` is True.
         kind: see FieldKind.
         ignore_near: rays nearer than `range_min` do not count, as in the original.
     """
-    is_seen = ranges < range_max
+    is_seen = (ranges < range_max) & (range_max > 0.0)
     if ignore_near:
         is_seen &= (ranges >= range_min) & (ranges > 0.0)
-    if range_max <= 0.0:
-        is_seen = np.zeros(len(ranges), dtype=np.bool_)
     count = int(np.count_nonzero(is_seen))
     x = y = 0.0
     if count:
@@ -75,8 +73,10 @@ def potential_field(
         y = float(weights @ np.sin(seen_bearings))
     if kind == "repulsion":
         vector = np.array([bias - x, -y])
+    elif kind == "attraction":
+        vector = np.array([x + bias, y])
     else:
-        vector = np.array([x - bias if kind == "attraction2" else x + bias, y])
+        vector = np.array([x - bias, y])
     return FieldResult(vector, count, count <= ray_threshold)
 
 

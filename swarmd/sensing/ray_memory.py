@@ -82,6 +82,14 @@ def _nearest_angle(
     return after
 
 
+@cython.cfunc
+@cython.exceptval(check=False)
+def _unwrapped(step: cython.double) -> cython.double:
+    """A step between two angles in [-pi, pi], as numpy.unwrap: half a turn keeps its sign."""
+    wrapped_step: cython.double = wrap(step)
+    return PI if wrapped_step == -PI and step > 0.0 else wrapped_step
+
+
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
 
 
@@ -151,43 +159,42 @@ class RayMemory:
         A conditioned range is a distance, +inf (no return) or -inf (too close to measure).
         `bearings` (n,) and the robot's `yaw` in rad (NaN: unknown), `now` in s. Sets `known_at`.
         """
-        count: cython.Py_ssize_t = ranges.shape[0]
         if self._goes_blind(ranges):
             return False
-
-        # 1. Turns the memory with the robot, so that the memory stays with the surroundings. Even
-        # rays (one each `_step` of a full turn) need only a shift of indices by whole steps,
-        # wrapped into [0, count). `_given` is the array of bearings of the last scan: mostly the
-        # same object.
-        turned: cython.double = self._turn_of(yaw)
-        if (
-            bearings is not self._given
-            and self._ray_count
-            and np.array_equal(bearings, self._bearings)
-        ):
-            self._given = bearings
-        if bearings is not self._given:
-            self._set_bearings(bearings, turned)
-        elif turned != 0.0 and self._is_even:
-            self._shift += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
-            self._shift += count if self._shift < 0 else -count if self._shift >= count else 0
-        elif turned != 0.0:
-            self._recall(self._rising, turned)
-
-        # 2. Interprets the ranges, and stores the known rays.
+        self._turn_memory(bearings, yaw)
         if self._interpret_ranges(ranges):
             self._interpret_zeros(ranges, now)
         unknown_count: cython.Py_ssize_t = self._remember(ranges, now)
-        if 2 * unknown_count > count:  # fewer than half of the rays are known
+        if 2 * unknown_count > ranges.shape[0]:  # fewer than half of the rays are known
             return False
-
-        # 3. Fills unknown rays from the memory, then by their neighbours.
         self.known_at = now
         if unknown_count == 0:
             return True
         self.known_at = self._lost_since(now)
         # Neighbours fill the rays that the memory leaves unknown. False: a sector is too wide.
         return self._fill_from_memory(ranges, now) == 0 or self._bridge_sectors(ranges)
+
+    @cython.cfunc
+    def _turn_memory(self, bearings, yaw: cython.double):
+        """Turn the memory with the robot to `yaw` in rad, so that it stays with the surroundings.
+
+        Takes over the `bearings` (n,) of the scan if they differ from those of the scan before.
+        """
+        turned: cython.double = self._turn_of(yaw)
+        is_same: cython.bint = bearings is self._given  # mostly the same object
+        if not is_same and self._ray_count and np.array_equal(bearings, self._bearings):
+            self._given, is_same = bearings, True
+        if not is_same:
+            self._set_bearings(bearings, turned)
+        elif turned != 0.0 and self._is_even:
+            # Even rays need only a shift of indices by whole steps, wrapped into [0, n).
+            self._shift += cython.cast(cython.Py_ssize_t, rint(turned / self._step))
+            if self._shift < 0:
+                self._shift += self._ray_count
+            elif self._shift >= self._ray_count:
+                self._shift -= self._ray_count
+        elif turned != 0.0:
+            self._recall(self._rising, turned)
 
     @cython.cfunc
     def _fill_from_memory(
@@ -283,10 +290,8 @@ class RayMemory:
         whether they are even (a ray at each `_step` of a full turn), and in which direction
         bearings change.
         """
-        i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(bearings)
         old_count: cython.Py_ssize_t = self._ray_count
-        step: cython.double = self._step
         old_rising: cython.double[::1] = self._rising
         values = np.array(bearings, dtype=np.float64, order="C")
         order = np.argsort(values % TURN, kind="stable")
@@ -298,15 +303,25 @@ class RayMemory:
         if count > 1:
             last_step = math.remainder(values[count - 1] - values[count - 2], TURN)
             self._direction = math.copysign(1.0, last_step)
-        self._is_even = fabs(count * step - TURN) < _MAX_TURN_ERROR * step
-        for i in range(count):
-            if fabs(self._rising[i] - self._rising[0] - i * step) > _MAX_UNEVENNESS * step:
-                self._is_even = False
+        self._is_even = self._has_even_rays()
         self._is_zero, self._is_lost = new_flags(count), new_flags(count)
         if old_count:
             self._recall(old_rising, turned)
-            return
-        self._set_empty_memory()
+        else:
+            self._set_empty_memory()
+
+    @cython.cfunc
+    def _has_even_rays(self) -> cython.bint:
+        """True if the rays cover a full turn, a ray at each `_step`."""
+        i: cython.Py_ssize_t
+        count: cython.Py_ssize_t = self._ray_count
+        step: cython.double = self._step
+        if not fabs(count * step - TURN) < _MAX_TURN_ERROR * step:
+            return False
+        for i in range(count):
+            if fabs(self._rising[i] - self._rising[0] - i * step) > _MAX_UNEVENNESS * step:
+                return False
+        return True
 
     @cython.cfunc
     def _set_empty_memory(self) -> cython.int:
@@ -399,25 +414,21 @@ class RayMemory:
     ) -> cython.double:
         """The meaning of a zero in a run of `run` zeros: -inf near, +inf no return, NaN lost.
 
-        The first rule that applies (rule 1 only if zeros may be guessed to be near, rule 2 only if
-        not):
-
-        1. -inf: a ray close by has had a near return lately. Not for a short run of zeros after a
-           recent return of this ray, which is a lost packet.
-        2. +inf: a long run after far returns. If the memory filled such rays, the blind zone would
-           look empty, and `BlindZoneMemory` (protection/blind_zone.py), which finds obstacles by
-           rays without a return, would find none.
-        3. NaN, so that the memory fills the ray: the ray has had a return lately.
-        4. +inf: otherwise.
+        The memory fills a lost ray. `ray`: the index of the ray. `now`: s.
         """
         at: cython.Py_ssize_t = self._index(ray)
         had_return: cython.bint = self._seen_at[at] >= now - self._stale_after and isfinite(
             self._ranges[at]
         )
         # A short run over recent returns is a lost packet; a near obstacle hides more rays.
-        if not (had_return and run <= _PACKET_RAYS) and self._was_near(ray, now):
+        is_packet: cython.bint = had_return and run <= _PACKET_RAYS
+        if not is_packet and self._was_near(ray, now):
             return -INFINITY
-        if not self._guesses_near and run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE:
+        # A long run over far returns may be an obstacle in the blind zone. `BlindZoneMemory`
+        # (protection/blind_zone.py) finds such an obstacle by rays without a return, and would find
+        # none if the memory filled these rays.
+        may_hide: cython.bint = run > _HIDING_RAYS and self._ranges[at] > _HIDDEN_RANGE
+        if may_hide and not self._guesses_near:
             return INFINITY
         return NAN if had_return else INFINITY
 
@@ -497,12 +508,12 @@ class RayMemory:
             first += 1
         if first == count:
             return False
-        # Angles are unwrapped as in numpy.unwrap, from a known ray on.
-        start: cython.double = self._bearings[first]
-        angle: cython.double = start
-        last_angle: cython.double = start  # of the last known ray
-        last_range: cython.double = ranges[first]
+        # The last known ray: its index, unwrapped angle and range.
         last: cython.Py_ssize_t = first
+        last_angle: cython.double = self._bearings[first]
+        last_range: cython.double = ranges[first]
+        start: cython.double = last_angle
+        angle: cython.double = start
         unwrap_shift: cython.double = 0.0
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -513,11 +524,7 @@ class RayMemory:
             i = wrapped_index(k, count)
             step = self._bearings[i] - self._bearings[wrapped_index(k - 1, count)]
             if fabs(step) >= PI:
-                wrapped_step = wrap(step)
-                # As numpy.unwrap: a step of half a turn keeps its sign.
-                if wrapped_step == -PI and step > 0.0:
-                    wrapped_step = PI
-                unwrap_shift += wrapped_step - step
+                unwrap_shift += _unwrapped(step) - step
             angle = self._bearings[i] + unwrap_shift
             if isnan(ranges[i]):
                 continue

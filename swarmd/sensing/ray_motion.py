@@ -82,12 +82,16 @@ def move_rays(
         limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles: (n,) m and rad, the arrays to fill.
     """
+    offset_x: cython.double = limits[0]
+    offset_y: cython.double = limits[1]
+    range_min: cython.double = limits[2]
+    range_max: cython.double = limits[3]
     count: cython.Py_ssize_t = ranges.shape[0]
     last_row: cython.Py_ssize_t = row_count - 1
     row: cython.Py_ssize_t = 1  # ends the segment of the path in which the ray was measured
     i: cython.Py_ssize_t
-    # The segment between two rows: ages (s before the end of the path), and begin and change of
-    # x, y and turn.
+    # The segment from row `row - 1` to `row`: its ages (s before the end of the path), and the
+    # begin and the change of x, y and turn.
     begin_age: cython.double = INFINITY
     end_age: cython.double = -INFINITY
     x_begin: cython.double = 0.0
@@ -128,19 +132,19 @@ def move_rays(
             distances[i], angles[i] = distance, wrap(bearings[i] + turn)
             continue
         # 3. The place of the sensor at the age of the ray, relative to its place at the end: the
-        # motion of the base, plus the turn of the sensor's offset (x, y in `limits`).
+        # motion of the base, plus the turn of the sensor's offset.
         if not has_pose:
             has_pose = True
             cos_turn, sin_turn = cos(turn), sin(turn)
             x, y = x_begin + fraction * x_change, y_begin + fraction * y_change
-            x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
-            y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
-        # 4. The return relative to the sensor at the end, along and across the direction (ahead,
-        # left) of its old ray; then as range and bearing.
+            x += (cos_turn - 1.0) * offset_x - sin_turn * offset_y
+            y += sin_turn * offset_x + (cos_turn - 1.0) * offset_y
+        # 4. The return relative to the sensor at the end: along and across the direction of its
+        # old ray, whose unit vector is (ahead, left), then as range and bearing.
         ahead = cos_turn * cosines[i] - sin_turn * sines[i]
         left = sin_turn * cosines[i] + cos_turn * sines[i]
         along, across = distance + (ahead * x + left * y), ahead * y - left * x
-        distances[i] = _moved_range(along, across, limits[2], limits[3])
+        distances[i] = _moved_range(along, across, range_min, range_max)
         angles[i] = _moved_bearing(bearings[i], turn, along, across)
     return 0
 
@@ -160,8 +164,8 @@ def rays_in_sector(
 ) -> cython.Py_ssize_t:
     """Move the rays that lie in a sector to another pose; the number of these rays.
 
-    Sets `distances`, `angles` and `kept_ages`, one element for each of these rays. A ray counts if
-    it lies in the sector as seen from the old or from the new pose.
+    Sets `distances`, `angles` and `kept_ages` of these rays, from index 0 on. A ray counts if it
+    lies in the sector as seen from the old or from the new pose of the sensor.
 
     Args:
         ranges, bearings, ages: (n,) m, rad, s of rays that were all measured at the old pose.
@@ -177,33 +181,37 @@ def rays_in_sector(
     start: cython.double = sector[0]
     direction: cython.double = sector[1]
     width: cython.double = sector[2]
+    offset_x: cython.double = limits[0]
+    offset_y: cython.double = limits[1]
+    range_min: cython.double = limits[2]
+    range_max: cython.double = limits[3]
     # 1. The motion of the sensor: of the base, plus the turn of the sensor's offset.
     cos_turn: cython.double = cos(turn)
     sin_turn: cython.double = sin(turn)
-    x += (cos_turn - 1.0) * limits[0] - sin_turn * limits[1]
-    y += sin_turn * limits[0] + (cos_turn - 1.0) * limits[1]
-    # 2. No return beyond range_min (`limits[2]`) changes its direction by more than `max_change`
-    # rad. Rays outside the sector widened by `max_change` to both sides are skipped.
+    x += (cos_turn - 1.0) * offset_x - sin_turn * offset_y
+    y += sin_turn * offset_x + (cos_turn - 1.0) * offset_y
+    # 2. The motion changes the direction of a return by at most `max_change` rad, since a return is
+    # at least range_min away.
     max_change: cython.double = PI
     sensor_motion: cython.double = sqrt(x * x + y * y)
-    if sensor_motion < _LEAST_SHARE * limits[2]:
-        max_change = asin(sensor_motion / limits[2]) + _ROUNDING
+    if sensor_motion < _LEAST_SHARE * range_min:
+        max_change = asin(sensor_motion / range_min) + _ROUNDING
     n: cython.Py_ssize_t = ranges.shape[0]
-    # 3. Moves the rays, and counts those in the sector. The next ray overwrites an uncounted ray.
+    # 3. Moves the rays.
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     for i in range(first, n):
         from_start = direction * (bearings[i] + turn - start)
         if mod_turn(from_start + max_change) > width + 2.0 * max_change:
-            continue
+            continue  # outside of the sector from both poses
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
             along, across = ranges[i] + (ahead * x + left * y), ahead * y - left * x
-            distances[count] = _moved_range(along, across, limits[2], limits[3])
+            distances[count] = _moved_range(along, across, range_min, range_max)
             angles[count] = _moved_bearing(bearings[i], turn, along, across)
         else:
             distances[count], angles[count] = ranges[i], wrap(bearings[i] + turn)
         if mod_turn(from_start) < width or mod_turn(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
-            count += 1
+            count += 1  # otherwise the next ray overwrites this ray
     return count

@@ -183,8 +183,9 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     if not is_seen:
         return []
 
-    # 2. Breaks: the object ends at a ray if the next ray is too far away, in angle (`is_apart`) or
-    # in range. `start` is the ray behind the first break.
+    # 2. The last ray of each object: the next ray is too far away, in angle (`is_apart`) or in
+    # range. `start` is the ray behind the first of these, so that no object spans the end of the
+    # arrays; 0 without any.
     start: cython.Py_ssize_t = 0
     for i in range(ray_count):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < ray_count else ranges[0]
@@ -193,13 +194,12 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
         )
         if start == 0 and is_last[i]:
             start = i + 1
-    # Starts behind a break, so that no object spans the end of the arrays. Without any break
-    # (`is_whole`) all rays are a single object, as if a break followed ray 0.
+    # Without any end all rays are a single object, which may start at any ray.
     is_whole: cython.bint = start == 0
     if is_whole:
         start = 1
 
-    # 3. Measures each run between two breaks.
+    # 3. Measures each object with a return.
     objects: list = []
     first: cython.Py_ssize_t = start
     lowest: cython.double = INFINITY

@@ -97,34 +97,44 @@ class ScanLayout:
     @cython.cfunc
     @cython.boundscheck(False)
     def set_grazing(self, grazing: cython.double):
-        """Set the order of rising bearings, and `steps`, `slopes` and `is_apart` of each ray.
+        """Set the order of the rays by rising bearing, and `slopes` and `is_apart` of each ray.
 
-        `steps` in rad: the angle to the next ray. `slopes`: how much the range changes to the next
-        ray on a surface at `grazing` rad to the ray, as a share of the range. `is_apart`: the next
-        ray is too far away to be of the same object; up to two rays may be unknown within an
-        object.
+        `slopes`: how much the range changes to the next ray on a surface at `grazing` rad to the
+        ray, as a share of the range. `is_apart`: the next ray is too far away to be of the same
+        object; up to two rays may be unknown within an object.
+        """
+        if not self.is_ordered:
+            self.set_order()
+        if grazing == self.grazing:
+            return
+        i: cython.Py_ssize_t
+        slope: cython.double = tan(grazing)
+        max_step: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
+        for i in range(self.n):
+            self.slopes[i] = self.steps[i] / slope if slope else INFINITY
+            self.is_apart[i] = self.steps[i] >= max_step
+        self.grazing = grazing
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def set_order(self):
+        """Set the order of the rays by rising bearing, their `steps` and the `spacing` in rad.
+
+        A step is the angle to the next ray in this order, and `spacing` the median step.
         """
         count: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
-        if not self.is_ordered:  # 1. order and steps, once for the bearings
-            if not self.has_sorted():
-                order: cython.longlong[::1] = np.argsort(self.angles[:count], kind="stable")
-                self.order[:count] = order
-            for i in range(count):
-                self.rising[i] = self.wrapped[self.order[i]]
-            for i in range(count - 1):
-                self.steps[i] = self.rising[i + 1] - self.rising[i]
-            self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
-            self.slopes[:count] = self.steps[:count]  # only to work in: `_smallest` reorders
-            self.spacing = _smallest(self.slopes, count, count // 2)  # the median step
-            self.is_ordered = True
-        if grazing != self.grazing:  # 2. slopes, once for an angle
-            slope: cython.double = tan(grazing)
-            max_step: cython.double = min(_MAX_STEPS * self.spacing, 0.5 * PI)
-            for i in range(count):
-                self.slopes[i] = self.steps[i] / slope if slope else INFINITY
-                self.is_apart[i] = self.steps[i] >= max_step
-            self.grazing = grazing
+        if not self.has_sorted():
+            order: cython.longlong[::1] = np.argsort(self.angles[:count], kind="stable")
+            self.order[:count] = order
+        for i in range(count):
+            self.rising[i] = self.wrapped[self.order[i]]
+        for i in range(count - 1):
+            self.steps[i] = self.rising[i + 1] - self.rising[i]
+        self.steps[count - 1] = self.rising[0] - self.rising[count - 1] + TURN
+        self.slopes[:count] = self.steps[:count]  # a copy, since `_smallest` reorders
+        self.spacing = _smallest(self.slopes, count, count // 2)
+        self.is_ordered = True
 
     @cython.cfunc
     @cython.boundscheck(False)

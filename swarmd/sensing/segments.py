@@ -77,12 +77,11 @@ class SegmentCheck:
     def take(self, scan: Scan, now: float, delay: float) -> ScanSegment | str | None:
         """The segment that arrived at `now`; else the reason to ignore the segment.
 
-        None without a whole turn, which must date the segment first. `delay`: s that the newest
+        None before the first whole turn, by which segments are dated. `delay`: s that the newest
         ray is old on arrival, by the platform's latency and the measured delay.
         """
         if self._whole is None:
             return None
-        # 1. Form: lengths, and bearings in the order of the sweep.
         ranges, bearings = scan.ranges, scan.bearings
         count = len(ranges) if ranges.ndim == 1 else 0
         if not 0 < count <= self._ray_count or bearings.shape != (count,):
@@ -90,31 +89,45 @@ class SegmentCheck:
         ages = self._ages(bearings, scan.ages)
         if isinstance(ages, str):
             return ages
+        newest_stamp = scan.stamp + float(ages[0])  # ages[0]: s from the first to the newest ray
+        if fault := self._order_fault(scan, newest_stamp):
+            return fault
+        _, end_stamp, end_at = self._whole
+        age = max(delay, now - (end_at + newest_stamp - end_stamp))
+        if not age <= self._period:  # true also for NaN
+            return f"it arrived {age:.2f} s late"
+        if self._is_frozen(ranges):
+            return "its ranges are those of a segment before"
+        gap = self._gap(scan.stamp, float(bearings[0]))
+        self._seq, self._newest_stamp = scan.seq, newest_stamp
+        self._newest_bearing = float(bearings[-1])
+        return ScanSegment(ranges, bearings, ages, age, gap)
 
-        # 2. The turn, and the order of its segments. Comparisons are false for NaN.
-        seq, end_stamp, end_at = self._whole
-        span = float(ages[0])
-        newest_stamp = scan.stamp + span
-        if not scan.seq > seq or (self._seq is not None and scan.seq != self._seq):
-            return f"it belongs to turn {scan.seq}, and the last whole turn is {seq}"
+    def _order_fault(self, scan: Scan, newest_stamp: float) -> str:
+        """Why a segment cannot follow the rays so far; empty if it can.
+
+        `newest_stamp`: s, of its newest ray. Each comparison also refuses a NaN.
+        """
+        assert self._whole is not None
+        whole_seq, end_stamp, _ = self._whole
+        is_of_turn = self._seq is None or scan.seq == self._seq
+        if not (scan.seq > whole_seq and is_of_turn):
+            return f"it belongs to turn {scan.seq}, and the last whole turn is {whole_seq}"
         if not scan.stamp >= self._newest_stamp - _ROUNDING:
             return "its stamp is older than a ray before"
         if not newest_stamp <= end_stamp + _LATEST * self._period:
             return "its stamp is more than a turn after the last whole turn"
-        age = max(delay, now - (end_at + newest_stamp - end_stamp))
-        if not age <= self._period:
-            return f"it arrived {age:.2f} s late"
-        if self._is_frozen(ranges):
-            return "its ranges are those of a segment before"
+        return ""
 
-        # 3. Whether the first ray follows the ray before.
-        turned = self._sweep.direction * (float(bearings[0]) - self._newest_bearing)
+    def _gap(self, stamp: float, bearing: float) -> float:
+        """Seconds from the newest ray so far to the first ray of the next segment.
+
+        `stamp`, `bearing`: s and rad, of the first ray. inf if rays between the two are missing.
+        """
+        turned = self._sweep.direction * (bearing - self._newest_bearing)
         step = math.remainder(turned, TURN)
-        follows = -self._step <= step <= _MAX_STEPS * self._step
-        gap = max(scan.stamp - self._newest_stamp, 0.0) if follows else math.inf
-        self._seq, self._newest_stamp = scan.seq, newest_stamp
-        self._newest_bearing = float(bearings[-1])
-        return ScanSegment(ranges, bearings, ages, age, gap)
+        is_next = -self._step <= step <= _MAX_STEPS * self._step
+        return max(stamp - self._newest_stamp, 0.0) if is_next else math.inf
 
     def _steps(self, differences: Array) -> Array:
         """(k,) the differences of bearings in the direction of the sweep, from -pi to pi."""
@@ -122,9 +135,11 @@ class SegmentCheck:
         return steps
 
     def _ages(self, bearings: Array, given: Array | None) -> Array | str:
-        """(n,) the ages of rays against the newest ray; or the fault of the bearings or ages.
+        """(n,) s by which each ray is older than the newest ray; or the fault of the arrays.
 
-        A lidar measures the same directions in each turn: the same arrays are checked once.
+        `given`: (n,) s, the ages by the driver; None if the platform's sweep gives the ages. A
+        lidar measures the same directions in each turn: arrays that nothing can change are checked
+        once, and their ages are kept.
         """
         for kept_bearings, kept_given, kept_ages in self._checked:
             if kept_bearings is bearings and kept_given is given:
@@ -132,22 +147,24 @@ class SegmentCheck:
         if not np.isfinite(bearings).all():
             return "a bearing is not finite"
         steps = self._steps(np.diff(bearings))
-        if steps.sum() > _MAX_SWEEP or not (steps > 0.0).all():
-            return "its bearings do not follow the sweep"
-        if steps.max(initial=0.0) > self._max_step:
-            return f"no ray for {math.degrees(steps.max()):.0f} degrees"
+        if fault := self._bearing_fault(steps) or _age_fault(given, len(bearings)):
+            return fault
         if given is None:
-            duration = self._sweep.duration / TURN
-            ages = np.append(duration * np.cumsum(steps[::-1])[::-1], 0.0)
-        elif given.shape != bearings.shape or not ((given >= 0.0) & (given <= _MAX_RAY_AGE)).all():
-            return f"an age of a ray is not within 0 to {_MAX_RAY_AGE:g} s"
-        elif not (np.diff(given) <= 0.0).all():
-            return "its ages do not fall"
+            s_per_rad = self._sweep.duration / TURN
+            ages = np.append(s_per_rad * np.cumsum(steps[::-1])[::-1], 0.0)
         else:
             ages = given - given[-1]
         if not (bearings.flags.writeable or (given is not None and given.flags.writeable)):
             self._checked.append((bearings, given, ages))
         return ages
+
+    def _bearing_fault(self, steps: Array) -> str:
+        """Why bearings, with `steps` (k,) rad between them, are no part of a sweep; else empty."""
+        if steps.sum() > _MAX_SWEEP or not (steps > 0.0).all():
+            return "its bearings do not follow the sweep"
+        if steps.max(initial=0.0) > self._max_step:
+            return f"no ray for {math.degrees(steps.max()):.0f} degrees"
+        return ""
 
     def _is_frozen(self, ranges: Array) -> bool:
         """True if a noisy sensor gives the ranges of one of its last segments again."""
@@ -157,3 +174,12 @@ class SegmentCheck:
         if not (is_repeat and self._is_noisy):
             return False
         return int(np.count_nonzero(np.isfinite(ranges) & (ranges != 0.0))) >= _DISTINCT_RETURNS
+
+
+def _age_fault(given: Array | None, count: int) -> str:
+    """Why the ages that a driver gives `count` rays are not valid; empty if valid or None."""
+    if given is None:
+        return ""
+    if given.shape != (count,) or not ((given >= 0.0) & (given <= _MAX_RAY_AGE)).all():
+        return f"an age of a ray is not within 0 to {_MAX_RAY_AGE:g} s"
+    return "" if (np.diff(given) <= 0.0).all() else "its ages do not fall"

@@ -409,23 +409,24 @@ class DriverContract:
         async def story(harness: DriverHarness) -> None:
             reports: list[tuple[Hazard, ...]] = harness.sink.taken["hazards"]
             order = harness.sink.order
-            # The driver reports the hold after it is connected ("up"), and before the first scan.
             await harness.until(lambda: "scan" in order, publishing=True)
+            # "up": connected. The hold must come before the first scan, which lets the robot drive.
             assert order.index("up") < order.index("hazards") < order.index("scan")
             not_heard = reports[0]
             assert [hazard.kind for hazard in not_heard] == [HazardKind.NOT_HEARD]
 
-            def publish_and_compare(expected: tuple[Hazard, ...], *, is_present: bool) -> bool:
-                """Publish the state of the hazard; True once the last report is `expected`."""
-                rig.publish_hazard(is_present=is_present)
-                return reports[-1] == expected
+            async def publish_until_reported(hazards: tuple[Hazard, ...]) -> None:
+                """Publish the hazard of the rig, or its end, until the driver reports `hazards`."""
 
-            # The hazard and its end, twice.
+                def are_reported() -> bool:
+                    rig.publish_hazard(is_present=bool(hazards))
+                    return reports[-1] == hazards
+
+                await harness.until(are_reported, publishing=True)
+
             for _ in range(2):
-                is_begun = partial(publish_and_compare, (rig.hazard,), is_present=True)
-                await harness.until(is_begun, publishing=True)
-                is_ended = partial(publish_and_compare, (), is_present=False)
-                await harness.until(is_ended, publishing=True)
+                await publish_until_reported((rig.hazard,))
+                await publish_until_reported(())
             # Silence: the rig publishes no hazards any more, only scan and odometry.
             await harness.until(lambda: reports[-1] == not_heard, publishing=True)
             assert harness.sink.is_up
@@ -527,31 +528,29 @@ class DriverContract:
             ray_count = len(_bearings(harness))
             numbers = itertools.count()
 
-            async def half_arrives() -> bool:
-                """Publish for `seconds` s; True if at least half of the scans arrive.
+            def next_scan() -> Scan:
+                """A scan whose ranges differ from those before, as those of a real lidar do."""
+                number = next(numbers)
+                seq = 1000 + number  # above the numbers of earlier scans of the test
+                ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)
+                bearings = _regular(harness, ray_count)
+                return Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
 
-                A newer scan may replace an older scan that the driver has not read yet.
-                """
-                arrived_before = len(sink.scans)
-                begin = loop.time()
+            async def half_arrives() -> bool:
+                """Publish for `seconds` s; True if at least half of the scans arrive."""
+                arrived_before, begin = len(sink.scans), loop.time()
                 sent = 0
                 while (elapsed := loop.time() - begin) < seconds:
                     rig.publish_odometry()
-                    if elapsed * rate >= sent:
-                        number = next(numbers)
-                        seq = 1000 + number  # above the numbers of earlier scans of the test
-                        bearings = _regular(harness, ray_count)
-                        # Ranges change from scan to scan, as those of a real lidar do.
-                        ranges = np.linspace(0.5, 2.0 + 0.01 * (number % 7), ray_count)
-                        rig.publish_scan(
-                            Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max)
-                        )
+                    is_scan_due = elapsed * rate >= sent
+                    if is_scan_due:
+                        rig.publish_scan(next_scan())
                         sent += 1
                     await asyncio.sleep(min(0.05, 1.0 / rate))
                 await asyncio.sleep(SETTLE_TIME)
                 return len(sink.scans) - arrived_before >= max(sent // 2, 1)
 
-            # On a busy machine newer scans replace waiting scans: try again.
+            # On a busy machine newer scans replace scans that the driver has not read: try again.
             for _ in range(_MAX_CHECKS):
                 if has_arrived := await half_arrives():
                     break
