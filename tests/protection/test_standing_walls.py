@@ -183,6 +183,7 @@ STANDS: dict[str, tuple[Scene, float]] = {
         at_times((0.0, [AHEAD]), (1.0, [SHORT]), (1.2, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])),
         3.0,
     ),
+    "it has a bulge of 25 mm": (still(AHEAD, (0.175, -0.03, 0.175, 0.03)), 3.0),
     "one scan did not show it": (at_times((0.0, [AHEAD]), (2.6, [SHORT]), (2.8, [AHEAD])), 3.0),
 }
 CHARGED: dict[str, tuple[Scene, float]] = {
@@ -205,6 +206,10 @@ CHARGED: dict[str, tuple[Scene, float]] = {
         3.0,
     ),
     "it has a bulge of 45 mm": (still(AHEAD, (0.155, -0.03, 0.155, 0.03)), 3.0),
+    "rays pass through a gap of 8 cm": (
+        still((0.2, -0.34, 0.2, -0.04), (0.2, 0.04, 0.2, 0.34), (0.5, -1.0, 0.5, 1.0)),
+        3.0,
+    ),
     "a row of bodies": (still(*row(0.05)), 3.0),
     "it appears": (after(3.0, [BESIDE], [AHEAD, BESIDE]), 3.0),
     "it is nearer than expected": (after(3.0, [moved(0.06)], [AHEAD]), 3.0),
@@ -324,7 +329,11 @@ def test_odometry_of_a_wrong_scale_takes_the_status(
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize(("gap", "stands"), [(0.0, True), (0.06, False)], ids=["post", "body"])
+@pytest.mark.parametrize(
+    ("gap", "stands"),
+    [(0.0, True), (0.025, True), (0.06, False)],
+    ids=["post", "post near the end", "body"],
+)
 def test_the_edge_of_a_wall_belongs_to_it(kernel: Any, gap: float, stands: bool) -> None:
     """A face that meets the end of the wall stands with it; what lies before the end does not."""
     wall: Segment = (0.2 + gap, -0.11, 1.2, -0.11)
