@@ -424,11 +424,38 @@ def test_a_scan_that_is_not_newer_tells_no_wall_again(kernel: Any) -> None:
     assert len(robot.moved) == 1
 
 
+FAR_ONE: Segment = (0.6, -1.0, 0.6, 1.0)
+TOLD: dict[str, tuple[Scene, int]] = {
+    "4 cm elsewhere": (after(3.0, [FAR_ONE, BESIDE], [moved(0.36), BESIDE]), 0),
+    "6 cm elsewhere": (after(3.0, [FAR_ONE, BESIDE], [moved(0.34), BESIDE]), 1),
+    "elsewhere in one scan": (
+        at_times((0.0, [FAR_ONE, BESIDE]), (3.0, [moved(0.3), BESIDE]), (3.2, [FAR_ONE, BESIDE])),
+        0,
+    ),
+    "it stood for 1.8 s": (after(2.0, [FAR_ONE, BESIDE], [moved(0.3), BESIDE]), 0),
+    "it stood for 2 s": (after(2.2, [FAR_ONE, BESIDE], [moved(0.3), BESIDE]), 1),
+    "it moves at 1.2 m/s or faster": (after(3.0, [FAR_ONE, BESIDE], [moved(-0.1), BESIDE]), 0),
+    "it moves by 18 cm": (after(3.0, [FAR_ONE, BESIDE], [moved(0.22), BESIDE]), 1),
+    "a body of 0.2 m before its place": (
+        after(3.0, [FAR_ONE, BESIDE], [(0.5, -0.1, 0.5, 0.1), BESIDE]),
+        0,
+    ),
+    "a wall of 0.6 m": (
+        after(3.0, [(0.6, -0.3, 0.6, 0.3), BESIDE], [(0.5, -0.3, 0.5, 0.3), BESIDE]),
+        1,
+    ),
+    "a body of 0.3 m before a part of it": (
+        after(3.0, [FAR_ONE, BESIDE], [FAR_ONE, BESIDE, (0.5, -0.15, 0.5, 0.15)]),
+        0,
+    ),
+}
+
+
 @pytest.mark.parametrize("kernel", KERNELS)
-def test_a_wall_that_is_less_than_5_cm_elsewhere_is_not_told(kernel: Any) -> None:
-    for step, count in ((0.04, 0), (0.06, 1)):
-        scene = after(3.0, [moved(0.4), BESIDE], [moved(0.4 - step), BESIDE])
-        assert len(watch(kernel, scene, 4.0).moved) == count
+@pytest.mark.parametrize("name", TOLD)
+def test_which_walls_are_told_to_have_moved(kernel: Any, name: str) -> None:
+    scene, count = TOLD[name]
+    assert len(watch(kernel, scene, 5.0).moved) == count
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
