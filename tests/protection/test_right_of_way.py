@@ -444,6 +444,16 @@ def test_a_robot_in_an_opening_draws_its_priority_anew() -> None:
     assert {*drawn.values()} == {True, False}
 
 
+def test_a_robot_that_makes_progress_keeps_its_priority() -> None:
+    ride = ride_through(LINED_UP, depth=1.0)
+    drawn = {ride.way._drawn_until}
+    for k in range(20):
+        ride.at(near(-0.2 + 0.05 * k), seconds=0.5)
+        drawn.add(ride.way._drawn_until)
+    assert ride.state() is WayState.IN
+    assert len(drawn) == 1
+
+
 def test_without_an_opening_on_the_way_a_request_passes_unchanged() -> None:
     ride = Ride()
     away = Pose(-0.8, 0.0, np.pi)
@@ -617,6 +627,8 @@ def test_an_opening_whose_posts_are_elsewhere_is_looked_for_anew() -> None:
     posts = np.array(((0.5, 0.08 + HALF), (0.5, 0.08 - HALF)))
     ride.at(near(-0.5), points=posts, seconds=0.1)
     assert ride.state() is WayState.LINE
+    ride.at(near(-0.5), track(1, 0.5, 0.15), points=posts, seconds=1.5)  # between these posts
+    assert ride.state() is WayState.ASIDE
     ride = Ride()
     ride.at(near(-0.5))
     posts = np.array(((0.5, 0.15 + HALF), (0.5, 0.15 - HALF)))
