@@ -310,6 +310,15 @@ def test_a_wall_stands_while_the_robot_drives_and_turns(kernel: Any) -> None:
     assert robot.speed() > FAST
 
 
+def test_a_long_wall_stands_beside_a_robot_that_drives() -> None:
+    robot = Robot(FORMS[0])
+    beside = np.abs(BURGER.scan.bearings - 0.5 * math.pi) < 0.2
+    for k in range(36):
+        robot.see(1.0 + PERIOD * k, [(-2.0, 0.3, 9.0, 0.3)], Pose(0.1 * k))
+        stands = np.all(np.array(robot.barrier._walls.standing)[beside] == 1)
+        assert stands == (k >= 10)
+
+
 def test_a_wall_stands_between_its_returns() -> None:
     """The returns lie 9 to 10 cm apart, and at other places in each second scan."""
     robot = Robot(FORMS[0])
@@ -468,6 +477,14 @@ TOLD: dict[str, tuple[Scene, int]] = {
     "it stood for 2 s": (after(2.2, [FAR_ONE, BESIDE], [moved(0.3), BESIDE]), 1),
     "it moves at 1.2 m/s or faster": (after(3.0, [FAR_ONE, BESIDE], [moved(-0.1), BESIDE]), 0),
     "it moves by 18 cm": (after(3.0, [FAR_ONE, BESIDE], [moved(0.22), BESIDE]), 1),
+    "it turns about its right end": (
+        after(3.0, [(0.6, -0.6, 0.6, 0.6), BESIDE], [(0.6, -0.6, 0.48, 0.6), BESIDE]),
+        1,
+    ),
+    "it turns about its left end": (
+        after(3.0, [(0.6, -0.6, 0.6, 0.6), BESIDE], [(0.48, -0.6, 0.6, 0.6), BESIDE]),
+        1,
+    ),
     "a body of 0.2 m before its place": (
         after(3.0, [FAR_ONE, BESIDE], [(0.5, -0.1, 0.5, 0.1), BESIDE]),
         0,
@@ -500,12 +517,16 @@ def test_a_wall_that_moves_is_told_while_the_robot_drives(kernel: Any) -> None:
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
-@pytest.mark.parametrize(("step", "off"), [(-0.02, 0.1), (0.0, 0.0)], ids=["drives", "turns"])
-def test_wrong_odometry_is_no_wall_that_moves(kernel: Any, step: float, off: float) -> None:
+@pytest.mark.parametrize(
+    ("step", "off"),
+    [(-0.02, Pose(-0.1, -0.1)), (0.0, Pose(0.0, 0.0, -0.1))],
+    ids=["drives", "turns"],
+)
+def test_wrong_odometry_is_no_wall_that_moves(kernel: Any, step: float, off: Pose) -> None:
     robot = Robot(kernel)
     for k in range(30):
         pose = Pose(step * k)
-        told = Pose(step * k - (off if k > 20 else 0.0), 0.0, -0.1 if k > 20 else 0.0)
+        told = Pose(pose.x + off.x, off.y, off.yaw) if k > 20 else pose
         robot.see(1.0 + PERIOD * k, [moved(0.5), BESIDE], pose, told=told)
     assert robot.moved == []
 
