@@ -390,6 +390,22 @@ def test_two_walls_that_moved_are_a_violation(speed: float, share: float) -> Non
     assert (monitor.speed_share, monitor.trusts_walls) == (1.0, True)
 
 
+def test_the_second_fastest_wall_within_ten_minutes_counts() -> None:
+    monitor = AssumptionMonitor(under_barrier(BURGER, walls_stand={"seconds": 2.0}))
+    # The share falls with the speed of the second fastest wall, and does not rise again.
+    for stamp, speed, share in (
+        (0.0, 0.25, 1.0),
+        (590.0, 0.05, 0.5),
+        (596.0, 0.3, MIN_SHARE),
+        (1190.0, 0.05, MIN_SHARE),
+    ):
+        monitor.on_moved_wall(stamp, MovedWall(3.0, 0.1, speed))
+        assert monitor.speed_share == pytest.approx(share)
+    monitor.forget(monitor.findings)
+    monitor.on_moved_wall(1200.0, MovedWall(3.0, 0.1, 0.25))
+    assert monitor.trusts_walls
+
+
 def test_a_clock_of_scans_that_was_set_back_hides_no_violation() -> None:
     monitor = AssumptionMonitor(under_barrier(BURGER, walls_stand={"seconds": 2.0}))
     for begin in (5000.0, 0.0, 100.0):

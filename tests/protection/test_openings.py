@@ -28,14 +28,24 @@ NEAR = Pose(-0.8, 0.1, 0.2)
 MOVES = st.floats(-0.3, 0.3)
 
 
-def scan(pose: Pose, noise: float = 0.0, lost: float = 0.0, seed: int = 0) -> Scan:
-    """What a lidar sees of a wall, 2 m to each side, with a door, and of what is 3 m away."""
+def scan(
+    pose: Pose,
+    noise: float = 0.0,
+    lost: float = 0.0,
+    seed: int = 0,
+    half: float = HALF,
+    wall: tuple[float, float] = (2.0, 2.0),
+) -> Scan:
+    """What a lidar sees of a wall with a door, and of what is 3 m away.
+
+    `half`: m, of the door. `wall`: m from the middle of the door to the left and right end.
+    """
     rng = np.random.default_rng(seed)
     angles = BEARINGS + pose.yaw
     with np.errstate(divide="ignore"):
         ranges = -pose.x / np.cos(angles)
     y = pose.y + ranges * np.sin(angles)
-    is_wall = (ranges > 0.0) & (np.abs(y) > HALF) & (np.abs(y) < 2.0)
+    is_wall = (ranges > 0.0) & (np.abs(y) > half) & (y < wall[0]) & (y > -wall[1])
     ranges = np.where(is_wall, np.minimum(ranges, 3.0), 3.0) + rng.normal(0.0, noise, len(angles))
     ranges[rng.random(len(angles)) < lost] = np.inf
     return Scan(0, 0.0, ranges, BEARINGS, 0.1, 3.5)
@@ -69,6 +79,64 @@ def test_other_gaps_are_no_openings(body: float, tracks: tuple[tuple[float, ...]
     openings = Openings(body)
     openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, tracks, None)
     assert known(openings) == []
+
+
+@pytest.mark.parametrize(
+    ("half", "wall", "count"),
+    [
+        (0.115, (2.0, 2.0), 0),  # 1.5 times the width of the robot is 0.27 m
+        (0.155, (2.0, 2.0), 1),
+        (0.46, (2.0, 2.0), 1),
+        (0.54, (2.0, 2.0), 0),
+        (HALF, (HALF + 0.3, HALF + 0.3), 1),
+        (HALF, (HALF + 0.1, HALF + 0.3), 0),
+        (HALF, (HALF + 0.3, HALF + 0.1), 0),
+    ],
+)
+def test_the_bounds_of_an_opening(half: float, wall: tuple[float, float], count: int) -> None:
+    openings = Openings(BODY)
+    pose = Pose(-0.8)
+    openings.observe(scan(pose, half=half, wall=wall), (0.0, 0.0), pose, 0.0, (), None)
+    assert len(known(openings)) == count
+
+
+@pytest.mark.parametrize(("sightings", "seconds"), [(1, 5.0), (2, 120.0)])
+def test_how_long_an_opening_is_remembered(sightings: int, seconds: float) -> None:
+    for after, count in ((0.8 * seconds, 1), (1.2 * seconds, 0)):
+        openings = Openings(BODY)
+        for _ in range(sightings):
+            openings.observe(scan(NEAR), (0.0, 0.0), NEAR, 0.0, (), None)
+        openings.observe(scan(Pose(-5.0)), (0.0, 0.0), NEAR, after, (), None)
+        assert len(known(openings)) == count
+
+
+@pytest.mark.parametrize(
+    ("told", "half", "count"),
+    [
+        (Pose(-0.8, 0.08), HALF, 1),
+        (Pose(-0.8, 0.2), HALF, 2),
+        (Pose(-0.65), HALF, 1),
+        (Pose(-0.5), HALF, 2),
+        (Pose(-0.8 * math.cos(0.3), -0.8 * math.sin(0.3), 0.3), HALF, 1),
+        (Pose(-0.8 * math.cos(0.5), -0.8 * math.sin(0.5), 0.5), HALF, 2),
+        (Pose(-0.8), HALF + 0.05, 1),
+        (Pose(-0.8), HALF + 0.12, 2),
+    ],
+    ids=["8 cm", "20 cm", "15 cm on", "30 cm on", "0.3 rad", "0.5 rad", "wider", "much wider"],
+)
+def test_which_sightings_are_of_one_opening(told: Pose, half: float, count: int) -> None:
+    """The second sighting is told from another pose, or shows another width."""
+    openings, pose = Openings(BODY), Pose(-0.8)
+    openings.observe(scan(pose), (0.0, 0.0), pose, 0.0, (), None)
+    openings.observe(scan(pose, half=half), (0.0, 0.0), told, 0.1, (), None)
+    assert len(known(openings)) == count
+
+
+def test_an_opening_is_seen_within_2_5_m() -> None:
+    for x, count in ((-2.2, 1), (-2.6, 0)):
+        openings, pose = Openings(BODY), Pose(x)
+        openings.observe(scan(pose, half=0.3), (0.0, 0.0), pose, 0.0, (), None)
+        assert len(known(openings)) == count
 
 
 def test_an_opening_that_is_not_seen_again_is_forgotten_unless_it_is_kept() -> None:

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 
@@ -42,6 +46,7 @@ class Ride:
         self.way = RightOfWay(ROOM, BASE, "one")
         self.now = 0.0
         self.context = DecisionContext(0.0)
+        self.asked = ZERO
 
     def state(self) -> WayState:
         return self.way.state
@@ -53,12 +58,16 @@ class Ride:
         seconds: float = 1.0,
         requested: Twist = AHEAD,
         points: Array = NO_POINTS,
+        turns: float = 0.0,
     ) -> Twist:
-        """The request after some seconds at a place, among tracks in the base frame."""
+        """The request after some seconds at a place, among tracks in the base frame.
+
+        `turns` in rad/s is the turn that odometry tells.
+        """
         asked = requested
         for tick in range(round(seconds * 10)):
             self.now += 0.1
-            odometry = Odometry(self.now, pose, ZERO)
+            odometry = Odometry(self.now, pose, Twist(0.0, turns))
             self.context = context = DecisionContext(self.now, 0.0, odometry, 0.0)
             if tick % 2 == 0:
                 self.way.observe(scan(pose, self.depth, self.ages), (0.0, 0.0), context)
@@ -75,6 +84,374 @@ def track(id: int, x: float, y: float = 0.0) -> Track:
 
 def near(x: float, y: float = 0.0) -> Pose:
     return Pose(x, y, 0.0)
+
+
+ALONE: Mapping[int, tuple[float, float]] = {}
+
+
+class Step(NamedTuple):
+    """What a robot does next: where it stands and for how long, and what is there."""
+
+    x: float  # m, the place; the opening begins at x = 0
+    y: float = 0.0
+    yaw: float = 0.0  # rad
+    there: Mapping[int, tuple[float, float]] = ALONE  # the place of each track by its id, m
+    seconds: float = 0.3
+    requested: Twist = AHEAD
+    pause: float = 0.0  # s before, without a decision
+    turns: float = 0.0  # rad/s by odometry
+    passed: float | None = None  # s before now: when the robot passed an opening among others
+    has_priority: bool | None = None  # what chance decides, from now on
+
+
+def ride_through(*steps: Step, depth: float = 0.0) -> Ride:
+    """A robot after some steps."""
+    ride = Ride(depth)
+    for step in steps:
+        if step.passed is not None:
+            ride.way._passed_at = ride.now - step.passed
+        if step.has_priority is not None:
+            ride.way._has_priority, ride.way._drawn_until = step.has_priority, math.inf
+        ride.now += step.pause
+        c, s = math.cos(step.yaw), math.sin(step.yaw)
+        tracks = [
+            track(id, c * (x - step.x) + s * (y - step.y), c * (y - step.y) - s * (x - step.x))
+            for id, (x, y) in step.there.items()
+        ]
+        ride.asked = ride.at(
+            Pose(step.x, step.y, step.yaw),
+            *tracks,
+            seconds=step.seconds,
+            requested=step.requested,
+            turns=step.turns,
+        )
+    return ride
+
+
+SEEN = Step(-0.8, requested=ZERO)
+"""The robot has seen the opening."""
+CHOSEN = Step(-1.0)
+LEFT = Twist(0.0, 2.84)
+ASIDE = Step(-0.4, 0.5, -0.9)
+LINED_UP = Step(-0.6)
+OUT = {1: (0.0, 0.0)}  # comes out of the opening: new, and in the opening
+COMES_OUT = Step(-1.0, there=OUT, seconds=1.5)
+COMES = Step(-0.2, there={1: (0.3, 0.0)}, seconds=1.5)
+TURNS = [Step(1.0, 0.0, 1.0), Step(1.0, 0.0, 2.0)]
+PASSED = [CHOSEN, Step(0.0), Step(0.5, there={1: (1.5, 1.0)}, seconds=0.1), *TURNS]
+WAITING = {1: (-0.7, -0.9)}
+STATES: dict[str, tuple[list[Step], WayState]] = {
+    "1.5 m before": ([Step(-1.5)], WayState.APPROACH),
+    "1.7 m before": ([Step(-1.72)], WayState.NONE),
+    "0.6 m before the wall": ([Step(-0.6, 0.8)], WayState.NONE),
+    "0.1 rad along the wall": ([SEEN, Step(-0.2, -0.8, 1.47)], WayState.NONE),
+    "0.3 rad along the wall": ([SEEN, Step(-0.3, -0.8, 1.27)], WayState.GO),
+    "already beyond it": ([SEEN, Step(0.3)], WayState.NONE),
+    "beside it in its plane": ([SEEN, Step(-0.02, 0.5)], WayState.NONE),
+    "seen once": ([Step(-1.0, seconds=0.1)], WayState.NONE),
+    "seen twice": ([Step(-1.0, seconds=0.3)], WayState.APPROACH),
+    "seen during a fast turn": ([Step(-1.0, turns=0.7)], WayState.NONE),
+    "seen during a slow turn": ([Step(-1.0, turns=0.5)], WayState.APPROACH),
+    "0.25 m beyond": ([CHOSEN, Step(0.0), Step(0.25)], WayState.IN),
+    "0.45 m beyond": ([CHOSEN, Step(0.0), Step(0.45)], WayState.NONE),
+    "back to 1.9 m": ([CHOSEN, Step(-1.9)], WayState.APPROACH),
+    "back to 2.1 m": ([CHOSEN, Step(-2.1)], WayState.NONE),
+    "a request 80 deg off": ([CHOSEN, Step(-1.0, 0.0, 1.4)], WayState.APPROACH),
+    "a request 115 deg off": ([CHOSEN, Step(-1.0, 0.0, 2.0)], WayState.NONE),
+    "a turn to the request, past straight back": (
+        [SEEN, ASIDE, Step(-0.4, 0.5, 2.68, requested=LEFT, pause=0.5)],
+        WayState.GO,
+    ),
+    "a turn to the request, from straight back": (
+        [SEEN, ASIDE, Step(-0.4, 0.5, 2.04, requested=LEFT, pause=0.5)],
+        WayState.GO,
+    ),
+    "not passed for 230 s": ([CHOSEN, Step(-1.0, seconds=0.1, pause=230.0)], WayState.APPROACH),
+    "not passed for 245 s": ([CHOSEN, Step(-1.0, seconds=0.1, pause=245.0)], WayState.NONE),
+    "a request of zero": ([CHOSEN, Step(-1.0, requested=ZERO)], WayState.NONE),
+    "at the place to line up": ([Step(-0.5, 0.055)], WayState.LINE),
+    "beside the place to line up": ([Step(-0.5, 0.11)], WayState.GO),
+    "on the axis": ([Step(-1.0, 0.01)], WayState.APPROACH),
+    "off the axis": ([Step(-1.0, 0.08)], WayState.GO),
+    "on the axis, too near": ([SEEN, Step(-0.32)], WayState.GO),
+    "before the place to line up": ([Step(-0.7)], WayState.APPROACH),
+    "0.2 m before, aligned": ([LINED_UP, Step(-0.2)], WayState.IN),
+    "0.3 m before, aligned": ([LINED_UP, Step(-0.31)], WayState.LINE),
+    "0.2 m before, turned": ([LINED_UP, Step(-0.2, 0.0, 0.7)], WayState.LINE),
+    "in it, turned": ([LINED_UP, Step(0.0, 0.0, 0.7)], WayState.IN),
+    "beside it": ([LINED_UP, Step(0.02, 0.3)], WayState.GO),
+    "3 cm off the axis, near": ([LINED_UP, Step(-0.31, 0.025)], WayState.LINE),
+    "6 cm off the axis, near": ([LINED_UP, Step(-0.31, 0.065)], WayState.GO),
+    "6 cm off the axis, far": ([LINED_UP, Step(-0.42, 0.065)], WayState.LINE),
+    "15 cm off the axis": ([LINED_UP, Step(-0.42, 0.15)], WayState.GO),
+    "another nearer on its other side": (
+        [CHOSEN, Step(-1.0, there={1: (0.4, 0.0)}, seconds=1.5)],
+        WayState.ASIDE,
+    ),
+    "another farther on its other side": (
+        [LINED_UP, Step(-0.3, there={1: (0.48, 0.0)}, seconds=1.5, has_priority=False)],
+        WayState.LINE,
+    ),
+    "another through it, as near as the robot": (
+        [LINED_UP, Step(-0.1, 0, 0.7, {1: (0.2, 0.0)}, seconds=1.5, has_priority=False)],
+        WayState.ASIDE,
+    ),
+    "another 0.7 m beyond": (
+        [CHOSEN, Step(-1.0, there={1: (0.7, 0.0)}, seconds=1.5)],
+        WayState.APPROACH,
+    ),
+    "another 0.95 m before": (
+        [CHOSEN, Step(-1.5, there={1: (-0.95, 0.0)}, seconds=1.5)],
+        WayState.APPROACH,
+    ),
+    "a track that does not last": (
+        [CHOSEN, Step(-1.0, there=OUT, seconds=0.7)],
+        WayState.APPROACH,
+    ),
+    "0.6 m aside": ([CHOSEN, COMES_OUT, Step(-1.0, 0.6, there=OUT)], WayState.ASIDE),
+    "0.8 m aside": ([CHOSEN, COMES_OUT, Step(-1.0, 0.8, there=OUT)], WayState.WAIT),
+    "1.3 m back": ([CHOSEN, COMES_OUT, Step(-1.3, there=OUT)], WayState.ASIDE),
+    "1.5 m back": ([CHOSEN, COMES_OUT, Step(-1.5, there=OUT)], WayState.WAIT),
+    "0.3 s after the last came out": (
+        [CHOSEN, COMES_OUT, Step(-1.0, 0.9, there={1: (-0.6, -1.1)})],
+        WayState.WAIT,
+    ),
+    "2 s after the last came out": (
+        [CHOSEN, COMES_OUT, Step(-1.0, 0.9, there={1: (-0.6, -1.1)}, seconds=2.0)],
+        WayState.GO,
+    ),
+    "6 s after another was hidden": (
+        [CHOSEN, COMES_OUT, Step(-1.0, 0.9, pause=6.0, seconds=0.1)],
+        WayState.WAIT,
+    ),
+    "8 s after another was hidden": (
+        [CHOSEN, COMES_OUT, Step(-1.0, 0.9, pause=8.0, seconds=0.1)],
+        WayState.GO,
+    ),
+    "another that backs out again": (
+        [
+            LINED_UP,
+            Step(-0.6, there={1: (-0.2, 0.0)}, seconds=1.5),
+            Step(-0.6, there={1: (0.05, 0.0)}),
+            Step(-0.6, there={1: (-0.15, 0.0)}),
+        ],
+        WayState.ASIDE,
+    ),
+    "another that has gone in": (
+        [
+            LINED_UP,
+            Step(-0.55, there={1: (-0.2, 0.0)}, seconds=1.5),
+            Step(-0.55, there={1: (0.2, 0.0)}),
+        ],
+        WayState.LINE,
+    ),
+    "another seen first 0.3 m before": (
+        [LINED_UP, Step(-0.5, there={1: (-0.3, 0.0)}, seconds=1.5)],
+        WayState.LINE,
+    ),
+    "another seen first 0.05 m before": (
+        [LINED_UP, Step(-0.6, there={1: (-0.05, 0.0)}, seconds=1.5)],
+        WayState.ASIDE,
+    ),
+    "another beside the axis before it": (
+        [CHOSEN, Step(-1.0, there={1: (-0.6, 0.3)}, seconds=1.5)],
+        WayState.ASIDE,
+    ),
+    "another behind the robot": (
+        [CHOSEN, Step(-0.7, there={1: (-0.85, 0.3)}, seconds=1.5)],
+        WayState.APPROACH,
+    ),
+    "another 5 cm nearer, the robot has priority": (
+        [CHOSEN, Step(-0.85, there={1: (-0.5, 0.3)}, seconds=1.5, has_priority=True)],
+        WayState.ASIDE,
+    ),
+    "another 5 cm nearer, the robot has no priority": (
+        [CHOSEN, Step(-0.85, there={1: (-0.5, 0.3)}, seconds=1.5, has_priority=False)],
+        WayState.APPROACH,
+    ),
+    "another 30 cm farther": (
+        [CHOSEN, Step(-0.7, there={1: (-0.9, 0.3)}, seconds=1.5, has_priority=True)],
+        WayState.APPROACH,
+    ),
+    "another ahead that advances": (
+        [
+            LINED_UP,
+            Step(-0.4, there={1: (-0.2, 0.0)}, seconds=6.0),
+            Step(-0.34, there={1: (-0.14, 0.0)}, seconds=6.0),
+        ],
+        WayState.WAIT,
+    ),
+    "6 s after another ahead stood too long": (
+        [
+            LINED_UP,
+            Step(-0.4, there={1: (-0.2, 0.0)}, seconds=12.0),
+            Step(-0.4, pause=3.5, seconds=0.1),
+        ],
+        WayState.ASIDE,
+    ),
+    "8 s after another ahead stood too long": (
+        [
+            LINED_UP,
+            Step(-0.4, there={1: (-0.2, 0.0)}, seconds=12.0),
+            Step(-0.4, pause=8.0, seconds=0.1),
+        ],
+        WayState.GO,
+    ),
+    "another comes that is 5 cm less deep, the robot has priority": (
+        [
+            LINED_UP,
+            Step(-0.05, there={1: (0.3, 0.0)}, has_priority=True),
+            Step(-0.05, there={1: (0.1, 0.0)}, seconds=1.5),
+        ],
+        WayState.IN,
+    ),
+    "another comes that is 5 cm less deep, the robot has no priority": (
+        [
+            LINED_UP,
+            Step(-0.05, there={1: (0.3, 0.0)}, has_priority=False),
+            Step(-0.05, there={1: (0.1, 0.0)}, seconds=1.5),
+        ],
+        WayState.BACK,
+    ),
+    "another comes that is 25 cm deeper, the robot has priority": (
+        [
+            LINED_UP,
+            Step(-0.2, there={1: (0.3, 0.0)}, has_priority=True),
+            Step(-0.2, there={1: (-0.05, 0.0)}, seconds=1.5),
+        ],
+        WayState.BACK,
+    ),
+    "another has come that is no more there": (
+        [LINED_UP, Step(-0.2, there={1: (0.1, 0.0)}, seconds=1.5), Step(-0.2, seconds=2.0)],
+        WayState.BACK,
+    ),
+    "the robot has backed out": (
+        [
+            LINED_UP,
+            Step(-0.2, there={1: (0.1, 0.0)}, seconds=1.5),
+            Step(-0.2, seconds=2.0),
+            Step(-0.5),
+        ],
+        WayState.ASIDE,
+    ),
+    "no progress for 5 s": ([LINED_UP, Step(-0.1, seconds=5.0)], WayState.IN),
+    "no progress for 7 s": ([LINED_UP, Step(-0.1, seconds=7.0)], WayState.BACK),
+    "no progress for 13 s": ([LINED_UP, Step(-0.1, seconds=13.0)], WayState.IN),
+    "progress of 5 cm": (
+        [LINED_UP, Step(-0.1, seconds=4.0), Step(-0.05, seconds=4.0)],
+        WayState.IN,
+    ),
+    "progress of 2 cm": (
+        [LINED_UP, Step(-0.1, seconds=4.0), Step(-0.08, seconds=4.0)],
+        WayState.BACK,
+    ),
+    "5 s after a passage among others": (
+        [*PASSED, Step(1.0, 0.0, math.pi, seconds=5.0)],
+        WayState.ASIDE,
+    ),
+    "11 s after a passage among others": (
+        [*PASSED, Step(1.0, 0.0, math.pi), Step(1.0, 0.0, math.pi, pause=10.5)],
+        WayState.APPROACH,
+    ),
+    "after a passage alone": (
+        [CHOSEN, Step(0.0), Step(0.5, seconds=0.1), *TURNS, Step(1.0, 0.0, math.pi)],
+        WayState.APPROACH,
+    ),
+    "110 s after a passage": ([Step(-1.0, passed=110.0)], WayState.ASIDE),
+    "130 s after a passage": ([Step(-1.0, passed=130.0)], WayState.APPROACH),
+    "85 s after a passage, another waits": (
+        [CHOSEN, Step(-1.0, 0.9, there=WAITING, seconds=1.5, passed=85.0)],
+        WayState.WAIT,
+    ),
+    "95 s after a passage, another waits": (
+        [CHOSEN, Step(-1.0, 0.9, there=WAITING, seconds=1.5, passed=95.0)],
+        WayState.GO,
+    ),
+    "after a passage, another is far away": (
+        [CHOSEN, Step(-1.0, 0.9, there={1: (-1.0, -1.8)}, seconds=1.5, passed=20.0)],
+        WayState.GO,
+    ),
+    "after a passage, another waits on its other side": (
+        [CHOSEN, Step(-1.0, 0.9, there={1: (1.0, -0.9)}, seconds=1.5, passed=20.0)],
+        WayState.GO,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", STATES)
+def test_the_state_at_the_bounds_of_each_rule(name: str) -> None:
+    steps, state = STATES[name]
+    assert ride_through(*steps).state() is state
+
+
+@pytest.mark.parametrize(
+    ("place", "waiting", "turns_left"),
+    [
+        (Pose(-0.5, -0.2, -2.1), {}, True),
+        (Pose(-0.5, -0.2, -2.1), {2: (-0.3, -0.83)}, False),
+        (Pose(-0.5, -0.2, -2.1), {2: (-0.1, -0.83)}, True),
+        (Pose(-0.5, -0.2, -2.4), {2: (-0.6, -0.83)}, True),
+        (Pose(-0.5, -0.2, -2.4), {2: (-0.6, -0.83), 3: (-1.0, -0.83)}, False),
+        (Pose(-1.0, 0.0, -0.2), {}, False),
+    ],
+    ids=["free", "0.3 m beside", "0.5 m beside", "second free", "third free", "on the axis"],
+)
+def test_the_place_to_wait(
+    place: Pose, waiting: dict[int, tuple[float, float]], turns_left: bool
+) -> None:
+    """The request keeps its direction, and the robot has 0.1 rad or more to turn.
+
+    The first place is 0.83 m beside the axis.
+    """
+    x, y, yaw = place.x, place.y, place.yaw
+    there = {**OUT, **waiting}
+    ride = ride_through(
+        Step(x, y),
+        Step(x, y, max(yaw, -1.0), requested=LEFT),
+        Step(x, y, yaw, there, seconds=1.5, requested=LEFT),
+    )
+    assert ride.state() is WayState.ASIDE
+    assert (ride.asked.angular > 0.0) == turns_left
+
+
+def test_a_robot_keeps_the_side_on_which_it_waits() -> None:
+    ride = ride_through(
+        CHOSEN, Step(-1.0, -0.2, there=OUT, seconds=1.5), Step(-1.0, 0.1, there=OUT)
+    )
+    assert ride.asked.angular < 0.0
+
+
+def test_a_robot_turns_to_its_opening_among_several() -> None:
+    """Of two openings, 1 m apart, the nearer one was seen first."""
+    ride = Ride()
+    for y in (1.0, 0.0):
+        for _ in range(2):
+            odometry = Odometry(ride.now, Pose(-0.8, y), ZERO)
+            context = DecisionContext(ride.now, 0.0, odometry, 0.0)
+            ride.way.observe(scan(near(-0.8)), (0.0, 0.0), context)
+    assert ride.at(near(-0.4, 0.7), seconds=0.1).angular > 0.0
+
+
+def test_a_robot_in_an_opening_draws_its_priority_anew() -> None:
+    ride = ride_through(LINED_UP)
+    drawn: dict[float, bool] = {}
+    for _ in range(300):
+        ride.at(near(0.0), seconds=0.1)
+        drawn[ride.way._drawn_until] = ride.way._has_priority
+    times = np.diff(list(drawn))
+    assert times.min() >= 3.0
+    assert times.max() <= 6.0 + 2.1  # and up to 2 s since the last progress
+    assert {*drawn.values()} == {True, False}
+
+
+def test_a_robot_that_makes_progress_keeps_its_priority() -> None:
+    ride = ride_through(LINED_UP, depth=1.0)
+    drawn = {ride.way._drawn_until}
+    for k in range(20):
+        ride.at(near(-0.2 + 0.05 * k), seconds=0.5)
+        drawn.add(ride.way._drawn_until)
+    assert ride.state() is WayState.IN
+    assert len(drawn) == 1
 
 
 def test_without_an_opening_on_the_way_a_request_passes_unchanged() -> None:
@@ -240,9 +617,18 @@ def test_a_robot_steers_to_the_middle_that_the_posts_show(off: float) -> None:
     posts = np.array(((0.3, off + HALF), (0.3, off - HALF)))
     asked = ride.at(near(-0.3), points=posts)
     assert asked.angular * off > 0.0
+    asked = ride.at(near(-0.3), points=posts * (1.0, -1.0), seconds=0.1)
+    assert asked.angular * off > 0.0  # a single scan changes the middle little
 
 
 def test_an_opening_whose_posts_are_elsewhere_is_looked_for_anew() -> None:
+    ride = Ride()
+    ride.at(near(-0.5))
+    posts = np.array(((0.5, 0.08 + HALF), (0.5, 0.08 - HALF)))
+    ride.at(near(-0.5), points=posts, seconds=0.1)
+    assert ride.state() is WayState.LINE
+    ride.at(near(-0.5), track(1, 0.5, 0.15), points=posts, seconds=1.5)  # between these posts
+    assert ride.state() is WayState.ASIDE
     ride = Ride()
     ride.at(near(-0.5))
     posts = np.array(((0.5, 0.15 + HALF), (0.5, 0.15 - HALF)))
@@ -262,6 +648,13 @@ def test_a_robot_that_has_passed_lets_others_go_first() -> None:
     assert ride.state() is WayState.WAIT
     ride.at(near(-1.0, 0.9), seconds=9.0)
     assert ride.state() is WayState.GO
+
+
+def test_a_robot_in_a_door_keeps_away_from_no_side() -> None:
+    ride = Ride(0.0, np.where(BEARINGS < 0.0, 0.2, 0.0))
+    for x in (-0.8, -0.3):
+        ride.at(near(x))
+    assert abs(ride.at(near(-0.05)).angular) < 0.2
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
