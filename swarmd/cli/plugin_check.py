@@ -139,8 +139,8 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
     A child process checks the points, each within `timeout` s.
 
     1. If the plugin's code ends the child in a point, another child checks the remaining points.
-    2. No further point is checked if the child ends in the first point (the import of the file), or
-       if a point hangs.
+    2. No further point is checked if the child ends in the first point (the import of the file), if
+       a further child ends in a point that is checked already, or if a point hangs.
     3. Raises PluginError if the child fails before the first point.
     """
     checked_names: list[str] = []  # the names of the points that were checked so far
@@ -161,11 +161,12 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                 if check is None:
                     continue
                 is_import = not checked_names  # the first point imports the file
+                is_repeated = check.name in checked_names  # each further child would end there, too
                 checked_names.append(check.name)
                 yield _point(check.name, check.fields, known_faults)
-                if check.hangs:
+                if check.hangs or is_repeated:
                     yield Point(SKIPPED, "skipped", "correct the failed point first")
-                needs_child = check.has_ended_child and not is_import
+                needs_child = check.has_ended_child and not is_import and not is_repeated
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
     # Two points about the whole check.

@@ -411,6 +411,14 @@ def test_a_crash_fails_its_point_and_the_others_are_checked(tmp_path: Path) -> N
     assert "SIGSEGV (own.py:14)" in found[1]
 
 
+def test_a_file_that_ends_each_further_process_is_checked_once(tmp_path: Path) -> None:
+    top = "import os, sys; os._exit(3) if sys.argv[-1] != '--done' else None"
+    crash = "import ctypes; ctypes.string_at(0)"
+    points = checked(tmp_path, top=top, body=f"if not len(inputs.scan.ranges): {crash}")
+    assert SKIPPED in points
+    assert [*faults(points)][:2] == [LOADING, "odd scans give sane commands"]
+
+
 @pytest.mark.parametrize("hang", ["import threading; threading.Event().wait()", "input_loop()"])
 def test_a_hang_is_reported_with_its_line_and_ends_the_check(tmp_path: Path, hang: str) -> None:
     """It waits for what never comes and uses no processor time, or loops for ever."""
