@@ -88,14 +88,19 @@ class RosDriver:
         zero_sender: ZeroSenderSpec,
         robot: str,
     ) -> None:
-        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot."""
+        """Make the parts of the driver; `run` connects.
+
+        `name`: of the driver. `robot`: the id of the robot. `scheme`: keys and framing of the
+        middleware. `zero_sender`: the watchdog's own connection to the base, for zeros.
+        """
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
-        self._zero_by_key = zeros(scheme, options)
+        self._zero_by_key = zeros(scheme, options)  # the zeros that this driver itself sends
         self._sensor_timeout = max(SENSOR_TIMEOUT, _MIN_TIMEOUT_SCANS / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
-        cdr.warm(
+        # Built here, since the first message of a type would wait some milliseconds for this.
+        cdr.build_codecs(
             *options.command_types,
             *(stats.message_type for stats in self._subscriptions.topics.values()),
         )
