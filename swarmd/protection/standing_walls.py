@@ -276,8 +276,8 @@ class StandingWalls:
     def _centre_bins(self, i: cython.Py_ssize_t) -> cython.int:
         """Move the bins of wall `i` along its line if the covered bins are far off the middle.
 
-        Far off is more than an eighth of all bins. Otherwise the end of a wall beside which the
-        robot drives would soon lie beyond the last bin.
+        Far off is more than an eighth of all bins. If the bins were not moved, the end of a wall
+        along which the robot drives would soon lie beyond the last bin.
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls
