@@ -56,7 +56,7 @@ COLUMNS = (*_COMMON, *(f"requested_{name}" for name in TWIST), *_PER_ROBOT, *BOU
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
+    """A run of n robots over T instants; `[:, i]` of every (T, n, ...) array is robot `ids[i]`.
 
     The fields from `requested` to `recovering` come from the robots, not from the world: they are
     None if the robots did not report them.

@@ -434,13 +434,15 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 def _answer(
     prefix: str, ends: Collection[Endpoint], bridge_names: Collection[str], in_dds: _DdsEnds
 ) -> _Answer:
-    """The answer of a bridge with the namespace `prefix`, whose nodes have the endpoints `ends`.
+    """Join what was decoded from one bridge's admin space; marks its strays.
 
-    `bridge_names`: the names of the nodes that are bridges. A stray is a DDS reader that belongs to
-    no listed node, or to another bridge.
+    `prefix`: the namespace of the bridge. `ends`: the endpoints of the nodes that it lists, bridges
+    included. `in_dds`: the DDS entities that it lists. `bridge_names`: the names by which nodes of
+    bridges are known. The strays of the result are the DDS readers in `in_dds` that belong to no
+    listed node, or to another bridge.
     """
     of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
-    # The name of the owner of a stray, by its process: of a bridge, else of the process.
+    # By process: the name of the bridge in it, else the name of the process itself.
     bridges = {end.process: end.node for end in ends if end not in of_nodes}
     owners = {**in_dds.processes, **bridges}
     node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}

@@ -11,8 +11,9 @@
         '''Robots within 1 m of the warm spot.'''
         return (np.hypot(trace.pose[..., 0] - 1.5, trace.pose[..., 1]) < 1.0).mean(axis=1)
 
-The function returns the number of the run, or None if the run has no value. It may also return an
-array (T,) of values over time: the number of the run is then the mean of the late part.
+The function returns the value of the metric for the run, a number, or None if the run has no value.
+It may also return an array (T,) of values over time. The value for the run is then their mean in
+the last 60 s, or in the last half of a run shorter than 120 s.
 
 The metric of a file is named `path/to/file.py:warm`, the metric of a package by its entry point in
 the group `swarmd.metrics`. The decorator may be left out.

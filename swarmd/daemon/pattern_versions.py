@@ -40,10 +40,10 @@ Operators = Mapping[str, bytes]
 
 
 class PatternControl:
-    """The calls by which pushed patterns reach robot and daemon, all on the daemon's loop.
+    """What the handling of pushed patterns calls of robot and daemon, all on the daemon's loop.
 
-    `on_request` takes a request to the robot, `step` takes any other input, `reply` sends the
-    answer to a push. `warn` logs a warning, also among the robot's events.
+    `on_request` hands a request to the robot, `step` hands any other input to the robot. `reply`
+    sends the answer to a push. `warn` logs a warning, also among the robot's events.
     """
 
     def __init__(
