@@ -379,7 +379,10 @@ class Runs(NamedTuple):
 
 
 def source_of(place: Path, seed: int | None = None, variant: str | None = None) -> TraceSource:
-    """The runs of `runs_of` for the page; the first is shown first. Errors as of `runs_of`."""
+    """The runs of `runs_of` for the page, which shows `Runs.first` first.
+
+    ConfigError if there is no trace, no such run, or a damaged trace.
+    """
     return TraceSource(*runs_of(place, seed, variant))
 
 

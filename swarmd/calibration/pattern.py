@@ -476,9 +476,10 @@ class Calibration(Pattern[CalibrationParams]):
     def _of_turns(
         self, headings: Sequence[tuple[float, float]], track: Array
     ) -> tuple[Figure, Figure]:
-        """The scan delay in s, and the scale of odometry in turns; arguments as for `_finish`.
+        """The scan delay in s, and the scale of odometry in turns.
 
-        The scan delay is the mean age of the rays of a scan on arrival.
+        The scan delay is the mean age of the rays of a scan on arrival. `headings`: arrival in s
+        and heading in rad of each matched scan. `track`: (n, 4) odometry: s, x, y, yaw.
         """
         if self._reference is None or not headings:
             why = "what stands around shows no turn: too few returns, or a round room"

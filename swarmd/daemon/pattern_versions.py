@@ -343,7 +343,10 @@ class PatternVersions:
         self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
 
     def missing(self) -> list[pattern_manifest.Entry]:
-        """The entries that target this robot and whose code this robot lacks."""
+        """The entries that target this robot and whose code this robot lacks.
+
+        An entry with the name of an own pattern is left out, and noted as failed.
+        """
         lacking = []
         for name, entry in self.wanted().items():
             if entry.is_removal or not self.versions.get(name, PushedPattern()).lacks(entry):

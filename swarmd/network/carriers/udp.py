@@ -367,7 +367,7 @@ class UdpCarrier:
     def _admit(
         self, payload: bytes, name: tuple[str, int], way: _Way, now: float
     ) -> Address | None:
-        """The source of a datagram; None if the datagram is dropped.
+        """Admit or drop a datagram; returns its source, None if it is dropped.
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         that are too short for a kind, datagrams beyond the flood limits, and the second copy of a
