@@ -74,7 +74,9 @@ class Situation:
         """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
 
         With 0 the constraints of the last decision do not hold any more, and `is_known` becomes
-        False. The arguments are described at the attributes of these names.
+        False. `now`: s. `scan_age`, `odometry_age`: s, NaN without a scan or odometry. `version`:
+        the number of the reading of odometry. `along_x`, `along_y`: the direction of the linear
+        speed.
         """
         if (
             self.is_known

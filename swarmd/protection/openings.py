@@ -557,7 +557,9 @@ class Openings:
     def _openings_in(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
         """The openings in a scan, measured; several sightings of an opening count as the first.
 
-        Arguments as in `observe`.
+        `offset`: m, the place of the sensor in the base frame. `pose`: of the base at the scan, in
+        the frame of the odometry. `now`: s. `tracks`: (x, y, radius) in m of moving objects, in the
+        same frame.
         """
         opening: Opening
         known: Opening
