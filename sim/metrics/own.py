@@ -122,7 +122,8 @@ def _metric(
 
     `origin`: the text that names the function on the command line. `digest`: the SHA-256 of its
     file. `source`: the file or package, for tables. If the function returns an array over time, the
-    value of a run is the mean of its late part. ConfigError for a wrong attribute `better`.
+    value of a run is its mean at the end of the run, as the module says. ConfigError for a wrong
+    attribute `better`.
     """
     better = getattr(function, "better", None)
     if better not in (None, "less", "more"):

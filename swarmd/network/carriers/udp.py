@@ -16,8 +16,8 @@ A datagram waits in its socket while the process is frozen or busy. The kernel's
 the wait counts as at most the time since the sockets were last empty.
 
 If two copies of a datagram arrive by two ways, the later copy is dropped. Sockets are bound to the
-interface and not to an address, so that a change of addresses leaves them working. Profile dev uses
-loopback, without broadcast and IPv6.
+interface and not to an address, so that a change of addresses leaves them working. Profile `dev`
+uses loopback, without broadcast and IPv6.
 
 swarmctl imports this module and must start fast, so asyncio is not imported.
 """
