@@ -260,7 +260,7 @@ class _Answer:
     nodes: frozenset[Endpoint]
     dds: frozenset[Endpoint]  # DDS readers and writers
     strays: frozenset[Endpoint]  # DDS readers without a node, or of another bridge
-    others: frozenset[str]  # DDS participants that are no ROS processes
+    not_ros: frozenset[str]  # DDS participants that are no ROS processes
 
 
 class NodeList:
@@ -349,7 +349,7 @@ class NodeList:
         by_bridge = self._by_bridge.values()
         unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
         self._unnamed_since = {key: self._unnamed_since.get(key, now) for key in unnamed}
-        not_ros = {process for answer in by_bridge for process in answer.others}
+        not_ros = {process for answer in by_bridge for process in answer.not_ros}
         self.strays = tuple(
             end
             for key, end in unnamed.items()
@@ -483,13 +483,13 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
     `<participant>/reader/...`. CycloneDDS states the name of a process. The participants of other
     implementations are called _NAMELESS.
     """
-    ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
+    ends, processes, not_ros = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
         participant, _, rest = key.partition("/")  # without `rest`: the participant itself
         if (read := _decoded(_in_dds, payload)) is None:
             continue
         if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:
-            others.add(participant)
+            not_ros.add(participant)
         if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
             processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
         topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
@@ -498,7 +498,7 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
             quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
             end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
             ends.append(replace(end, quality=quality, process=participant))
-    return _DdsEnds(frozenset(ends), processes, frozenset(others))
+    return _DdsEnds(frozenset(ends), processes, frozenset(not_ros))
 
 
 def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:

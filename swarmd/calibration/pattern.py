@@ -503,7 +503,7 @@ class Calibration(Pattern[CalibrationParams]):
         """The deceleration, the reaction delay, the speed and the scale of an axis, by name.
 
         `pairs`: commanded speed and stop of each drive. `scale`: the scale of odometry. The speed
-        is measured over commanded, at the top speed.
+        is the measured speed divided by the commanded speed, of the drives at the top speed.
         """
         deceleration, reaction = stopping([stop for _, stop in pairs])
         top_speed = max(speed for speed, _ in pairs)

@@ -518,7 +518,10 @@ class PushedRuns:
         self._state.tell_of_return(loaded.name, code)
 
     def advance(self, now: float, generation: int | None, *, is_running: bool) -> None:
-        """Count the time of the run; `generation`: of the present run or load, None without."""
+        """Count the time of the run for the version that it runs, and end other versions' runs.
+
+        `generation`: the number of the present run or load; None without a run or load.
+        """
         last, at = self._ran_to
         running = generation if is_running else None
         self._ran_to = (-1 if running is None else running), now
