@@ -238,8 +238,8 @@ class StandingWalls:
     ) -> cython.int:
         """Continue the first wall on whose line a run lies.
 
-        A wall that the scan before showed elsewhere is left out. `run` and `is_on_wall` are those
-        of `_continue`.
+        A wall that the scan before showed elsewhere is left out. `run`: the index of the run in
+        `_runs.fields`. `is_on_wall`: the returns of the run may stand (see `_continue`).
         """
         i: cython.Py_ssize_t
         for i in range(self._wall_count):

@@ -317,7 +317,7 @@ _kept_rays: list = []
 
 @cython.cfunc
 def _timed_rays(bearings, ages, sweep):
-    """The `TimedRays` of bearings and ages; kept for the same objects."""
+    """The `TimedRays` of bearings and ages; kept, and returned again for the same objects."""
     for rays in _kept_rays:
         if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
             return rays

@@ -137,7 +137,7 @@ class MemberReports:
             doubles.pop(reporter, None)
 
     def store(self, robot: str, reporter: str, way: str, reports: list[PeerReport]) -> None:
-        """Keep what a robot reports of one other robot."""
+        """Keep what `reporter` reports of `robot` by one way (LIST, VIEW or EARLIER)."""
         self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
         alive = {report.instance for report in reports if report.presence is Presence.ALIVE}
         if len(alive) > 1:
