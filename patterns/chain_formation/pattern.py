@@ -244,9 +244,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
         `member`: the robot's own membership. To leave, the robot sets `_membership` to None, and
-        drives home. A robot leaves if the member before it is lost, or if it must yield to a rival
-        (`_must_yield`). The tail of a chain that does not lead to the goal leaves at the rate
-        `leave`.
+        drives home. A robot leaves if the member before it is lost, and if `_must_yield`. The tail
+        of a chain that does not lead to the goal leaves at the rate `leave`.
         """
         before_place = self._places.get(member.before)  # m, in the base frame
         leads = self._leads()

@@ -296,9 +296,9 @@ class _Programme:
     ) -> cython.bint:
         """Set the best velocity on a line that satisfies all lines before; False if none does.
 
-        The line has the index `line_count`; `lines` before it are satisfied so far. The best
-        velocity is the nearest to `x`, `y`; or, if `is_direction`, the farthest in the direction of
-        the unit vector `x`, `y`. Positions on the line are in m/s from its point.
+        The line has the index `line_count`, and `lines` before are satisfied so far. The best
+        velocity is the nearest to `x`, `y`. If `is_direction`, it is the farthest in the direction
+        of the unit vector `x`, `y`. Positions on the line are in m/s from its point.
         """
         i: cython.Py_ssize_t
         line: Line = lines[line_count]
