@@ -56,7 +56,7 @@ COLUMNS = (*_COMMON, *(f"requested_{name}" for name in TWIST), *_PER_ROBOT, *BOU
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
+    """A run of n robots over T instants; `[:, i]` of every (T, n, ...) array is robot `ids[i]`.
 
     The fields from `requested` to `recovering` come from the robots, not from the world: they are
     None if the robots did not report them.
@@ -176,10 +176,11 @@ def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     """
     names = [str(trace.meta.get("pattern", ""))]
     indices = np.zeros(trace.pose.shape[:2], dtype=np.int16)
-    rows = {robot: row for row, robot in enumerate(trace.ids)}
+    index_of = {robot: index for index, robot in enumerate(trace.ids)}
     runs = [event for event in trace.meta.get("events", ()) if event["action"] == "run"]
     for event in sorted(runs, key=lambda event: float(event["at"])):
-        targets = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
+        robots = event.get("robots") or trace.ids
+        targets = [index_of[robot] for robot in robots if robot in index_of]
         first_instant = int(np.searchsorted(trace.t - trace.t[:1], float(event["at"]) - 1e-9))
         indices[first_instant:, targets] = len(names)
         names.append(str(event.get("pattern") or ""))

@@ -49,8 +49,8 @@ def encode(message: object) -> bytes:
     return bytes(store_of(kind).serialize_cdr(message, name_of(kind), little_endian=True))
 
 
-def warm(*kinds: type) -> None:
-    """Build the readers and writers of these types now: the first use takes milliseconds."""
+def build_codecs(*kinds: type) -> None:
+    """Build the readers and writers of message types now: else the first use takes milliseconds."""
     for kind in kinds:
         store_of(kind).get_msgdef(name_of(kind))
 

@@ -260,7 +260,7 @@ class _Answer:
     nodes: frozenset[Endpoint]
     dds: frozenset[Endpoint]  # DDS readers and writers
     strays: frozenset[Endpoint]  # DDS readers without a node, or of another bridge
-    others: frozenset[str]  # DDS participants that are no ROS processes
+    not_ros: frozenset[str]  # DDS participants that are no ROS processes
 
 
 class NodeList:
@@ -349,7 +349,7 @@ class NodeList:
         by_bridge = self._by_bridge.values()
         unnamed = {(end.process, end.topic): end for answer in by_bridge for end in answer.strays}
         self._unnamed_since = {key: self._unnamed_since.get(key, now) for key in unnamed}
-        not_ros = {process for answer in by_bridge for process in answer.others}
+        not_ros = {process for answer in by_bridge for process in answer.not_ros}
         self.strays = tuple(
             end
             for key, end in unnamed.items()
@@ -434,13 +434,15 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 def _answer(
     prefix: str, ends: Collection[Endpoint], bridge_names: Collection[str], in_dds: _DdsEnds
 ) -> _Answer:
-    """The answer of a bridge with the namespace `prefix`, whose nodes have the endpoints `ends`.
+    """Join what was decoded from one bridge's admin space; marks its strays.
 
-    `bridge_names`: the names of the nodes that are bridges. A stray is a DDS reader that belongs to
-    no listed node, or to another bridge.
+    `prefix`: the namespace of the bridge. `ends`: the endpoints of the nodes that it lists, bridges
+    included. `in_dds`: the DDS entities that it lists. `bridge_names`: the names by which nodes of
+    bridges are known. The strays of the result are the DDS readers in `in_dds` that belong to no
+    listed node, or to another bridge.
     """
     of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
-    # The name of the owner of a stray, by its process: of a bridge, else of the process.
+    # By process: the name of the bridge in it, else the name of the process itself.
     bridges = {end.process: end.node for end in ends if end not in of_nodes}
     owners = {**in_dds.processes, **bridges}
     node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
@@ -481,13 +483,13 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
     `<participant>/reader/...`. CycloneDDS states the name of a process. The participants of other
     implementations are called _NAMELESS.
     """
-    ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
+    ends, processes, not_ros = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
         participant, _, rest = key.partition("/")  # without `rest`: the participant itself
         if (read := _decoded(_in_dds, payload)) is None:
             continue
         if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:
-            others.add(participant)
+            not_ros.add(participant)
         if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
             processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
         topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
@@ -496,7 +498,7 @@ def _ends_in_dds(zid: str, prefix: str, answers: Mapping[str, bytes]) -> _DdsEnd
             quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
             end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
             ends.append(replace(end, quality=quality, process=participant))
-    return _DdsEnds(frozenset(ends), processes, frozenset(others))
+    return _DdsEnds(frozenset(ends), processes, frozenset(not_ros))
 
 
 def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:

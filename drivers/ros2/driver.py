@@ -88,17 +88,18 @@ class RosDriver:
         zero_sender: ZeroSenderSpec,
         robot: str,
     ) -> None:
-        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot."""
+        """Connect nothing yet. `name`: of the driver. `robot`: the id of the robot.
+
+        `zero_sender`: the watchdog's own connection to the base, which sends zeros alone.
+        """
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
-        self._zero_by_key = zeros(scheme, options)
+        self._zero_by_key = zeros(scheme, options)  # the zeros that this driver itself sends
         self._sensor_timeout = max(SENSOR_TIMEOUT, _MIN_TIMEOUT_SCANS / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
-        cdr.warm(
-            *options.command_types,
-            *(stats.message_type for stats in self._subscriptions.topics.values()),
-        )
+        sensed_types = [stats.message_type for stats in self._subscriptions.topics.values()]
+        cdr.build_codecs(*options.command_types, *sensed_types)  # else the first message is late
         self._state = StateTopics(scheme, platform, options)
         self._services = CommandServices(scheme, options)
         self.command_source = self._services if self._services.is_on else None
@@ -182,6 +183,7 @@ class RosDriver:
     def _report(self) -> diagnosis.DriverCheck:
         graph = self._foreign_graph()
         is_connected = self._session is not None and bool(linked_hubs(self._session))
+        is_known = self._bridges.is_known(self._announcing())
         return diagnosis.DriverCheck(
             graph=graph,
             endpoint=self._options.endpoint,
@@ -194,9 +196,7 @@ class RosDriver:
             foreign=self._foreign,
             unpassed=route_faults(self._bridges.nodes.dds, graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
-            unlisted=""
-            if self._bridges.is_known(self._announcing())
-            else diagnosis.unlisted(self._scheme),
+            unlisted="" if is_known else diagnosis.unlisted(self._scheme),
             now=asyncio.get_running_loop().time(),
         )
 

@@ -73,7 +73,7 @@ class EmulatedRobots:
         _check_distinct(spec, options_of)
         _check_tags(spec, options_of)
         # The first use of a message type takes milliseconds, which would delay a scan.
-        cdr.warm(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
+        cdr.build_codecs(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
         self._hub, self.endpoint = open_listening(endpoint, _OPTIONS, f"the robots' {spec.driver}")
         platforms = {platform.name: platform for platform in robots.values()}
         readings = {name for each in platforms.values() for name in emulated_readings(each)}

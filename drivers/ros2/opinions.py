@@ -60,7 +60,7 @@ class OpinionTopics:
             self._heard[f"/*/{opinions.topic}"] = ros.Int32
         else:
             self._heard |= {f"/{robot}/{opinions.topic}": ros.Int32 for robot in opinions.robots}
-        cdr.warm(*self._published.values(), *self._heard.values())
+        cdr.build_codecs(*self._published.values(), *self._heard.values())
 
     @property
     def is_on(self) -> bool:

@@ -59,7 +59,7 @@ class StateTopics:
         self._place: tuple[ros.Header, Pose] | None = None
         self._changed: set[str] = set()
         if self.is_on:
-            cdr.warm(*_TYPES.values())
+            cdr.build_codecs(*_TYPES.values())
 
     @property
     def ends(self) -> list[TopicEnd]:
@@ -128,7 +128,7 @@ class StateTopics:
         changed, self._changed = self._changed, set()
         for name in changed & self._publishers.keys():
             try:
-                if self._is_watched(name) and (message := self._make(name)) is not None:
+                if self._update_watched(name) and (message := self._make(name)) is not None:
                     attachment = self._scheme.attachment(self._tokens.get(self._topics[name], ""))
                     with suppress(zenoh.ZError):  # the session is closing
                         self._publishers[name].put(cdr.encode(message), attachment=attachment)
@@ -146,7 +146,8 @@ class StateTopics:
         """Note a first or last subscriber; a thread of Zenoh calls it."""
         self._unsure.add(name)
 
-    def _is_watched(self, name: str) -> bool:
+    def _update_watched(self, name: str) -> bool:
+        """Ask Zenoh, after a change, whether a topic has subscribers; True if it has any."""
         if name in self._unsure:
             self._unsure.discard(name)  # before the question: a later change adds it again
             self._watched[name] = has_subscriber(self._publishers[name])
@@ -177,12 +178,11 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
     heading = [ros.Point(x=0.0, y=0.0, z=0.0), ros.Point(x=1.5 * length, y=0.0, z=0.0)]
     reason = "" if status.reason is None else f"\n{status.reason.value}"
     text = f"{status.robot}: {status.state.value}{reason}"
-    marker = ros.Marker
     make: Callable[..., Any] = partial(
-        marker,
+        ros.Marker,
         header=head,
         ns=f"swarmd/{status.robot}",
-        action=marker.ADD,
+        action=ros.Marker.ADD,
         pose=pose_message(pose),
         color=ros.ColorRGBA(r=red, g=green, b=blue, a=1.0),
         lifetime=ros.Duration(sec=_LIFETIME, nanosec=0),
@@ -198,9 +198,9 @@ def markers(status: Status, pose: Pose, head: ros.Header, footprint: Array) -> r
     )
     return ros.MarkerArray(
         markers=[
-            make(id=0, type=marker.LINE_STRIP, scale=_scale(0.02), points=outline, text=""),
-            make(id=1, type=marker.ARROW, scale=_scale(0.02, 0.05), points=heading, text=""),
-            make(id=2, type=marker.TEXT_VIEW_FACING, scale=_scale(0.1), points=[], text=text),
+            make(id=0, type=ros.Marker.LINE_STRIP, scale=_scale(0.02), points=outline, text=""),
+            make(id=1, type=ros.Marker.ARROW, scale=_scale(0.02, 0.05), points=heading, text=""),
+            make(id=2, type=ros.Marker.TEXT_VIEW_FACING, scale=_scale(0.1), points=[], text=text),
         ]
     )
 
@@ -255,4 +255,5 @@ def diagnostics(status: Status, stamp: float) -> ros.DiagnosticArray:
 
 
 def _scale(x: float, y: float | None = None) -> ros.Vector3:
+    """The size of a marker in m. `x`: of a line, a shaft or a text. `y`: of an arrow's head."""
     return ros.Vector3(x=x, y=x if y is None else y, z=x)

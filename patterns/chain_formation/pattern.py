@@ -244,8 +244,8 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         """The command that keeps this robot's place in its chain; zero if the robot leaves it.
 
         `member`: the robot's own membership. To leave, the robot sets `_membership` to None, and
-        drives home. A robot leaves if the member before it is lost, or if another member keeps the
-        same place. The tail of a chain that does not lead to the goal leaves at the rate `leave`.
+        drives home. A robot leaves if the member before it is lost, and if `_must_yield`. The tail
+        of a chain that does not lead to the goal leaves at the rate `leave`.
         """
         before_place = self._places.get(member.before)  # m, in the base frame
         leads = self._leads()
@@ -265,11 +265,15 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         return self._keep_place(member.before, before_place, is_first=hops == 1)
 
     def _must_yield(self, member: _Member, leads: bool, is_tail: bool) -> bool:
-        """True if a rival keeps the place of this robot in the chain, and goes before this robot.
+        """True if this robot must leave its place in the chain to a rival of higher rank.
 
-        A rival is near, and has the same member before it. A member that leads to the goal goes
-        first, then a member with a chain behind it, then the member with the lower id. `member`,
-        `leads`, `is_tail`: of this robot.
+        A rival is near, and follows the same member (`before`) as this robot. The criteria of the
+        rank, the first that differs decides: a member whose chain leads to the goal ranks above a
+        member without; a member that another member follows ranks above a tail; a lower id ranks
+        above a higher id.
+
+        Of this robot: `member` is its membership, `leads`: its chain leads to the goal, `is_tail`:
+        no member follows it.
         """
         own_rank = (not leads, is_tail, self.context.robot)
         return any(
@@ -370,7 +374,7 @@ class ChainFormation(CombinedPattern[ChainFormationParams]):
         )
 
     def _next_waypoint(self, reached: str) -> str:
-        """The id of the member to drive to next from the member `reached`; `reached` without any.
+        """Choose the member to drive to next from the member `reached`; `reached` without any.
 
         At the nest an arriving robot draws a chain, from those that lead to the goal if there are
         any. Otherwise the robot draws from all chains or, less often, draws no chain: it then

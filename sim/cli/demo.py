@@ -189,7 +189,8 @@ def perform(
         _screen(is_live, served_page.addresses if served_page is not None else ()) as draw_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, draw_scene)
-        # `started_at()`: the start of this process, from which the time until motion counts.
+        # `started_at()`: the start of this process. The summary counts the time until motion from
+        # this start.
         summary = run.perform(spec.trace, started_at(), warn)
         if served_page is not None:
             served_page.reason = (

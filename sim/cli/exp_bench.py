@@ -184,10 +184,11 @@ def _run_entry(
     *,
     traces: bool,
 ) -> Results:
-    """Do the missing runs of an entry, with progress and the first failure on stderr.
+    """Do the missing runs of an entry, a pattern in a task of the benchmark.
 
-    `seeds`: None: those of the task. `processes`: runs at a time. `command`: the command line that
-    resumes the runs. `traces`: also keep traces.
+    Progress and the first failure are printed on stderr. `seeds` None: those of the task.
+    `processes`: runs at a time. `command`: the command line that resumes the runs. `traces`: also
+    keep traces.
     """
     from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments.benchmark import run_entry

@@ -201,10 +201,12 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     """Compare one metric of two sides: means, 95 % interval and p, without Holm's correction."""
-    measured_a = a.results.metric(metric, a.variant)  # (runs,), NaN: no value
+    # (runs,). NaN: the run has no value; of a time to an event: the event never happened.
+    measured_a = a.results.metric(metric, a.variant)
     measured_b = b.results.metric(metric, b.variant)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
-    # A time to an event that never happened in some runs: means are restricted to the horizon.
+    # If an event never happened in some runs, times are limited to the horizon: `restricted` puts
+    # the horizon in place of longer times and of NaN. `horizon` None: no times are limited.
     has_never = bool(np.isnan(measured_a).any() or np.isnan(measured_b).any())
     horizon = min(_duration(a), _duration(b)) if metric.is_time_to_event and has_never else None
     values_a, values_b = measured_a, measured_b
@@ -217,7 +219,7 @@ def _difference(a: Side, b: Side, metric: Metric) -> Difference:
     values_a, values_b = values_a[runs_a], values_b[runs_b]
     if horizon is None:
         p = difference_p(values_a, values_b, is_paired=is_paired)
-    else:  # all finished runs, without pairs: the test is for independent samples
+    else:  # of all finished runs, without pairs: the test is for independent samples
         p = logrank_p(measured_a, measured_b, _duration(a), _duration(b))
     if is_paired:
         bounds = mean_interval(values_b - values_a)

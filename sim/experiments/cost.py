@@ -50,10 +50,10 @@ def measured_cost(folder: Path) -> Cost:
             if manifest.made_with != software or used_other_cores:
                 continue
             plan = manifest.plan
-            rows = read_table(path.parent, plan)[1].values()
+            _, rows = read_table(path.parent, plan)  # by run id
         except SwarmError:  # a damaged folder, or a folder of another version
             continue
-        costs = [row.wall / row.run.robot_seconds for row in rows]
+        costs = [row.wall / row.run.robot_seconds for row in rows.values()]
         costs_of.setdefault(plan.scenario, []).extend(costs)
     medians = {name: float(np.median(costs)) for name, costs in costs_of.items() if costs}
     if not medians:

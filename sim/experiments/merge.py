@@ -50,6 +50,7 @@ def merge(
     if (out / "manifest.json").exists():
         plans[out] = read_manifest(out).plan
     metrics, finished_runs = _joined_tables(plans, has_traces=whole.traces)
+    # By run: why custom metrics of finished runs have no value, and why other runs failed.
     errors = {run: error for folder in parts for run, error in read_errors(folder).items()}
     failures = {run: fault for folder in parts for run, fault in read_failures(folder).items()}
     with open_store(out, whole, metrics) as store:

@@ -85,7 +85,11 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
 
 
 def _again(folder: Path, old: Manifest, *, is_trusted: bool) -> Manifest:
-    """The manifest of the same runs, with the present software; ConfigError as of `warnings`."""
+    """The manifest of the same runs, with the present software.
+
+    ConfigError if a Python file that the manifest names is new, has changed or has never been run
+    by this user, unless `is_trusted`.
+    """
     patterns = digests_of_folders(plugin_folders(old.plan)).items()
     code = {name: digest for name, digest in patterns if name.endswith(".py")}
     files = [metric.origin for metric in old.metrics if names_file(metric.origin)]

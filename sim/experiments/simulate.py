@@ -176,8 +176,8 @@ def run_experiment(
     """
     # SHA-256 of the user's patterns and missions by path, and of custom metrics by origin.
     digests = manifest.plugins
-    # The user runs this code now, so `exp rerun` may run the same code later. The file of a mission
-    # holds no code.
+    # The user runs this code now, so the code counts as trusted: `exp rerun` may run it later. The
+    # file of a mission holds no code.
     remember_code(digest for name, digest in digests.items() if not name.endswith(MISSION))
     metric_digests = {metric.origin: digests.get(metric.origin, "") for metric in manifest.metrics}
     columns = (*METRICS, *(metric.name for metric in manifest.metrics))

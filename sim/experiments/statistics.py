@@ -119,7 +119,10 @@ def mean_interval(values: Array) -> Interval | None:
 
 
 def median_interval(values: Array) -> Interval | None:
-    """The percentile interval of the median of values (n,); None as for `mean_interval`."""
+    """The percentile interval of the median of values (n,).
+
+    None with fewer than two or infinite values.
+    """
     return _of_equal(values) or _bootstrap((values,), np.median, "percentile")
 
 

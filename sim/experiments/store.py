@@ -218,7 +218,7 @@ def read_failures(folder: Path) -> dict[str, str]:
 
 
 def read_errors(folder: Path) -> dict[str, dict[str, str]]:
-    """Why custom metrics have no value, by run and metric; ConfigError as of `read_failures`."""
+    """Why custom metrics have no value, by run and metric; ConfigError for a damaged file."""
     errors: dict[str, dict[str, str]] = {}
     for run, metric, why in _listed(folder, "metrics"):
         errors.setdefault(run, {})[metric] = why

@@ -55,7 +55,8 @@ class Factors:
     deviation: float
     """The mean of that variant minus the additive model."""
     p: float | None
-    """Of the null hypothesis of no interaction; None as for `interaction_p`."""
+    """Of the null hypothesis of no interaction. None with one seed, one value of a key, or without
+    scatter."""
     p_holm: float | None = None
     """`p` with Holm's correction for all metrics."""
 

@@ -644,10 +644,10 @@ class _Tuner:
         return msgspec.structs.replace(manifest, made_with=made_with)
 
     def _draw(self, study: Study, count: int) -> list[Candidate]:
-        """Draw `count` new candidates that the scenario accepts, and add them to `candidates`.
+        """Draw `count` new candidates that the scenario accepts; also adds them to `candidates`.
 
         A candidate is refused if its values are invalid or equal those of an earlier candidate.
-        After _MAX_DRAWS refusals in a row, fewer candidates are returned. ConfigError if the whole
+        After _MAX_DRAWS refusals in a row, no more candidates are drawn. ConfigError if the whole
         tuning has no accepted candidate.
         """
         is_first_race = len(self.candidates) == 1  # candidate 0 alone

@@ -48,7 +48,10 @@ class Encoder:
     """Writes frames (height, width, 3) of uint8 to a film that appears whole or not at all."""
 
     def __init__(self, path: Path, size: tuple[int, int], rate: int) -> None:
-        """`size` in pixels, both even; `rate` in frames/s. Errors as of `check_output`."""
+        """`size` in pixels, both even; `rate` in frames/s.
+
+        ConfigError for a wrong path, PluginError without the program ffmpeg.
+        """
         check_output(path)
         self._path, self._partial = path, partial_path(path)
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__

@@ -65,7 +65,7 @@ def make_film(
     settings: FilmSettings,
     on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[str]:
-    """Write the film of a run to `path`; returns a note for each platform that is unknown here.
+    """Write the film of a run to `path`; returns a line for each platform that is unknown here.
 
     Robots of an unknown platform are drawn with assumed heights. `on_progress` is called with the
     numbers of written and of all frames. The file appears whole or not at all. ConfigError for
@@ -91,14 +91,14 @@ def make_film(
     width, height = size
     picture_size = width, height - caption_height(height)
     stage = stage_of(trace, picture_size, run.platforms, run.fields)
-    notes = [f"{settings.speed:.3g}x real time"]
+    caption_notes = [f"{settings.speed:.3g}x real time"]
     with Renderer(trace, stage, colouring, settings.camera) as renderer:
         if stage.factor > _NOTED_ENLARGEMENT:
-            notes.append(f"robots enlarged {stage.factor:.1f}x")
+            caption_notes.append(f"robots enlarged {stage.factor:.1f}x")
         marks = Marks(renderer, trace.ids)
         if marks.prefix:  # robots are shown with shorter names, without the common prefix
-            notes.append(f"names begin with {marks.prefix}")
-        caption = Caption(size, title, colouring.key, notes)
+            caption_notes.append(f"names begin with {marks.prefix}")
+        caption = Caption(size, title, colouring.key, caption_notes)
 
         # 3. The frames. The last frame shows the time `stop`, and stays for _HOLD s.
         seconds = stop - settings.start

@@ -114,7 +114,8 @@ def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) ->
         # A robot may run the pattern although its acknowledgement was late or lost.
         view = operator.members()
         started_late |= not_started & _running(view, run.pattern)
-        # If all robots run by now, `targets` is empty: `outcome` then has no reason of a robot.
+        # If all robots run by now, `targets` is empty, and the request goes to no robot. So the
+        # last outcome has no reasons: earlier outcomes have reasons of robots that run by now.
         targets = tuple(name for name in run.robots if name in not_started - started_late)
         outcome = operator.request(RunRequest, view.epochs(targets), **run_fields(run))
         started_late.update(outcome.applied)

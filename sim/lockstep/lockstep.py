@@ -285,8 +285,9 @@ class Lockstep:
         (flights), and published latches (emergency stops that hold until a reset). With a single
         process, too, messages and latches take effect only here.
 
-        `meanwhile`: work without outputs, which several processes do before they wait for each
-        other; a single process leaves it out.
+        `meanwhile`: work without outputs, to use the time of the wait: with several processes it
+        is called once, before this process waits for the others. A single process never waits, and
+        does not call `meanwhile`: it has done this work before (`measures_late` of the world).
         """
         process = self._process
         has_to_send = bool(self._flights or self._published)

@@ -11,8 +11,9 @@
         '''Robots within 1 m of the warm spot.'''
         return (np.hypot(trace.pose[..., 0] - 1.5, trace.pose[..., 1]) < 1.0).mean(axis=1)
 
-The function returns the number of the run, or None if the run has no value. It may also return an
-array (T,) of values over time: the number of the run is then the mean of the late part.
+The function returns the value of the metric for the run, a number, or None if the run has no value.
+It may also return an array (T,) of values over time. The value for the run is then their mean in
+the last 60 s, or in the last half of a run shorter than 120 s.
 
 The metric of a file is named `path/to/file.py:warm`, the metric of a package by its entry point in
 the group `swarmd.metrics`. The decorator may be left out.
@@ -121,7 +122,8 @@ def _metric(
 
     `origin`: the text that names the function on the command line. `digest`: the SHA-256 of its
     file. `source`: the file or package, for tables. If the function returns an array over time, the
-    value of a run is the mean of its late part. ConfigError for a wrong attribute `better`.
+    value of a run is its mean at the end of the run, as the module says. ConfigError for a wrong
+    attribute `better`.
     """
     better = getattr(function, "better", None)
     if better not in (None, "less", "more"):

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 LEAST_STOP = 1.0
 """Seconds from which a stop is listed."""
-MOVING = 0.005  # m/s and rad/s
+MOVING = 0.005  # m/s and rad/s above which a command moves a robot
 MAX_STOPS, MAX_EVENTS = 40, 60
 PERIOD = 0.1  # s between two instants of the trace
 MAX_INSTANTS = 20_000
@@ -165,7 +165,11 @@ def _enter_statuses(
 
 
 def _robots(trace: Trace, timeline: Timeline) -> str:
-    """An HTML table with a row for each robot: distance, times, protection, gap and losses."""
+    """An HTML table with a row for each robot: distance, times, protection, gap and losses.
+
+    A robot moves while it runs and its safe command is above MOVING. A loss is noted in a recording
+    if the recorder dropped entries, since the disk was slow.
+    """
     rows = []
     assert trace.state is not None
     assert trace.active is not None
@@ -190,7 +194,8 @@ def _robots(trace: Trace, timeline: Timeline) -> str:
     head = ("ROBOT", "DISTANCE", "RUNNING", "MOVING", "PROTECTION", "SMALLEST GAP", "LOSSES NOTED")
     note = (
         '<p class="dim">Protection: share of the time in state running in which it reduced or'
-        " replaced the command. Gap: to the nearest return of a scan.</p>"
+        " replaced the command. Gap: to the nearest return of a scan. Losses noted: how often the"
+        " recorder dropped entries, since the disk was slow.</p>"
     )
     return table(head, rows, "robots") + note
 
@@ -205,10 +210,10 @@ def stops_of(trace: Trace) -> list[tuple[str, ...]]:
     assert trace.reason is not None
     assert trace.requested is not None
     stops: list[tuple[float, tuple[str, ...]]] = []
-    for row, name in enumerate(trace.ids):
-        state, reason = trace.state[:, row], trace.reason[:, row]
-        is_requested = (np.abs(np.nan_to_num(trace.requested[:, row])) > MOVING).any(axis=1)
-        is_zero = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
+    for robot, name in enumerate(trace.ids):
+        state, reason = trace.state[:, robot], trace.reason[:, robot]
+        is_requested = (np.abs(np.nan_to_num(trace.requested[:, robot])) > MOVING).any(axis=1)
+        is_zero = (np.abs(trace.safe[:, robot]) <= MOVING).all(axis=1)
         is_held = (state == "running") & is_requested & is_zero
         is_stopped = is_held | np.isin(state, ("estopped", "faulted"))
         for first, end in _true_spans(is_stopped):

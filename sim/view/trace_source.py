@@ -133,7 +133,10 @@ class _ShownRun:
     """One recorded run as the page shows it; times are in s from its start."""
 
     def __init__(self, run: RecordedRun) -> None:
-        """Prepare robots, arena and marks; scans are shown if all platforms are known here."""
+        """Prepare robots, arena and marks.
+
+        Scans are shown if this machine knows the platforms of all robots.
+        """
         trace = self._trace = run.trace
         self.robots = [
             ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
@@ -160,7 +163,9 @@ class _ShownRun:
         self._sensors: RangeSensors | None = None
         if arena is not None and self._platforms:
             visibility = trace.meta.get("lidar_visibility", "body")
-            with suppress(ConfigError):  # a platform file of today may lack the heights
+            # Visibility `real` needs the heights of bodies and lidars. A platform file on this
+            # machine may lack these heights, since it may be another file than that of the run.
+            with suppress(ConfigError):
                 self._sensors = RangeSensors(self._platforms, arena, visibility)
 
     def places(self, now: float) -> Array:
@@ -374,7 +379,10 @@ class Runs(NamedTuple):
 
 
 def source_of(place: Path, seed: int | None = None, variant: str | None = None) -> TraceSource:
-    """The runs of `runs_of` for the page; the first is shown first. Errors as of `runs_of`."""
+    """The runs of `runs_of` for the page, which shows `Runs.first` first.
+
+    ConfigError if there is no trace, no such run, or a damaged trace.
+    """
     return TraceSource(*runs_of(place, seed, variant))
 
 

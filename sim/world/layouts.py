@@ -24,7 +24,8 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     Defaults in m: SPACING 1.0, RADIUS 1.5, CLEARANCE 0.2.
 
     - `row:SPACING`: along y, centred at the origin, heading along x.
-    - `paper:SPACING`: along y from the origin on (experiment 1 of the paper), heading along x.
+    - `paper:SPACING`: along y from the origin on, heading along x, as in experiment 1 of the paper
+      that docs/paper.md reproduces.
     - `grid:SPACING`: heading along x.
     - `ring:RADIUS`: heading inwards.
     - `random:CLEARANCE`: at random by `seed`.

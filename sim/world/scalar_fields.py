@@ -79,8 +79,9 @@ def sample(
 ) -> dict[str, Array]:
     """The value (k,) of each reading at `places` (k, 2) in m; fields of one name add up.
 
-    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` and `is_clear` are
-    arguments of `LightField.at`.
+    Values are clipped to +-1e6, the bound of a reading on the wire. `bearings` (k,): the directions
+    of light sensors in rad in the world, NaN or None: light from all directions counts. `is_clear`:
+    where a lamp is in sight; None: nothing hides a lamp.
     """
     values: dict[str, Array] = {}
     for field in fields:

@@ -28,7 +28,7 @@ from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.sensing.scan_pipeline import TOLERANCE, delay_by_stamps
 
 _SLOW = 0.35  # speed of the slower drives, as a share of the top speed
-_CLEAR = 0.3  # s for which a steady drive continues, so that the cruise excludes its start
+_CLEAR = 0.3  # s for which a drive continues once steady, so that the cruise excludes its start
 _SETTLE = 0.4  # s at standstill by odometry before a stop counts as over
 _STILL = 0.01  # share of the top speed, per s: slower counts as standstill
 _LONGEST_STOP = 8.0  # s
@@ -40,7 +40,7 @@ _LOOKS = 6  # scans at rest before the first drive
 _LOOK_TIME = 10.0  # s within which these scans must arrive
 _SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # count; s a swing; share of top turn rate
 _LEAST_WAY = 0.08  # m between two scans that give a scale of odometry
-_RETRIES = 3  # drives without a steady speed before the calibration gives up
+_RETRIES = 3  # drives without a measured stop before the calibration gives up
 _SLOWER = 0.7  # factor of the top speed for the next try
 _STANDS = "the base stands (motors off, a stop button), its odometry does not change"
 _NO_SLIDE = "its wheels do not slide (limits.lateral: 0)"
@@ -288,8 +288,8 @@ class Calibration(Pattern[CalibrationParams]):
 
         `stops` and `scales` are filled: `stops` with the commanded speed and the measured stop of
         each drive, `scales` with the distances of each drive in m by odometry and by scans. After a
-        drive without a steady speed, all drives are repeated at a slower speed. _EndError after
-        more than _RETRIES such drives.
+        drive without a measured stop (`_stop` gives None), all drives are repeated at a slower
+        speed. _EndError after more than _RETRIES such drives.
         """
         failures, words = 0, _AXES[axis]
         # To and fro at the top speed, then to and fro at a slow speed; this `repeats` times.
@@ -320,19 +320,22 @@ class Calibration(Pattern[CalibrationParams]):
 
         `speed` in m/s or rad/s, signed. `axis`: the field of Twist: linear, lateral or angular. The
         distances by odometry and by scans are appended to `scales`. Returns the measured stop. If
-        the speed did not become steady, the robot drives back, and the result is None. Ends the
-        calibration by _EndError if odometry shows no motion.
+        the drive got too long, or odometry does not show its speed before the stop, the robot
+        drives back, and the result is None. Ends the calibration by _EndError if odometry shows no
+        motion.
         """
-        # 1. Drive until the speed was steady for _CLEAR s, or the drive gets too long.
+        # 1. Drive until _CLEAR s after the speed was first steady, or until the drive is too long.
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
         pose_before = self._rest()  # by odometry and by the last scan
-        begin, steady_since, is_too_long = self._now, math.inf, False
-        while not is_too_long and self._now - steady_since < _CLEAR:
+        begin = self._now
+        steady_since: float | None = None  # set once: the speed is not compared again
+        is_too_long = False
+        while not is_too_long and (steady_since is None or self._now - steady_since < _CLEAR):
             yield twist
             track = self._track(begin)
             times, distances = track[:, 0], _distances(track, axis, sign)
-            if steady_since == math.inf and is_steady(times, distances):
+            if steady_since is None and is_steady(times, distances):
                 steady_since = self._now
             drive_time = self._now - begin
             is_too_long = distances[-1] > self._farthest[axis] or drive_time > _LONGEST_DRIVE
@@ -473,9 +476,10 @@ class Calibration(Pattern[CalibrationParams]):
     def _of_turns(
         self, headings: Sequence[tuple[float, float]], track: Array
     ) -> tuple[Figure, Figure]:
-        """The scan delay in s, and the scale of odometry in turns; arguments as for `_finish`.
+        """The scan delay in s, and the scale of odometry in turns.
 
-        The scan delay is the mean age of the rays of a scan on arrival.
+        The scan delay is the mean age of the rays of a scan on arrival. `headings`: arrival in s
+        and heading in rad of each matched scan. `track`: (n, 4) odometry: s, x, y, yaw.
         """
         if self._reference is None or not headings:
             why = "what stands around shows no turn: too few returns, or a round room"
@@ -499,7 +503,7 @@ class Calibration(Pattern[CalibrationParams]):
         """The deceleration, the reaction delay, the speed and the scale of an axis, by name.
 
         `pairs`: commanded speed and stop of each drive. `scale`: the scale of odometry. The speed
-        is measured over commanded, at the top speed.
+        is the measured speed divided by the commanded speed, of the drives at the top speed.
         """
         deceleration, reaction = stopping([stop for _, stop in pairs])
         top_speed = max(speed for speed, _ in pairs)

@@ -93,8 +93,9 @@ class Reference:
             change = np.linalg.solve(damped, jacobian.T @ errors)
             x, y, yaw = x - float(change[0]), y - float(change[1]), yaw - float(change[2])
 
-        # 3. A coordinate is constrained if enough normals point along it: for the place in its
-        # weakest direction, for the heading relative to the median range.
+        # 3. A coordinate is constrained if enough normals point along it. The place counts in the
+        # direction in which the normals constrain it least (the smaller eigenvalue). A turn moves a
+        # point by angle times range, so the heading's value is divided by the range squared.
         median_range = float(np.median(np.hypot(points[:, 0], points[:, 1])))
         place_information = float(np.linalg.eigvalsh(normal_matrix[:2, :2])[0])
         heading_information = float(normal_matrix[2, 2]) / median_range**2

@@ -159,7 +159,7 @@ def swarmd(
         from swarmd.daemon.daemon import serve
 
         # A pattern host is a process of the same user, and must not read the daemon's keys by
-        # ptrace. Profile dev is exempt: benchmarks and tests read the daemon's memory and files.
+        # ptrace. Profile `dev` is exempt: benchmarks and tests read the daemon's memory and files.
         if settings.network.profile != "dev":
             keep_from_tracing()
         ctx.exit(asyncio.run(serve(settings)))

@@ -46,8 +46,8 @@ def choose_canaries(
 def fault_of(before: Status | None, first: Status, now: Status) -> str:
     """The reason why a canary does not run well; empty if it runs well. Pure.
 
-    `before`: the canary's status before the run; None: unknown. `first`, `now`: its first and its
-    newest status in the run. A canary runs well if
+    `before`: the canary's status before the run; None (unknown) counts as no run. `first`, `now`:
+    its first and its newest status in the run. A canary runs well if
 
     - it runs or has finished,
     - its pattern host has not restarted since `first`,

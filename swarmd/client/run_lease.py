@@ -28,9 +28,9 @@ def follow_runs(
 ) -> None:
     """Wait until no robot in `running` runs the goal any more; tell the user each end.
 
-    `running`: the robots, with their epochs (instance of the daemon, count of its changes) at the
-    start of the run; a status from before the start is ignored. A robot that sends no status for
-    `patience` s is reported and no longer awaited.
+    `running`: the robots, each with its epoch at the start of the run: the instance of its daemon
+    and the count of the changes of its state. A status of this instance with a lower count is
+    ignored. A robot that sends no status for `patience` s is reported and no longer awaited.
     """
     heard = dict.fromkeys(running, boottime())
     with statuses_of(session.operator) as status_queue:

@@ -309,9 +309,11 @@ class ScanSpec:
     - `is_noisy`: the sensor has noise, so that two identical scans reveal a frozen sensor.
     - `near`: a return nearer than `range_min` is `reported`, or `lost` as if nothing were there.
     - `latency`: mean age of the rays in s when a scan arrives.
-    - `sweep`: None if all rays are measured at once, or if the robot measures the sweep.
-    - `measures_sweep`: the robot measures the order of the rays. The driver's ages of the rays then
-      show only how long a scan takes, and whether all rays are measured at once.
+    - `sweep`: the order in which a rotating sensor measures the rays of a turn. None if all rays
+      are measured at the same time, or if the robot finds the order itself (`measures_sweep`).
+    - `measures_sweep`: the robot finds the order of the rays itself, while it turns. Of the ages
+      that the driver gives the rays, it then uses only the duration of a scan, and whether all rays
+      are measured at the same time.
     - `segments`: the number of segments into which the driver divides a turn. The driver hands over
       each segment as soon as it is measured, and the whole turn with the last segment. 0: whole
       turns only. More than 0 needs `sweep`.

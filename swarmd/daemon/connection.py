@@ -95,7 +95,7 @@ class NetworkConnection:
         self._opened = settings  # the settings; once a session was open, with its port
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
-        # Watches the interface in profile field, else None.
+        # Watches the interface in profile `field`, else None.
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None  # the task that opens the session again
         self._is_stale = False  # the sockets belong to an earlier state of the interface

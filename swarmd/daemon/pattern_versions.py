@@ -40,10 +40,10 @@ Operators = Mapping[str, bytes]
 
 
 class PatternControl:
-    """The calls by which pushed patterns reach robot and daemon, all on the daemon's loop.
+    """What the handling of pushed patterns calls of robot and daemon, all on the daemon's loop.
 
-    `on_request` takes a request to the robot, `step` takes any other input, `reply` sends the
-    answer to a push. `warn` logs a warning, also among the robot's events.
+    `on_request` hands a request to the robot, `step` hands any other input to the robot. `reply`
+    sends the answer to a push. `warn` logs a warning, also among the robot's events.
     """
 
     def __init__(
@@ -343,7 +343,10 @@ class PatternVersions:
         self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
 
     def missing(self) -> list[pattern_manifest.Entry]:
-        """The entries that target this robot and whose code this robot lacks."""
+        """The entries that target this robot and whose code this robot lacks.
+
+        An entry with the name of an own pattern is left out, and noted as failed.
+        """
         lacking = []
         for name, entry in self.wanted().items():
             if entry.is_removal or not self.versions.get(name, PushedPattern()).lacks(entry):
@@ -515,7 +518,10 @@ class PushedRuns:
         self._state.tell_of_return(loaded.name, code)
 
     def advance(self, now: float, generation: int | None, *, is_running: bool) -> None:
-        """Count the time of the run; `generation`: of the present run or load, None without."""
+        """Count the time of the run for the version that it runs, and end other versions' runs.
+
+        `generation`: the number of the present run or load; None without a run or load.
+        """
         last, at = self._ran_to
         running = generation if is_running else None
         self._ran_to = (-1 if running is None else running), now

@@ -29,11 +29,11 @@ class Sink(Protocol):
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take the connection state: `is_up`, or the reason in `text` why the base is lost.
+        """Take the state of the driver's connection: `is_up`, or in `text` why the base is lost.
 
-        `hold`: why the robot must not move although its base is connected. `gets_zero`: a zero for
-        a stopped robot reaches the base even while the base counts as lost. A driver that moves no
-        base also passes True.
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: the zero
+        command of a stopped robot reaches the base even while the base counts as lost. A driver
+        that moves no base also passes True: it has no base that a stop might not reach.
         """
 
     def dropped(self, what: str) -> None:

@@ -107,7 +107,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             opposite = _evaluator(condition.condition, started)
             return lambda seen: not opposite(seen)
         case conditions.Timeout():
-            # A sum of steps may end a little before the time.
+            # Steps are summed with rounding errors: the sum may be a little below the exact time.
             seconds = condition.seconds - _ROUNDING
             return lambda seen: seen.now - started >= seconds
         case conditions.Done():
@@ -124,7 +124,7 @@ def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
         case conditions.Neighbors(slope=None):
             return lambda seen: _count(condition, seen) >= condition.count
-        case conditions.Neighbors():
+        case conditions.Neighbors():  # with `slope`: true with a probability
             return _drawn(lambda seen: _probability(condition, seen), started)
         case conditions.Probability():
             return _drawn(lambda seen: condition.value, started)

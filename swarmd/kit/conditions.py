@@ -1,9 +1,9 @@
 """Conditions as values: what can end a run, end an element of a mission, or choose a branch.
 
-`swarmd.mission.document` reads conditions from a mission's file, where the tag of a struct, such as
-`timeout`, is the key that names the kind of condition. `parse_condition` reads the short forms of
-the command line. `swarmd.kit.condition_state` evaluates conditions. Imports no numpy, for the
-command line.
+In a mission's file a condition is a mapping, such as `timeout: 30`. `swarmd.mission.document` finds
+the class by the key: `timeout` is the `tag` of class `Timeout`. `parse_condition` reads the short
+forms of the command line. `swarmd.kit.condition_state` evaluates conditions. This module imports no
+numpy, so that swarmctl starts fast.
 """
 
 from __future__ import annotations

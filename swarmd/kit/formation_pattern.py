@@ -190,9 +190,10 @@ class FormationPattern(MovementPattern[F]):
         return ZERO if self._is_settled else self._follow(x, y, length)
 
     def _update_goal(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
-        """Update the points around the base, the robots in sight and the goal.
+        """Set the obstacle points of a new scan, the number of robots in sight, and the goal.
 
-        The goal is this robot's place in the formation, in m in the odometry frame; None without a
+        The obstacle points are the near returns of the scan, which the robot keeps clear of. The
+        goal is this robot's place in the formation, in m in the odometry frame; None without a
         robot in sight. `pose`: of the base in the odometry frame.
         """
         is_new_scan = scan.seq != self._seq
@@ -216,7 +217,7 @@ class FormationPattern(MovementPattern[F]):
         self._aimed_at = inputs.now
 
     def _set_points(self, scan: Scan) -> None:
-        """Set the points to keep clear of, from a new scan."""
+        """Set the obstacle points: the near returns of a scan, which the robot keeps clear of."""
         offset = self.context.platform.scan.offset
         # Ranges are from the lidar, and the base may be nearer to a point by the offset.
         reach = self.params.clearance + self.params.brake + math.hypot(*offset)

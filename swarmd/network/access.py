@@ -161,7 +161,7 @@ def _allow_messages_and_tokens(rules: _Rules, roster: Roster, name: str) -> None
 
 
 def router_access(roster: Roster, router: str) -> Access:
-    """Zenoh's `access_control` for a router of profile routed.
+    """Zenoh's `access_control` for a router of profile `routed`.
 
     `router`: the name in the certificates of all routers of the swarm. The ingress rules decide
     what each name of the roster may send, query and subscribe to. The egress rules permit all keys

@@ -70,7 +70,7 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     # dev: robots on this machine. field: robots on one interface, without routers. routed: all
     # traffic by Zenoh routers at the endpoints `routers`.
     profile: Profile = "dev"
-    # Required in profile field, which uses only this interface; dev uses `lo`.
+    # Required in profile `field`, which uses only this interface; `dev` uses `lo`.
     interface: str | None = None
     # Endpoints such as `tcp/10.0.0.5:7440`. Empty means an ephemeral port on loopback (dev) or port
     # 7440 on the interface (field).

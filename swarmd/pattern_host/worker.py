@@ -51,7 +51,10 @@ def main() -> None:
 
 
 def run(fd: int, parent: int, folders: bytes) -> None:
-    """Serve the daemon `parent` until the socket `fd` closes; `folders` as in `main`."""
+    """Serve the daemon `parent` (a process id) until the socket `fd` closes.
+
+    `folders`: the readable and the secret folders of `confine`, as JSON.
+    """
     readable, secret = msgspec.json.decode(folders, type=tuple[list[str], list[str]])
     die_with_parent(parent)
     _lower_priority()

@@ -359,7 +359,8 @@ class _Brake:
     def _cruise_on(self, begin: cython.double, end: cython.double, moved: cython.double):
         """Store a period in which the base moves and follows its command.
 
-        Any other period drops the stored periods. The arguments are those of `on_step`.
+        Any other period drops the stored periods. `begin`, `end`: s, the stamps of two readings of
+        odometry. `moved`: m or rad that the base moved between the two readings.
         """
         commanded: cython.double = self._command * (end - begin)
         if commanded == 0.0 or fabs(moved - commanded) > _FOLLOWED * fabs(commanded):
@@ -607,8 +608,10 @@ def _model_speeds_at(
     """Set `model_speeds` (m,): the speed of the model at the stamp of each command.
 
     The model brakes evenly while its speed is above the commanded speed. Command 0 is standstill,
-    so the model stands until the stamp of command 1: the first two speeds stay 0. The other
-    arguments are those of `_weighted_residuals`.
+    so the model stands until the stamp of command 1: the first two speeds stay 0.
+
+    `stamps` (m,) s: since when each command holds. `speeds` (m,) m/s or rad/s: of each command.
+    `braking`: m/s2 or rad/s2, in the scale of `speeds`.
     """
     k: cython.Py_ssize_t
     for k in range(2, len(stamps)):
@@ -627,14 +630,21 @@ def _residual(
     delay: cython.double,
     total: cython.double,
 ) -> cython.double:
-    """The weighted sum of squared residuals of the model with a braking and a delay in s.
+    """The weighted sum of squared residuals of the model with a braking and a delay.
 
     The speeds of the model are scaled by a factor, since odometry and base may be off by a few
     percent. The factor that fits best leaves the sum
 
         total - (weighted products of model and distance)^2 / (weighted squares of the model).
 
-    The other arguments are those of `_weighted_residuals` and `_model_speeds_at`.
+    Args:
+        periods: (n, 4), of each period: begin, duration, weight times distance, weight.
+        stamps: (m,) s, since when each command holds. Command 0 is standstill, since -inf.
+        speeds: (m,) m/s or rad/s, the speed of each command.
+        model_speeds: (m,) m/s or rad/s, the speed of the model at the stamp of each command.
+        braking: m/s2 or rad/s2, in the scale of `speeds`.
+        delay: s by which the model follows each command.
+        total: the weighted sum of the squared distances.
     """
     i: cython.Py_ssize_t
     part: cython.Py_ssize_t
@@ -650,8 +660,8 @@ def _residual(
         weight: cython.double = periods[i, 3]
         speed_sum: cython.double = 0.0
         for part in range(2):  # the speeds at a quarter and three quarters of the period
-            # The command that holds at `stamp`. The search goes back, too, so the periods may be
-            # in any order.
+            # The command that holds at `stamp`. The search goes forwards and back, so the periods
+            # may be in any order. It ends at command 0 at the latest, which holds since -inf.
             stamp: cython.double = period_begin + parts[part] * duration - delay
             while command + 1 < count and stamps[command + 1] <= stamp:
                 command += 1

@@ -231,16 +231,17 @@ def _crosses_rim(
 ) -> cython.bint:
     """True if an obstacle beside an empty sector crosses the rim into the sector.
 
-    The rim is the circle of `radius` m around the sensor, which sees nothing nearer. At the ends of
-    a narrow sector (`is_flat`) the range along a face hardly changes from ray to ray, so the range
-    at the ray beside the sector must be near the rim. In a wide sector the ranges must fall towards
-    the sector, so that the extrapolated face lies within the rim one ray further.
+    The rim is the circle of `radius` m around the sensor, which sees nothing nearer. A face through
+    a narrow sector (`is_flat`) is nearly at right angles to the rays beside the sector. There the
+    range hardly changes from ray to ray, so the range at the ray beside the sector must be near the
+    rim. In a wide sector the ranges must fall towards the sector, so that the extrapolated face
+    lies within the rim one ray further.
 
     `ray`: the index of the ray beside the sector. `direction`: 1 or -1, the step of the index away
     from the sector.
     """
     if is_flat:
-        return ranges[ray] <= radius + _MAX_SLOPE
+        return ranges[ray] <= radius + _MAX_SLOPE  # the change of range over one ray, at most
     edge_range: cython.double = _finite_range(ranges, ray)
     far_range: cython.double = edge_range
     face_rays: cython.Py_ssize_t = 0
@@ -249,7 +250,7 @@ def _crosses_rim(
     while face_rays < _EDGE_RAYS:
         i = (i + direction + ray_count) % ray_count
         next_range: cython.double = _finite_range(ranges, i)
-        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or no range
+        if not fabs(next_range - far_range) < 2.0 * _MAX_SLOPE:  # a step, or no finite range
             break
         far_range = next_range
         face_rays += 1
@@ -701,9 +702,10 @@ class BlindZoneMemory:
         near that place, or if an obstacle enters the empty sector there. Also updates `_vanished_m`
         and `_emerged_m`.
 
-        `cos_turn`, `sin_turn`: of the turn of the base since the scan before. `is_entered`: whether
-        an obstacle enters any empty sector across the rim. The other arguments are those of
-        `_update_hidden`.
+        `moved_x`, `moved_y`: m, the motion of the base since the scan before. `cos_turn`,
+        `sin_turn`: of its turn since then. `sensor_x`, `sensor_y`: m, the place of the sensor in
+        the base frame. `obstacle_step`: m that an obstacle moves between two scans. `is_entered`:
+        an obstacle enters an empty sector across the rim.
         """
         stride: cython.Py_ssize_t = 1 + self._point_count // _MAX_POINTS
         match_distance: cython.double = obstacle_step + _SHAPE_CHANGE

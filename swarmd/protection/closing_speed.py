@@ -124,7 +124,8 @@ def closing_deceleration(
     """The rate in m/s2 at which the closing speed of a place of the outline can fall.
 
     `linear` (from -1 to 1) and `lever` in m: the closing speed per m/s of linear and per rad/s of
-    angular speed. `slowing` in m/s2 and `turning` in rad/s2: the rates at which these can fall.
+    angular speed. `slowing` in m/s2: the rate at which the linear speed can fall. `turning` in
+    rad/s2: the rate at which the angular speed can fall.
     """
     braking: cython.double = fabs(linear) * slowing
     braking += fabs(lever) * turning

@@ -74,7 +74,9 @@ class Situation:
         """1 if the arguments equal the stored inputs; else store the arguments, and return 0.
 
         With 0 the constraints of the last decision do not hold any more, and `is_known` becomes
-        False. The arguments are described at the attributes of these names.
+        False. `now`: s. `scan_age`, `odometry_age`: s, NaN without a scan or odometry. `version`:
+        the number of the reading of odometry. `along_x`, `along_y`: the direction of the linear
+        speed.
         """
         if (
             self.is_known
@@ -262,20 +264,24 @@ class FeasibleSet:
     def _add_discs(
         self, odometry_age: cython.double, not_extrapolated: cython.double
     ) -> cython.int:
-        """Add the constraints of the discs in which an obstacle is.
+        """Add the constraints of discs: of places that peers shared, and of near single ranges.
 
-        A disc has its centre in the base frame at the time of its measurement. Odometry since then
-        moves the centre into the predicted base frame. `not_extrapolated` in s: the part of the age
-        of odometry that is not extrapolated.
+        Somewhere in each disc is an obstacle (`ToldObstacle`). A disc has its centre in the base
+        frame at the time of its measurement. Odometry since then moves the centre into the
+        predicted base frame.
+
+        `odometry_age`: s, of the newest reading. `not_extrapolated`: s of this age beyond the
+        longest extrapolation. The prediction lacks the motion of the outline in that time.
         """
         k: cython.Py_ssize_t
         discs: ObstacleDiscs = self.discs
         table: cython.double[:, ::1] = discs.table
         pose: PlanarPose = self._disc_pose
+        # In `placed` the discs come behind the `seen` returns.
         first_disc: cython.Py_ssize_t = self.constraints.placed.seen
-        moved: cython.double = not_extrapolated * self.assumptions.surface_speed
-        for k in range(discs.count):
-            disc: cython.Py_ssize_t = discs.binding[k]
+        moved: cython.double = not_extrapolated * self.assumptions.surface_speed  # m, at most
+        for k in range(discs.count):  # the discs near enough to constrain the robot
+            disc: cython.Py_ssize_t = discs.binding[k]  # the row in `table`
             disc_x: cython.double = table[disc, DISC_X]
             disc_y: cython.double = table[disc, DISC_Y]
             age: cython.double = table[disc, DISC_AGE]

@@ -311,10 +311,11 @@ class FreshRays:
     @cython.cfunc
     @cython.exceptval(-1)
     def _place(self, bearing: cython.double, share: cython.double) -> cython.int:
-        """Set `_ray` to a ray of the segment: its place and its direction.
+        """Set `_ray` to a ray of the segment: where the lidar was, and the direction of the ray.
 
-        `bearing` in rad: in the base frame when the ray was measured. `share`: the part of the
-        time of the segment that had passed then, 0 at the first ray and 1 at the last ray.
+        The lidar measured the ray while the base moved from `_begin` to `_end`. `bearing` in rad:
+        in the base frame when the ray was measured. `share`: the part of the time of the segment
+        that had passed then, 0 at the first ray and 1 at the last ray.
         """
         begin: PlanarPose = self._begin
         end: PlanarPose = self._end
@@ -342,8 +343,9 @@ class FreshRays:
         """Fill `_returns` with the returns of a segment, and add its blind rays to `_blind`.
 
         A blind ray gives no information: the ray is lost, or hits a wall that stands (rule 4). A
-        return has its gap at the pose of its ray, and its age against the newest ray. `span`: s
-        from the first to the last ray. The other arguments are those of `take`.
+        return has its gap at the pose of its ray, and its age against the newest ray. `ranges`,
+        `bearings`, `ages`: (n,) m, rad, and s against the newest ray. `span`: s from the first to
+        the last ray.
         """
         i: cython.Py_ssize_t
         count: cython.Py_ssize_t = len(ranges)

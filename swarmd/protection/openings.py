@@ -557,7 +557,9 @@ class Openings:
     def _openings_in(self, scan, offset, pose, now: cython.double, tracks: tuple) -> list:
         """The openings in a scan, measured; several sightings of an opening count as the first.
 
-        Arguments as in `observe`.
+        `offset`: m, the place of the sensor in the base frame. `pose`: of the base at the scan, in
+        the frame of the odometry. `now`: s. `tracks`: (x, y, radius) in m of moving objects, in the
+        same frame.
         """
         opening: Opening
         known: Opening
@@ -625,9 +627,10 @@ def _opening(returns: _ScanReturns, post: cython.Py_ssize_t, partner: cython.Py_
 def gap_middle(
     points: Array, place: tuple, span: tuple, width: tuple, middle: tuple
 ) -> float | None:
-    """The middle of a gap between two neighbouring returns, in m to the left of an axis.
+    """The middle of a gap between two returns, in m to the left of the axis of an opening.
 
-    None without such a gap. Of several gaps, the gap nearest to the expected middle.
+    The two returns are neighbours across the axis: no return that counts is between them. None
+    without a gap of the wanted width. Of several gaps, the gap nearest to the expected middle.
 
     Args:
         points: (n, 2) returns in m in the base frame.
@@ -649,10 +652,11 @@ def gap_middle(
     wanted_width: cython.double = width[0]
     width_error: cython.double = width[1]
     expected: cython.double = middle[0]
-    greatest: cython.double = middle[1]
+    farthest: cython.double = middle[1]
     sides: cython.double[::1] = _doubles(len(table))
 
-    # 1. The returns that count, sorted by insertion: they are in the order of the scan.
+    # 1. The returns that count, in m to the left of the axis, in rising order. Sorting by insertion
+    # is fast, since the order of the scan is nearly this order.
     for i in range(len(table)):
         x: cython.double = table[i, 0]
         y: cython.double = table[i, 1]
@@ -669,11 +673,11 @@ def gap_middle(
     # 2. The gap.
     is_measured: cython.bint = False
     best: cython.double = 0.0
-    least: cython.double = 0.0
+    least_error: cython.double = 0.0  # m from `best` to the expected middle
     for i in range(1, count):
         if not fabs(sides[i] - sides[i - 1] - wanted_width) < width_error:
             continue
         gap: cython.double = 0.5 * (sides[i] + sides[i - 1])
-        if fabs(gap) < greatest and (not is_measured or fabs(gap - expected) < least):
-            is_measured, best, least = True, gap, fabs(gap - expected)
+        if fabs(gap) < farthest and (not is_measured or fabs(gap - expected) < least_error):
+            is_measured, best, least_error = True, gap, fabs(gap - expected)
     return best if is_measured else None

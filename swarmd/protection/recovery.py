@@ -207,11 +207,12 @@ class Recovery:
             self._plan(0.0, context, points)
 
     def _is_blocked(self, safe: Twist, now: float, patience: float) -> bool:
-        """True once the safe command has been far below the last request for some time.
+        """Update `_blocked_since`; True once the robot has been blocked for some time.
 
-        The time is _TURN_BLOCKED_TIME for a request that only turns. For any other request the time
-        is `patience` s before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage
-        the longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
+        A robot is blocked while the safe command is far below the last request. The time is
+        _TURN_BLOCKED_TIME for a request that only turns. For any other request the time is
+        `patience` s before a recovery, _MOVE_BLOCKED_TIME during a recovery, and in a passage the
+        longer of `patience` and _STOPPED_TIME. A robot that is in a passage or creeps counts as
         blocked only while it hardly moves.
         """
         request = self._request
@@ -240,7 +241,7 @@ class Recovery:
         return 0.0 < allowed < _BLOCKED_SHARE * abs(asked)
 
     def _is_stalled(self, context: DecisionContext, points: Points) -> bool:
-        """True if the robot makes no progress near obstacles, although it may move.
+        """Update `_last_motion`; True: no progress near obstacles, although the robot may move.
 
         By odometry the robot has stayed near one place and heading for more than `_STALL_TIME` s:
         it rocks to and fro, or avoidance reduces its request to nearly zero. False without a return
@@ -270,7 +271,7 @@ class Recovery:
         return a.linear * b.linear + a.lateral * b.lateral + weight * a.angular * b.angular
 
     def _should_wait(self, context: DecisionContext, points: Array) -> bool:
-        """True if a robot that has just been blocked should wait for another robot to back off.
+        """Choose how a robot that has just been blocked gives way; True: it waits.
 
         If two robots meet between walls, a robot that has come forward since its last block waits
         once. Otherwise the robot backs off, each time for longer: sets `_back_time`,

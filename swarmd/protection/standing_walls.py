@@ -238,8 +238,8 @@ class StandingWalls:
     ) -> cython.int:
         """Continue the first wall on whose line a run lies.
 
-        A wall that the scan before showed elsewhere is left out. `run` and `is_on_wall` are those
-        of `_continue`.
+        A wall that the scan before showed elsewhere is left out. `run`: the index of the run in
+        `_runs.fields`. `is_on_wall`: the returns of the run may stand (see `_continue`).
         """
         i: cython.Py_ssize_t
         for i in range(self._wall_count):
@@ -276,8 +276,8 @@ class StandingWalls:
     def _centre_bins(self, i: cython.Py_ssize_t) -> cython.int:
         """Move the bins of wall `i` along its line if the covered bins are far off the middle.
 
-        Far off is more than an eighth of all bins. Otherwise the end of a wall beside which the
-        robot drives would soon lie beyond the last bin.
+        Far off is more than an eighth of all bins. If the bins were not moved, the end of a wall
+        along which the robot drives would soon lie beyond the last bin.
         """
         k: cython.Py_ssize_t
         walls: cython.double[::1] = self._walls

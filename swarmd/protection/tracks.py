@@ -730,7 +730,8 @@ class Tracker:
     ) -> _Cluster:
         """A cluster at the mean place, range and time of the returns of a surface.
 
-        The arguments are those of `_add_surface`.
+        `index`, `end`: the first and the last run of the surface, which has every second run from
+        `index` to `end`. `scan_time`: s, the time of the newest ray of the scan.
         """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t

@@ -69,8 +69,8 @@ def line_of(
     at the point nearest to the present velocity.
 
     Args:
-        px, py: the place in m, relative to the robot.
-        vx, vy: the velocity of the robot relative to the place in m/s.
+        px, py: the place of an object in m, relative to the robot.
+        vx, vy: the velocity of the robot less that of the object, in m/s.
         robot_vx, robot_vy: the velocity of the robot in m/s.
         radius: m, the distance to keep.
         share: the part of the necessary change of velocity that this robot makes, 0 to 1.
@@ -99,10 +99,11 @@ def line_of(
         dx, dy = ny, -nx
         change_x, change_y = off * nx, off * ny
     else:
-        # 2. Projects the velocity on the nearer leg of the cone. A leg is a tangent from the robot
-        # to the circle of `radius` around the place, `leg` m long. Left of the line lies what is
-        # permitted, so the left leg leads away from the robot, and the right leg leads back.
-        leg: cython.double = sqrt(max(square - radius * radius, 0.0))
+        # 2. Projects the velocity on the nearer leg of the cone. A leg has the direction of a
+        # tangent from the robot to the circle of `radius` around the place. Left of the line lies
+        # what is permitted, so the line along the left leg leads away from the origin of the
+        # velocities, and the line along the right leg leads towards the origin.
+        leg: cython.double = sqrt(max(square - radius * radius, 0.0))  # m, of the tangent
         is_left: cython.bint = px * from_cap_y - py * from_cap_x > 0.0
         if is_left:
             dx, dy = (px * leg - py * radius) / square, (px * radius + py * leg) / square
@@ -295,8 +296,9 @@ class _Programme:
     ) -> cython.bint:
         """Set the best velocity on a line that satisfies all lines before; False if none does.
 
-        The line has the index `line_count`; `lines` before it are satisfied so far. `x`, `y` and
-        `is_direction` are as in `solve`. Positions on the line are in m/s from its point.
+        The line has the index `line_count`, and `lines` before are satisfied so far. The best
+        velocity is the nearest to `x`, `y`. If `is_direction`, it is the farthest in the direction
+        of the unit vector `x`, `y`. Positions on the line are in m/s from its point.
         """
         i: cython.Py_ssize_t
         line: Line = lines[line_count]
@@ -376,10 +378,11 @@ class _Programme:
                     if have_same_side:
                         continue
                     x, y = 0.5 * (line.x + other.x), 0.5 * (line.y + other.y)
-                else:  # the border leads through the place where the lines cross
+                else:  # the border leads through the crossing, at `position` m/s along `line`
                     position: cython.double = other.dx * (line.y - other.y)
                     position = (position - other.dy * (line.x - other.x)) / cross
                     x, y = line.x + position * line.dx, line.y + position * line.dy
+                # To the left of this direction `other` is violated less than `line`.
                 dx: cython.double = other.dx - line.dx
                 dy: cython.double = other.dy - line.dy
                 length: cython.double = max(hypot(dx, dy), _EPSILON)

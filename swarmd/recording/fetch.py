@@ -101,8 +101,9 @@ def fetch(
             present.rename(_unused(present))  # of another recording with the same name
     if path.exists():
         present_size = path.stat().st_size
-        # A copy with a checksum got its name `path` only after its checksum had been compared. A
-        # recording without a checksum, left by a killed daemon, may have grown since its copy.
+        # A copy with a checksum got its name `path` only after its checksum had been compared. When
+        # a daemon is killed its recorder, a process of its own, writes on for a moment. The next
+        # daemon lists this file as not open and without a checksum: it may grow after its copy.
         has_grown = file.crc is None and present_size < file.size
         if not has_grown:
             return Copy(path, received=0, size=present_size, is_whole=True)

@@ -5,6 +5,8 @@
 2. A pose is used once CONFIRMATIONS poses in a row agree, over at least CONFIRM_TIME.
 3. A pose that does not agree with the pose in use is a jump: the robot has no usable pose until new
    poses agree by rule 2, or a pose agrees with the pose in use again.
+4. With `without_pose: hold` of the fence, the robot is held while it has no usable pose, and once
+   the pose in use is older than the timeout (`until`).
 
 Pure. Units: m, rad, s on the robot's clock.
 """

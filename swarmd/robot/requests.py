@@ -4,6 +4,10 @@ No late request starts motion: run, reset, reload and param quote the epoch (cou
 changes) that the operator saw, and the robot refuses any other epoch. The robot obeys stop and
 estop in every state and at every epoch.
 
+A reload replaces the code of a pattern. A trial runs the new code first, in a process of its own,
+for this robot and with the parameters in force. Nothing else changes until the trial has passed. A
+stop or a failed trial leaves the running pattern and its code as they are.
+
 A stop may arrive late. A run and a load (of the pattern for the next run) each have a `Wish`: the
 time at which that run was requested. The robot compares the time at which the stop was issued with
 these wishes:
@@ -11,19 +15,15 @@ these wishes:
 =====================================  ==========================================================
 stop issued after all wishes           run and load end
 stop issued before all wishes          refused (`overtaken`): run and load continue
-stop issued after the wish of the run  the run ends, the load continues; the reply is a refusal
-and before the wish of the load        (`overtaken`), since the robot will run again
-no run and no load, new stop           a trial of new code ends; an idle robot becomes stopped
-no run and no load, stop issued        applied without a change: a trial or reset may have been
-before an obeyed stop or a reset       requested after this stop
+stop issued after the wish of the run  the run ends and the load continues; the reply is a
+and before the wish of the load        refusal (`overtaken`), since the load starts a new run
+no run and no load, new stop           a trial ends; an idle robot becomes stopped
+no run and no load, stop issued        nothing changes, and the reply is as for a new stop: a
+before an obeyed stop or a reset       trial or reset may have been requested after this stop
 =====================================  ==========================================================
 
 The age of a stop does not include its time on the network. A stop may therefore seem to be issued
 later than it was, never earlier: in doubt the robot stops.
-
-Reload replaces the code of a pattern. A trial runs the new code first, in a process of its own, for
-this robot and with the parameters in force. Nothing else changes until the trial has passed. A stop
-or a failed trial leaves the running pattern and its code as they are.
 """
 
 from __future__ import annotations

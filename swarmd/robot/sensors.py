@@ -284,7 +284,10 @@ class Sensors(InputAges):
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take in the connection state of the driver; the arguments are those of `Sink.state`.
+        """Take in the connection state of the driver: `is_up`, or in `text` why the base is lost.
+
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: the zero
+        command of a stopped robot reaches the base even while the base counts as lost.
 
         Without a connection all readings become stale, and detections and other optional inputs
         None.

@@ -57,8 +57,9 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
     """Decode the content of a bundle's file, and check that its parts belong together.
 
     A bundle is a line with the format, the SHA-256 of the rest, and an identity with its roster.
-    The authority that the bundle names must have signed the roster; the roster must have the name
-    in the same role. CodecError in one line if a check fails, or if `data` is no such bundle.
+    The authority that the bundle names must have signed the roster. The roster must list the holder
+    of the identity, in the identity's role. CodecError in one line if a check fails, or if `data`
+    is no such bundle.
     """
     # 1. Format and digest.
     if len(data) > MAX_BUNDLE:

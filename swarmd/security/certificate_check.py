@@ -31,7 +31,7 @@ def check_certificate(certificate: Path, key: Path, authority: Path) -> Certific
     `certificate`, `key`, `authority`: PEM files. The check is a TLS handshake in memory, as between
     the ends of a link: the server has certificate and key, the client trusts the authority.
     ConfigError in one line if they do not match. The wall clock must lie within the life of the
-    authority: not before 1970, not after its end.
+    authority: from 1970, the begin of every authority's life, to its end.
     """
     import ssl
 

@@ -180,7 +180,7 @@ class BlindSectors:
 
     @cython.cfunc
     def _is_due(self, yaw: cython.double, now: cython.double) -> cython.bint:
-        """True once the robot has turned by a sector since the last look."""
+        """Begin a comparison if the robot has turned by a sector since the last; True if begun."""
         turned: cython.double = fabs(remainder(yaw - self._compared_yaw, TURN))
         if now - self._compared_at < _COMPARE_PERIOD or turned < TURN / _SECTORS:
             return False

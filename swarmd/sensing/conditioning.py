@@ -63,8 +63,8 @@ class ScanConditioner:
     _range_max: object
     _latency: object
     _is_noisy: cython.bint
-    _bearings: object  # the last valid ones
-    _ages: object
+    _bearings: object  # (n,) rad, of the last scan whose bearings were valid
+    _ages: object  # (n,) s, of the last scan whose ages were valid; None: the scan had no ages
     _blind: BlindSectors
     _rays: RayMemory
     # Ranges, number and stamp of the last scan; the greatest number and stamp so far.
@@ -107,6 +107,7 @@ class ScanConditioner:
         `now`: s on this machine's clock, the arrival of the scan.
         """
         stamp: cython.double = scan.stamp
+        # `_has_form` also stores the scan's bearings and ages, as `_bearings` and `_ages`.
         if not isfinite(stamp) or not self._has_form(scan):
             return Reason.INVALID_SCAN
         reason = self._not_newer(scan.seq, stamp, scan.ranges)
@@ -114,9 +115,10 @@ class ScanConditioner:
             return reason
 
         # A frozen sensor sends the same ranges again and again. With noise (`_is_noisy`) an exact
-        # repeat is implausible for a sensor that measures.
-        ranges = np.array(scan.ranges, np.float64)
-        values: cython.double[::1] = view_of(ranges)
+        # repeat is implausible for a sensor that measures. `_is_repeat` also counts the repeats in
+        # `_repeat_count`.
+        ranges = np.array(scan.ranges, np.float64)  # a copy, which the steps below change
+        values: cython.double[::1] = view_of(ranges)  # the same numbers as a buffer
         measured_at: cython.double = now
         if self._is_noisy and self._is_repeat(ranges, values, odometry):
             if self._repeat_count >= MAX_REPEATS:
@@ -126,6 +128,8 @@ class ScanConditioner:
         yaw: cython.double = NAN
         if odometry is not None:
             yaw = odometry.pose.yaw
+        # Both steps write into `values`, and so into `ranges`: `mark` makes rays of blind sectors
+        # unknown (NaN), and `interpret` replaces the raw ranges by conditioned ranges.
         self._blind.mark(values, self._bearings, odometry, measured_at)
         if not self._rays.interpret(values, self._bearings, yaw, measured_at):
             return Reason.INVALID_SCAN
@@ -135,7 +139,7 @@ class ScanConditioner:
 
     @cython.cfunc
     def _has_form(self, scan) -> cython.bint:
-        """True if lengths, bearings and ages of a scan are valid; stores bearings and ages."""
+        """Store the bearings and ages of a scan; False if lengths, bearings or ages are wrong."""
         ranges, bearings = scan.ranges, scan.bearings
         if ranges.ndim != 1 or len(ranges) == 0:
             return False
@@ -179,11 +183,11 @@ class ScanConditioner:
 
     @cython.cfunc
     def _not_newer(self, seq, stamp: cython.double, ranges):
-        """None for a scan that is newer than all scans before; else the reason to reject it.
+        """Store number, stamp and ranges of a scan; the reason to reject it, or None.
 
-        The reasons are FROZEN_SCAN, FROZEN_STAMP and CLOCK_SET (see the class). A sensor that was
-        restarted has lower numbers and stamps: it is accepted once _RESTART_SCANS scans in a row
-        have rising numbers and stamps again.
+        None: the scan is newer than all scans before. The reasons are FROZEN_SCAN, FROZEN_STAMP and
+        CLOCK_SET (see the class). A sensor that was restarted has lower numbers and stamps: it is
+        accepted once _RESTART_SCANS scans in a row have rising numbers and stamps again.
         """
         # Newer than the last scan; a number above all numbers so far.
         is_next: cython.bint = stamp > self._last_stamp and seq > self._last_seq
@@ -205,11 +209,11 @@ class ScanConditioner:
 
     @cython.cfunc
     def _is_repeat(self, ranges, values: cython.double[::1], odometry) -> cython.bint:
-        """True if a noisy sensor sends the ranges of one of its last scans again; counts repeats.
+        """Count a repeat of a noisy sensor in `_repeat_count`; False if the scan is no repeat.
 
-        A repeat with hardly any return does not count, and gives False: it may come by chance if
-        the robot stands. `ranges` and `values` (n,) m are the same array, as numpy array and as
-        buffer.
+        A repeat has the ranges of one of the last COMPARED_SCANS different scans. A repeat with
+        hardly any return is not counted, and gives False: it may come by chance if the robot
+        stands. `ranges` and `values` (n,) m are the same array, as numpy array and as buffer.
         """
         # 1. New ranges.
         raw = ranges.tobytes()

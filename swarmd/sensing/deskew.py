@@ -223,11 +223,12 @@ class Deskewer:
         if lacks_rays and not self._can_fill(stamp, seconds):
             return None
 
-        # 2. Fills the sector with the first rays of the result.
+        # 2. Fills the sector with rays of the scan before, the first rays of the result.
+        # `_fill_sector` writes the ages of these rays, and behind them those of this scan.
         count: cython.Py_ssize_t = self._ages.shape[0]
         filled_count: cython.Py_ssize_t = 0
         capacity: cython.Py_ssize_t = count + (len(self._last_scan.ranges) if lacks_rays else 0)
-        ages = self._ray_ages  # of this scan; replaced if rays of the scan before come first
+        ages = self._ray_ages  # of this scan; with rays of the scan before: a new array, see below
         ranges, bearings = np.empty(capacity), np.empty(capacity)
         distances: cython.double[::1] = view_of(ranges)
         angles: cython.double[::1] = view_of(bearings)
@@ -316,7 +317,7 @@ _kept_rays: list = []
 
 @cython.cfunc
 def _timed_rays(bearings, ages, sweep):
-    """The `TimedRays` of bearings and ages; kept for the same objects."""
+    """The `TimedRays` of bearings and ages; kept, and returned again for the same objects."""
     for rays in _kept_rays:
         if rays.bearings is bearings and rays.given is ages and rays.sweep == sweep:
             return rays

@@ -245,10 +245,11 @@ class RayMemory:
 
     @cython.cfunc
     def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
-        """True if the scan has no return, although the last scan with returns had many far returns.
+        """Store the number of far returns; True: no return at all, after a scan with many of them.
 
-        Then the sensor is blind: a robot cannot reach an open field between two scans. An obstacle
-        in the blind zone may hide all returns, but only after near returns.
+        A scan without a return leaves the stored number. After many far returns the sensor is
+        blind: a robot cannot reach an open field between two scans. An obstacle in the blind zone
+        may hide all returns, but only after near returns.
         """
         i: cython.Py_ssize_t
         far_count: cython.Py_ssize_t = 0

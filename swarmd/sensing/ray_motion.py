@@ -78,7 +78,8 @@ def move_rays(
         cosines, sines: (n,) of the bearings.
         ages: (n,) s before the end of the path at which each ray was measured.
         path: (`row_count`, 4), 2 rows or more: s before the end, x and y in m and yaw in rad
-            relative to the pose at the end. Between two rows the pose changes linearly.
+            relative to the pose at the end. Row 0 is the end; each further row is older than the
+            row before. Between two rows the pose changes linearly.
         limits: x and y of the sensor in the base frame, range_min and range_max; m.
         distances, angles: (n,) m and rad, the arrays to fill.
     """
@@ -88,15 +89,16 @@ def move_rays(
     range_max: cython.double = limits[3]
     count: cython.Py_ssize_t = ranges.shape[0]
     last_row: cython.Py_ssize_t = row_count - 1
-    row: cython.Py_ssize_t = 1  # ends the segment of the path in which the ray was measured
+    row: cython.Py_ssize_t = 1
     i: cython.Py_ssize_t
-    # The segment from row `row - 1` to `row`: its ages (s before the end of the path), and the
-    # begin and the change of x, y and turn.
-    begin_age: cython.double = INFINITY
-    end_age: cython.double = -INFINITY
-    x_begin: cython.double = 0.0
-    y_begin: cython.double = 0.0
-    turn_begin: cython.double = 0.0
+    # The segment of the path in which the ray was measured, from row `row - 1`, the newer end, to
+    # row `row`, the older end: the ages of both ends (s before the end of the path), x, y and turn
+    # at the newer end, and their change to the older end.
+    newer_age: cython.double = INFINITY
+    older_age: cython.double = -INFINITY
+    newer_x: cython.double = 0.0
+    newer_y: cython.double = 0.0
+    newer_turn: cython.double = 0.0
     x_change: cython.double = 0.0
     y_change: cython.double = 0.0
     turn_change: cython.double = 0.0
@@ -115,19 +117,19 @@ def move_rays(
         # 1. The turn of the pose at the age of the ray.
         if age != ages[i]:
             age, has_pose = ages[i], False
-            if not begin_age <= age <= end_age:  # else the segment of the ray before holds
+            if not newer_age <= age <= older_age:  # else the segment of the ray before holds
                 # The search begins at the last segment, since ages change little from ray to ray.
                 while row < last_row and age > path[row, 0]:
                     row += 1
                 while row > 1 and age < path[row - 1, 0]:
                     row -= 1
-                begin_age, end_age = path[row - 1, 0], path[row, 0]
-                x_begin, y_begin = path[row - 1, 1], path[row - 1, 2]
-                turn_begin = path[row - 1, 3]
-                x_change, y_change = path[row, 1] - x_begin, path[row, 2] - y_begin
-                turn_change = path[row, 3] - turn_begin
-            fraction = min(max((age - begin_age) / (end_age - begin_age), 0.0), 1.0)
-            turn = turn_begin + fraction * turn_change
+                newer_age, older_age = path[row - 1, 0], path[row, 0]
+                newer_x, newer_y = path[row - 1, 1], path[row - 1, 2]
+                newer_turn = path[row - 1, 3]
+                x_change, y_change = path[row, 1] - newer_x, path[row, 2] - newer_y
+                turn_change = path[row, 3] - newer_turn
+            fraction = min(max((age - newer_age) / (older_age - newer_age), 0.0), 1.0)
+            turn = newer_turn + fraction * turn_change
         # 2. A ray without a finite range only turns.
         if not isfinite(distance):
             distances[i], angles[i] = distance, wrap(bearings[i] + turn)
@@ -137,7 +139,7 @@ def move_rays(
         if not has_pose:
             has_pose = True
             cos_turn, sin_turn = cos(turn), sin(turn)
-            x, y = x_begin + fraction * x_change, y_begin + fraction * y_change
+            x, y = newer_x + fraction * x_change, newer_y + fraction * y_change
             x += (cos_turn - 1.0) * offset_x - sin_turn * offset_y
             y += sin_turn * offset_x + (cos_turn - 1.0) * offset_y
         # 4. The return relative to the sensor at the end: along and across the direction of its

@@ -168,7 +168,7 @@ class SegmentCheck:
         return ""
 
     def _is_frozen(self, ranges: Array) -> bool:
-        """True if a noisy sensor gives the ranges of one of its last segments again."""
+        """Store a segment's ranges; True if a noisy sensor gave them in a recent segment, too."""
         raw = ranges.tobytes()
         is_repeat = raw in self._recent
         self._recent.append(raw)

@@ -200,7 +200,7 @@ def _entity(
     red, green, blue = colour_of(state, is_held=is_held)
     colour = messages.Color(r=red, g=green, b=blue, a=1.0)
     outline = [messages.Point3(x=float(x), y=float(y), z=0.0) for x, y in robot.footprint]
-    arrow_length = float(np.abs(robot.footprint[:, 0]).max())  # m, to the front of the robot
+    arrow_length = float(np.abs(robot.footprint[:, 0]).max())  # m, to the farther end
     third_line = row.get("why") or row.get("pattern") or ""
     label = "\n".join(filter(None, (robot.name, state, third_line)))
     return messages.SceneEntity(

@@ -81,7 +81,7 @@ class Track:
     def __init__(self, about: Mapping[str, str], platform: Platform) -> None:
         self.about, self.platform = about, platform
         self.topics = {topic: Topic(topic) for topic in _TOPICS}
-        self.dropped = 0
+        self.dropped = 0  # how often the recorder noted that it had dropped entries
         self.end = 0.0
         self._heard: list[float] = []
 

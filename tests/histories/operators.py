@@ -341,7 +341,7 @@ class VirtualOperator(Node):
             return
         self._echo += 1
         discovery.on_solicit(self._echo, now)
-        wants_members = discovery.wants_members(now)
+        wants_members = discovery.begin_list_request(now)
         for address in (None, *discovery.to_solicit()):
             self._send(Solicit(echo=self._echo, wants_members=wants_members), address)
 

@@ -249,7 +249,7 @@ def session_options(
 def operator_options(
     settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
 ) -> dict[str, object]:
-    """Zenoh's configuration of an operator; dials `endpoints`, or the routers in profile routed.
+    """Zenoh's configuration of an operator; dials `endpoints`, or the routers in profile `routed`.
 
     Raises ConfigError for wrong settings.
     """

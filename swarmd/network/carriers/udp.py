@@ -6,9 +6,9 @@ A datagram to all goes
   the link (GROUP6). While a robot without an IPv4 address is heard, robots with IPv4 also send
   copies by IPv6. The copies go to the group COPIES6: a datagram to GROUP6 shows that its sender has
   no IPv4 address.
-- in profile field by broadcast, too: each `Stop`, `Ack` and `Latches`, every fifth beacon, and
-  every datagram while no robot has been heard by multicast for a lease (access points may drop
-  multicast).
+- in profile `field` also by broadcast, since access points may drop multicast: each `Stop`, `Ack`
+  and `Latches`, every fifth beacon, and every datagram while no robot has been heard by multicast
+  for the time `lease` of the settings (a robot that is silent for so long counts as failed).
 - by unicast to seeds and to peers that are not heard by multicast (`Recipients`).
 
 A datagram waits in its socket while the process is frozen or busy. The kernel's time of arrival
@@ -16,8 +16,8 @@ A datagram waits in its socket while the process is frozen or busy. The kernel's
 the wait counts as at most the time since the sockets were last empty.
 
 If two copies of a datagram arrive by two ways, the later copy is dropped. Sockets are bound to the
-interface and not to an address, so that a change of addresses leaves them working. Profile dev uses
-loopback, without broadcast and IPv6.
+interface and not to an address, so that a change of addresses leaves them working. Profile `dev`
+uses loopback, without broadcast and IPv6.
 
 swarmctl imports this module and must start fast, so asyncio is not imported.
 """
@@ -367,7 +367,7 @@ class UdpCarrier:
     def _admit(
         self, payload: bytes, name: tuple[str, int], way: _Way, now: float
     ) -> Address | None:
-        """The source of a datagram; None if the datagram is dropped.
+        """Admit or drop a datagram; returns its source, None if it is dropped.
 
         `name`: the source as the socket gives it. Dropped are the robot's own datagrams, datagrams
         that are too short for a kind, datagrams beyond the flood limits, and the second copy of a
@@ -389,7 +389,8 @@ class UdpCarrier:
         if is_beacon:  # the way of both copies is noted, since each copy shows that its way works
             shown_way = _Way.MULTICAST if way is _Way.COPY else way
             self.ways.on_heard(source, shown_way.value, now)
-        if self._is_second_copy(payload, source, way, now):
+        is_second_copy = self._note_copy(payload, source, way, now)
+        if is_second_copy:
             return None
         if is_beacon and self._is_secured:
             keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)  # until `confirm`
@@ -415,8 +416,8 @@ class UdpCarrier:
             is_by_group = self._needs_broadcast(now)
         self.recipients.on_heard(source, is_by_group, now)
 
-    def _is_second_copy(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
-        """True if the same datagram came by another way within COPY_TIME; else notes it."""
+    def _note_copy(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
+        """Note a datagram; True if the same datagram has come by another way within COPY_TIME."""
         key = (source, payload)
         first_at, first_way = self._first_copies.get(key, (_NEVER, way))
         if now - first_at <= COPY_TIME:

@@ -64,7 +64,11 @@ class Claim:
         return (*self._owners, *self._claimers)
 
     def is_won(self, now: float) -> bool:
-        """True once the id belongs to this instance; call it at least each LONGEST_LOOK."""
+        """Count the time of listening; True once the id belongs to this instance.
+
+        Call it at least each LONGEST_LOOK: a call counts the time since the call before, up to
+        LONGEST_LOOK.
+        """
         self._listened += min(now - self._checked_at, LONGEST_LOOK)
         self._checked_at = now
         for rival, heard in list(self._claimers.items()):

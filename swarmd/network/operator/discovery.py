@@ -42,7 +42,7 @@ LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
 
 # How long a look waits for a robot: *_WAIT in s, *_TRIPS in round trips.
 FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # s for a first robot: on a network, on loopback
-ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # from the last robot found that the operator itself hears
+ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # for a robot that is heard, after the last became known
 SECURED_WAIT = 1.5  # factor of ANSWER_WAIT in a secured swarm: both ends sign and verify a link
 UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # for a robot that only other robots hear
 GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # for a robot that failed, or is on a roster and was not heard
@@ -83,7 +83,7 @@ class Discovery:
         self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
         self._first_robot_wait = first_robot_timeout
-        self.found_at = now  # when the last robot was found
+        self.found_at = now  # when a robot was last newly heard or newly reported
         self._news_at = now  # when anything new was last heard or reported of any robot
         # When anything new was last heard or reported of a robot that prolongs the look: after
         # PROLONGING_TIME only a robot that did not come too late (`_prolongs`).
@@ -99,7 +99,7 @@ class Discovery:
         # a robot that no list has named for long. A robot with the time inf is never forgotten.
         self._last_named_at: dict[str, float] = {}
         self._forgot_at = now
-        self._lists_at = -float("inf")  # when member lists were last asked for
+        self._lists_at = -float("inf")  # when the last request for member lists began
         if earlier is not None:
             self._expect_earlier(earlier, now)
 
@@ -116,8 +116,8 @@ class Discovery:
 
     # Events
 
-    def wants_members(self, now: float) -> bool:
-        """True if a solicit at `now` must ask for member lists; notes `now` as the last question.
+    def begin_list_request(self, now: float) -> bool:
+        """Begin a request for member lists if a request is due; True: the solicit at `now` asks.
 
         Lists are long. So a solicit asks for lists only at the start, soon again while a robot that
         is heard has not sent its list, and every LISTS_PERIOD once all lists have come.
@@ -346,32 +346,33 @@ class Discovery:
     def ends_at(self, now: float, lacking: Iterable[str]) -> float:
         """The time in s until which the look waits for answers of the robots in `lacking`.
 
-        The latest of these ends counts. All waits grow with the round trip:
+        A robot becomes known when it is first heard or first reported by another robot. The robots
+        of an earlier look and of the roster are known from the start. The latest of these ends
+        counts:
 
         1. `quiet_time` after the last news of a robot.
-        2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last robot was found, since
-           robots are dialled together. This wait grows with the loss of datagrams, too.
+        2. For a robot in `lacking` that is heard: ANSWER_WAIT after the last of all robots became
+           known, since robots are dialled together. This wait grows with the loss of datagrams.
         3. For a robot in `lacking` that only other robots report as alive: UNREACHABLE_WAIT after
-           the robot became known.
-        4. For any other robot in `lacking`: GONE_WAIT after the robot became known. A robot that is
-           only on the roster counts as known from the start.
-        5. While no robot is heard: the timeout for the first robot.
+           this robot became known.
+        4. For any other robot in `lacking`: GONE_WAIT after this robot became known.
+        5. While no robot is heard: the timeout for the first robot, after the start of the look.
 
-        An attacker may invent robots. So the ends 1 to 4 leave out robots that do not prolong a
-        look (`_prolongs`).
+        The waits 1 to 4 grow with the round trip. An attacker may invent robots, so the ends 1 to 4
+        leave out robots that do not prolong a look (`_prolongs`).
         """
         first_robot_end = self.started + self._first_robot_wait
         if not self._known_since:
             return first_robot_end
         trip, loss = self.round_trip, self._loss(now)
         answer_wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
-        found_at = [at for robot, at in self._known_since.items() if self._prolongs(robot)]
-        last_found_at = max(found_at, default=self.started)
+        known_at = [at for robot, at in self._known_since.items() if self._prolongs(robot)]
+        last_known_at = max(known_at, default=self.started)
         ends = [self._prolonging_news_at + self.quiet_time]
         for robot in filter(self._prolongs, lacking):
             since = self._known_since.get(robot, self.started)
             if self._is_fresh(robot, now):
-                ends.append(max(since, last_found_at) + answer_wait)
+                ends.append(max(since, last_known_at) + answer_wait)
             elif self._is_reported_alive(robot):
                 ends.append(since + (UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip))
             else:

@@ -57,10 +57,10 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
 def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
     """The most certain of the reports on one robot; None without reports.
 
-    1. The newest report that the robot is alive, if any report says so.
-    2. Else the last instance (life of the daemon) counts, which the newest report names: the newest
-       report that this instance left, if any report says so.
-    3. Else the newest report, which says that this instance failed.
+    1. The newest report that the robot is alive, if there is one.
+    2. Else only reports on one instance (life of the daemon) count: the instance in the newest
+       report. Of these, the newest report that the instance has left the swarm, if there is one.
+    3. Else the newest of these reports, which says that the instance failed.
     """
     on_robot = list(reports)
     alive = [report for report in on_robot if report.presence is Presence.ALIVE]
@@ -137,7 +137,7 @@ class MemberReports:
             doubles.pop(reporter, None)
 
     def store(self, robot: str, reporter: str, way: str, reports: list[PeerReport]) -> None:
-        """Keep what a robot reports of one other robot."""
+        """Keep what `reporter` reports of `robot` by one way (LIST, VIEW or EARLIER)."""
         self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
         alive = {report.instance for report in reports if report.presence is Presence.ALIVE}
         if len(alive) > 1:

@@ -266,7 +266,7 @@ class Operator:
     def ways(self, robot: str) -> tuple[str, ...]:
         """The ways (such as `multicast`) by which beacons of a robot came lately.
 
-        Empty if no beacon came, and always in profile routed.
+        Empty if no beacon came, and always in profile `routed`.
         """
         from swarmd.network.carriers.udp import UdpCarrier
 

@@ -130,7 +130,7 @@ class OperatorAdmission:
         return self._trust.verifier.is_answer_of(body.robot, payload) is True
 
     def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
-        """True if this identity has the key that it shares with the robot.
+        """True if this identity has the key that it shares with the robot; else asks for the key.
 
         A datagram does not prove its sender: any robot of the roster can make a datagram with the
         name `robot`. If the key is missing, `on_missing_key` is therefore called with `source`, the

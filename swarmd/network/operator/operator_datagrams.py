@@ -108,7 +108,7 @@ class OperatorDatagrams:
             if self.answers is not None:
                 self.answers.freshness.note_echo(self._echo, now)
             discovery.on_solicit(self._echo, now)
-            wants_members = discovery.wants_members(now)
+            wants_members = discovery.begin_list_request(now)
             addresses = discovery.to_solicit()
         self.send(Solicit(echo=self._echo, wants_members=wants_members), addresses)
 

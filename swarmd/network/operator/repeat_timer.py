@@ -18,7 +18,7 @@ class RepeatTimer:
         return now - self._started
 
     def is_due(self, now: float) -> bool:
-        """True once a period."""
+        """True once a period: the call then begins the next period."""
         if now < self._next:
             return False
         age = now - self._started

@@ -69,7 +69,7 @@ class GoalSync:
     def wants(
         self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
     ) -> int | None:
-        """The number of the question to the sender of a beacon; None if no question is due.
+        """Begin a question to the sender of a beacon if due; its number, None without a question.
 
         `digest`: of the goal in the beacon. `own`: the goal of this robot.
         """

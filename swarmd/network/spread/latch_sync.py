@@ -75,7 +75,7 @@ class LatchSync:
     def wants(
         self, instance: bytes, digest: bytes, own: bytes, now: float, *, is_stranger: bool = False
     ) -> bool:
-        """True if the sender of a beacon with this digest is to be asked now."""
+        """Note the digest of a beacon; True if its sender is to be asked for latches now."""
         if not digest or digest == own or self._asks.knows(instance, digest):
             self._open.discard(instance)
             return False

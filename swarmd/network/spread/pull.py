@@ -123,7 +123,7 @@ class Puller:
             return False
 
         def begin_pull() -> Awaitable[bytes]:
-            return pull(
+            return pull(  # the function of the module, which does the whole pull
                 self.settings, peer, address, what, self._asker,
                 name=name, limit=limit, digest=digest, identity=self._identity
             )  # fmt: skip

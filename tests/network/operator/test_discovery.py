@@ -169,13 +169,13 @@ def test_one_that_is_not_heard_is_waited_for_less(presence: Presence | None, wai
 
 
 def test_words_are_asked_for_until_all_that_are_heard_have_told(rig: Rig) -> None:
-    asked = [at / 100 for at in range(0, 300, 10) if rig.found.wants_members(at / 100)]
+    asked = [at / 100 for at in range(0, 300, 10) if rig.found.begin_list_request(at / 100)]
     assert asked == [0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4, 2.7]
     rig.hear("a")
     rig.tell("a")
-    assert not rig.found.wants_members(3.9)
+    assert not rig.found.begin_list_request(3.9)
     rig.hear("b", at=3.9)
-    assert rig.found.wants_members(3.9)
+    assert rig.found.begin_list_request(3.9)
 
 
 # Whom to ask

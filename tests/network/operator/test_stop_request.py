@@ -224,6 +224,6 @@ def test_a_robot_that_left_must_ack_while_another_robot_lists_it_as_alive(rig: R
     assert pending.lacking(0.2) == ("b",)
     assert not pending.is_done(5.0)
     assert pending.outcome(5.0).exit_code == PARTIAL
-    assert rig.found.wants_members(0.2)
+    assert rig.found.begin_list_request(0.2)
     rig.tell("a", heard("b", Presence.LEFT), at=0.3)
     assert pending.is_done(1.0)
