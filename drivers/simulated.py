@@ -36,7 +36,6 @@ SENSOR_TIMEOUT = 1.0
 
 _WATCH_PERIOD = 0.1
 _SCAN, _ODOMETRY = "scan", "odometry"
-_SEGMENT = "segment"
 _DIAL_TIME = 0.04  # s: a zero sender waits no longer than a tick
 
 
@@ -225,10 +224,6 @@ class SimulatedDriver:
             is_gathered = is_resting and name == _ODOMETRY
             if name in newest and not is_gathered:
                 sink.dropped(f"hw/{name}:overtaken")
-            if name == _SEGMENT:
-                # A segment that came after a whole turn belongs to the next turn, so it must also
-                # come after the turn in `newest`: a new key of a dict is the last.
-                newest.pop(name, None)
             newest[name] = payload
         return newest
 

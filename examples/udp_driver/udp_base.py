@@ -2,9 +2,8 @@
 
 The base sends `{"is": "scan", "stamp": s, "ranges": [m ...]}`, with rays evenly around, and `{"is":
 "odometry", "stamp": s, "x": m, "y": m, "yaw": rad, "linear": m/s, "angular": rad/s}` to the address
-of the last hello. A base may send `{"is": "segment", "stamp": s, "ranges": [m ...], "first": number
-of a ray, "rays": of a turn}` before the turn is whole. The base takes commands `{"linear": m/s,
-"angular": rad/s}`. A hello, `{}`, moves nothing.
+of the last hello. The base takes commands `{"linear": m/s, "angular": rad/s}`. A hello, `{}`, moves
+nothing.
 """
 
 from __future__ import annotations
@@ -14,14 +13,13 @@ import math
 import socket
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Annotated
 
 import msgspec
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.events import OdometryInput, ScanInput, SegmentInput, SensorInput, tag_of
+from swarmd.core.events import OdometryInput, ScanInput, SensorInput, tag_of
 from swarmd.core.finding import Finding
 from swarmd.core.values import (
     ZERO,
@@ -47,18 +45,6 @@ class ScanMessage(Struct, tag_field="is", tag="scan"):
     ranges: list[float]
 
 
-class SegmentMessage(Struct, tag_field="is", tag="segment"):
-    """Ranges as in a scan, in the order of their measurement, before their turn is whole.
-
-    `first`: the number of the first ray in a scan of `rays` rays. `stamp`: of this ray.
-    """
-
-    stamp: float
-    ranges: list[float]
-    first: int
-    rays: Annotated[int, Meta(ge=1, le=10_000)]
-
-
 class OdometryMessage(Struct, tag_field="is", tag="odometry"):
     """Pose since the base was switched on, and velocities."""
 
@@ -70,7 +56,7 @@ class OdometryMessage(Struct, tag_field="is", tag="odometry"):
     angular: float
 
 
-_messages = msgspec.msgpack.Decoder(ScanMessage | SegmentMessage | OdometryMessage)
+_messages = msgspec.msgpack.Decoder(ScanMessage | OdometryMessage)
 
 
 class UdpDriver:
@@ -157,13 +143,11 @@ class UdpDriver:
             sink.state(True, f"base at {self._base}")
         sink.take(input)
 
-    def _input(self, message: ScanMessage | SegmentMessage | OdometryMessage) -> SensorInput:
+    def _input(self, message: ScanMessage | OdometryMessage) -> SensorInput:
         """The message as an input of the core; ValueError if it is not finite."""
         if isinstance(message, ScanMessage):
             self._seq += 1
             return ScanInput(scan_of(message, self._seq, self._spec))
-        if isinstance(message, SegmentMessage):  # of the turn that the next scan will bring
-            return SegmentInput(segment_of(message, self._seq + 1, self._spec))
         pose, twist = (
             Pose(message.x, message.y, message.yaw),
             Twist(message.linear, message.angular),
@@ -216,15 +200,6 @@ def scan_of(message: ScanMessage, seq: int, spec: ScanSpec) -> Scan:
     ranges = np.asarray(message.ranges, dtype=np.float64)
     turn = np.linspace(0.0, 2.0 * np.pi, len(ranges), endpoint=False, dtype=np.float64)
     bearings = turn + float(spec.bearings[0])
-    return Scan(seq, message.stamp, ranges, bearings, spec.range_min, spec.range_max)
-
-
-def segment_of(message: SegmentMessage, seq: int, spec: ScanSpec) -> Scan:
-    """The rays of a segment; the platform's sweep gives their order and their ages."""
-    direction = 1.0 if spec.sweep is None else spec.sweep.direction
-    ranges = np.asarray(message.ranges, dtype=np.float64)
-    numbers = message.first % message.rays + direction * np.arange(len(ranges), dtype=np.float64)
-    bearings = 2.0 * np.pi / message.rays * numbers + float(spec.bearings[0])
     return Scan(seq, message.stamp, ranges, bearings, spec.range_min, spec.range_max)
 
 

@@ -63,7 +63,7 @@ class LiveScenario:
         file["provides"] = sorted(platform.provides - {DETECTIONS})  # the driver's options give it
         file["scan"] = {**file["scan"], "noisy": scan.is_noisy}
         if scan.sweep is None:
-            file["scan"] |= {"sweep": None, "segments": 0}
+            file["scan"] |= {"sweep": None}
         if ring is not None:
             file["ranges"] = {**file["ranges"], "noisy": ring.is_noisy}
         return file

@@ -39,8 +39,6 @@ class NoisyLidar:
         self._block_dropout = np.array(blocks)
         changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
         self._is_exact = not any((*changed, noise.dropout, *blocks))
-        # By row: the random numbers of the next scan, drawn for its segments.
-        self._drawn: dict[int, tuple[Array, NDArray[np.float32]]] = {}
         # By number of rays: the kernel, and buffers of normal and of uniform random numbers.
         self._errors: dict[int, tuple[Any, Array, NDArray[np.float32]]] = {}
 
@@ -64,35 +62,10 @@ class NoisyLidar:
         if self._is_exact:
             errors.encode(row, measured)
             return measured
-        drawn = self._drawn.pop(row, None)
-        if drawn is None:
-            self._draw(row, normal, uniform)
-        else:
-            normal[:], uniform[:] = drawn
-        errors.measure(row, measured)
-        return measured
-
-    def preview(self, row: int, ranges: Array) -> Array:
-        """As `measured`; the errors are those that `measured` will give next."""
-        if self._is_exact:
-            return self.measured(row, ranges)
-        rays = len(ranges)
-        if rays not in self._errors:
-            self._errors[rays] = self._errors_of(rays)
-        _, normal, uniform = self._errors[rays]
-        drawn = self._drawn.get(row)
-        if drawn is None:
-            self._draw(row, normal, uniform)
-            drawn = normal.copy(), uniform.copy()
-        self._drawn[row] = drawn
-        measured = self.measured(row, ranges)
-        self._drawn[row] = drawn
-        return measured
-
-    def _draw(self, row: int, normal: Array, uniform: NDArray[np.float32]) -> None:
-        """Draw the random numbers of a scan of robot `row`."""
         self._rngs[row].standard_normal(out=normal)
         self._rngs[row].random(dtype=np.float32, out=uniform)
+        errors.measure(row, measured)
+        return measured
 
     def _errors_of(self, rays: int) -> tuple[Any, Array, NDArray[np.float32]]:
         normal, uniform = np.empty(rays), np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)

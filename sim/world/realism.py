@@ -150,15 +150,14 @@ def configured(platform: Platform, realism: Realism) -> Platform:
     """The platform that robots assume in a world of this realism.
 
     In a world without scan noise `is_noisy` is False, since equal scans are then no sign of a
-    frozen sensor. In a world without rolling scans `sweep` is None and `segments` is 0, since all
-    rays of a scan are measured at once.
+    frozen sensor. In a world without rolling scans `sweep` is None, since all rays of a scan are
+    measured at once.
     """
     lidar = realism.lidar
     scan = replace(
         platform.scan,
         is_noisy=platform.scan.is_noisy and lidar.differs_each_time,
         sweep=platform.scan.sweep if lidar.rolling else None,
-        segments=platform.scan.segments if lidar.rolling else 0,
         measures_sweep=False,
     )
     ring = platform.ranges

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.core.values import Array, Platform, ScanSpec
-from swarmd.sim.world.geometry import Indices
+from swarmd.core.values import Array, Platform
 from swarmd.sim.world.lidar import Lidar, sweep_order
 
 _ROUNDING = 1e-9
@@ -24,34 +23,6 @@ class CompleteScan:
     """(rays,) in s at the end of the scan."""
     begun: int
     """The step at which the scan began."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredSegment:
-    """The rays of a rolling scan in progress that were measured since the segment before."""
-
-    row: int
-    ranges: Array
-    """(rays,) in m, exact, of all rays of the sensor; valid until the next `advance`."""
-    rays: Indices
-    """(k,) the numbers of the measured rays, in the order of the sweep."""
-    bearings: Array
-    """(k,) rad."""
-    ages: Array
-    """(k,) s against the newest of these rays."""
-    oldest: int
-    """The step at which the first of these rays was measured."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Segment:
-    """The rays of one segment of a sweep; fields as of `MeasuredSegment`."""
-
-    rays: Indices
-    bearings: Array
-    ages: Array
-    first_step: int
-    """The step at which the first of these rays is measured, since the begin of the scan."""
 
 
 class RollingScans:
@@ -84,8 +55,6 @@ class RollingScans:
         self._ages = np.empty(len(order))
         self._ages[order] = (self._sweep_steps - ray_steps) * dt
         self._ages.flags.writeable = False
-        self.segments: list[MeasuredSegment] = []  # of the last `advance`
-        self._segments = _segments_of_sweep(spec, order, ray_steps, ray_counts, dt)
         self._begin_rows(n, len(order))
         self._sweeps = lidar.sweeps(ray_counts, self._ranges)
 
@@ -109,36 +78,15 @@ class RollingScans:
         """Measure the rays of `step`; returns the scans that this step completes.
 
         Consecutive calls have consecutive steps. `poses` (k, 3) of robots, then of boxes.
-        `ends_only`: this call measures only the rays of scans that end, and no segments; a second
-        call for this step measures the rest.
+        `ends_only`: this call measures only the rays of scans that end; a second call for
+        this step measures the rest.
         """
         if self._waiting:
             self._start(step)
-        completed = [
+        return [
             CompleteScan(robot, self._ranges[row], self._ages, step - self._sweep_steps)
             for robot, row in self._sweeps.advance(poses, step, ends_only)
         ]
-        if self._segments:
-            self.segments = [] if ends_only else self._ended_segments(step)
-        return completed
-
-    def _ended_segments(self, step: int) -> list[MeasuredSegment]:
-        """The segments of the robots' last scans that end at `step`."""
-        ended = []
-        for robot, begun in enumerate(self._last_begun):
-            segment = self._segments.get(step - begun)
-            if segment is not None:
-                ended.append(
-                    MeasuredSegment(
-                        robot,
-                        self._ranges[self._last_row[robot]],
-                        segment.rays,
-                        segment.bearings,
-                        segment.ages,
-                        begun + segment.first_step,
-                    )
-                )
-        return ended
 
     def _start(self, step: int) -> None:
         ready = sorted(r for r in self._waiting if self._last_begun[r] + self._sweep_steps <= step)
@@ -147,32 +95,3 @@ class RollingScans:
             row = (self._last_row[robot] + self._n) % len(self._ranges)
             self._last_begun[robot], self._last_row[robot] = step, row
             self._sweeps.begin(robot, step, row)
-
-
-def _segments_of_sweep(
-    spec: ScanSpec, order: Indices, ray_steps: Indices, ray_counts: Indices, dt: float
-) -> dict[int, _Segment]:
-    """The segments of a sweep by their last steps, without the last segment and empty segments.
-
-    The last segment comes with the whole scan. `order`: the rays in the order of the sweep.
-    `ray_steps`: the step of each ray in this order. `ray_counts`: the number of rays up to each
-    step. `dt`: s of a step.
-    """
-    segments: dict[int, _Segment] = {}
-    sweep_steps = len(ray_counts) - 1
-    first_ray = 0
-    for number in range(1, spec.segments):
-        last_step = number * sweep_steps // spec.segments
-        end_ray = int(ray_counts[last_step])
-        if end_ray > first_ray:
-            rays = slice(first_ray, end_ray)
-            segments[last_step] = _segment(spec.bearings, order[rays], ray_steps[rays], dt)
-        first_ray = end_ray
-    return segments
-
-
-def _segment(all_bearings: Array, rays: Indices, steps: Indices, dt: float) -> _Segment:
-    """The segment of `rays` (k,), which are measured at `steps` (k,) of a scan; `dt` in s."""
-    bearings, ages = all_bearings[rays], (steps[-1] - steps) * dt
-    bearings.flags.writeable = ages.flags.writeable = False
-    return _Segment(rays, bearings, ages, int(steps[0]))

@@ -18,7 +18,6 @@ from swarmd.core.events import (
     RangesInput,
     ReadingsInput,
     ScanInput,
-    SegmentInput,
     SensorInput,
 )
 from swarmd.sim.world.detector import DETECTIONS, detections_of
@@ -116,8 +115,6 @@ def sensors_due(
         world.begin_scans(np.asarray(scanning_rows, dtype=np.intp))
     for row, scan in world.arrived_scans():
         yield row, ScanInput(scan)
-    for row, segment in world.arrived_segments():
-        yield row, SegmentInput(segment)
     # 2. Rings of range sensors.
     for ring in times.rings.due(now):
         row = world.rings[ring]

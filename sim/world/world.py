@@ -33,7 +33,7 @@ from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
-from swarmd.sim.world.rolling import MeasuredSegment, RollingScans
+from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, readings_at
 
 TIME_STEP = 0.01  # s of a step
@@ -53,8 +53,6 @@ class World:
     - `posed`: the rows of robots whose pose in the world is measured.
     - `measures_late`: of the rolling scans in progress, True lets `arrived_scans` measure only the
       scans that end. The caller then measures the others by `measure_rays`. The ranges are equal.
-      Without effect if a platform has segments: their rays must be measured before
-      `arrived_segments`.
     """
 
     def __init__(
@@ -91,10 +89,6 @@ class World:
         self._begin_rings(realism, seed)
         # Delays scans on their way to the robots.
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
-        self._segment_transport: ScanTransport | None = None
-        if any(platform.scan.segments for platform in self.platforms):
-            names = [f"segments of {robot}" for robot in self.ids]
-            self._segment_transport = ScanTransport(realism.lidar, self.platforms, names, seed)
 
     def _begin_bodies(self, robots: Mapping[str, Platform], starts: Array) -> None:
         """Build the model of MuJoCo, with robots and boxes at their start poses."""
@@ -230,9 +224,6 @@ class World:
                 ranges = self._noise.measured(scan.row, scan.ranges)
                 sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
                 self._transport.send(scan.row, sent, self.time)
-            if self._segment_transport is not None:
-                for segment in rolling.segments:
-                    self._segment_transport.send(segment.row, self._segment(segment), self.time)
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.
@@ -284,13 +275,8 @@ class World:
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:
         """The scans that have arrived since the last call, with their rows, in order of rows."""
-        self.measure_rays(ends_only=self.measures_late and self._segment_transport is None)
+        self.measure_rays(ends_only=self.measures_late)
         return self._transport.arrived(self.time)
-
-    def arrived_segments(self) -> list[tuple[int, Scan]]:
-        """As `arrived_scans`, the segments of scans in progress."""
-        transport = self._segment_transport
-        return [] if transport is None else transport.arrived(self.time)
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A scan of each of `robots` (m,), with all rays measured now, without transport delay."""
@@ -324,15 +310,6 @@ class World:
         if ages is None and is_rolling:
             ages = self._at_once[robot]
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max, ages)
-
-    def _segment(self, segment: MeasuredSegment) -> Scan:
-        """The rays of a segment, with the errors that they will have in the whole scan."""
-        row = segment.row
-        spec = self.platforms[row].scan
-        ranges = self._noise.preview(row, segment.ranges)[segment.rays]
-        stamp = segment.oldest * self.dt
-        limits = spec.range_min, spec.range_max
-        return Scan(self._seq[row], stamp, ranges, segment.bearings, *limits, segment.ages)
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""

@@ -88,7 +88,6 @@ def _scan(scan: ScanSpec) -> Mapping[str, Any]:
         "near": scan.near,
         "latency": scan.latency,
         "sweep": "measured" if scan.measures_sweep else _sweep(scan.sweep),
-        "segments": scan.segments,
     }
 
 

@@ -56,16 +56,6 @@ class RangesInput(Struct, frozen=True, array_like=True, tag="ranges"):
     scan: Scan
 
 
-class SegmentInput(Struct, frozen=True, array_like=True, tag="segment"):
-    """A raw segment of a turn of the lidar arrived, before the turn is whole.
-
-    `scan` has the rays of the segment alone, in the order in which the lidar measures them, with
-    the sequence number of the turn. `ScanInput` brings the whole turn, as without segments.
-    """
-
-    scan: Scan
-
-
 class OdometryInput(Struct, frozen=True, array_like=True, tag="odometry"):
     """A measured pose and twist arrived."""
 
@@ -241,7 +231,6 @@ class TickInput(Struct, frozen=True, array_like=True, tag="tick"):
 
 SensorInput = (
     ScanInput
-    | SegmentInput
     | RangesInput
     | OdometryInput
     | NeighborsInput

@@ -57,7 +57,6 @@ LIBRARIES: Mapping[str, tuple[str, ...]] = {
         "swarmd.protection.straight_runs",
         "swarmd.protection.standing_walls",
         "swarmd.protection.obstacles",
-        "swarmd.protection.fresh_rays",
         "swarmd.protection.touch_zone",
         "swarmd.protection.constraints",
         "swarmd.protection.envelope",

@@ -314,9 +314,6 @@ class ScanSpec:
     - `measures_sweep`: the robot finds the order of the rays itself, while it turns. Of the ages
       that the driver gives the rays, it then uses only the duration of a scan, and whether all rays
       are measured at the same time.
-    - `segments`: the number of segments into which the driver divides a turn. The driver hands over
-      each segment as soon as it is measured, and the whole turn with the last segment. 0: whole
-      turns only. More than 0 needs `sweep`.
     """
 
     bearings: Array
@@ -332,7 +329,6 @@ class ScanSpec:
     sweep: Sweep | None = None
     measures_sweep: bool = False
     cone: float = 0.0
-    segments: int = 0
 
     @property
     def stale_after(self) -> float:

@@ -86,7 +86,6 @@ ACTIVE_TIME = 1.0
 """Seconds for which a robot at rest ticks 20 times a second after an event."""
 _MEASURED = (  # regular inputs; any other input is an event
     events.ScanInput,
-    events.SegmentInput,
     events.RangesInput,
     events.OdometryInput,
     events.NeighborsInput,

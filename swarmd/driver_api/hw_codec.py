@@ -173,7 +173,7 @@ def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
 
 def encode_input(input: SensorInput) -> bytes:
     """The bytes of an input; the kind of the input is the name of the frame."""
-    if isinstance(input, events.ScanInput | events.SegmentInput | events.RangesInput):
+    if isinstance(input, events.ScanInput | events.RangesInput):
         return encode_scan(input.scan)
     if isinstance(input, events.OdometryInput):
         return encode_odometry(input.odometry)
@@ -184,8 +184,6 @@ def decode_input(kind: str, payload: bytes, platform: Platform) -> SensorInput:
     """The input of one of KINDS; CodecError if it is malformed or exceeds a bound."""
     if kind == "scan":
         return events.ScanInput(decode_scan(payload, platform.scan))
-    if kind == "segment":
-        return events.SegmentInput(decode_scan(payload, platform.scan))
     if kind == "ranges":
         if platform.ranges is None:
             raise CodecError("a scan of a ring that the platform does not have")

@@ -35,7 +35,6 @@ from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import is_barrier, make_arbiter, narrowest_passage
 from swarmd.protection.recovery import NO_OTHERS, Allows, Others, Recovery
 from swarmd.protection.right_of_way import RightOfWay
-from swarmd.sensing.segments import ScanSegment
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     from collections.abc import Collection
@@ -190,12 +189,6 @@ class Protection:
             delay = self._latency + context.scan_delay + oldest
             if text := self._monitor.on_scan(scan.stamp, self._min_gap, delay):
                 self.events.append(text)
-
-    def observe_segment(self, segment: ScanSegment, context: DecisionContext) -> None:
-        """Take in a segment of a turn in mode `barrier`; all else uses whole turns."""
-        if is_barrier(self._arbiter):
-            self._arbiter.observe_segment(segment, context)
-            self._last_context = None
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a reading: monitors, tracks and right of way use it."""

@@ -49,7 +49,6 @@ from swarmd.protection.decision import DecisionContext, ModeDecision, MovedWall
 from swarmd.protection.envelope import Creeping
 from swarmd.protection.feasible_set import FeasibleSet
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.protection.fresh_rays import FreshRays
 from swarmd.protection.limiting_obstacles import LimitingRows
 from swarmd.protection.obstacles import NO_NUMBERS, NO_ROWS, NearObstacles
 from swarmd.protection.outline import Outline
@@ -60,7 +59,6 @@ from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.standing_walls import StandingWalls
 from swarmd.protection.stopping import Speeds, StopCheck
 from swarmd.sensing.rays import unit_vectors
-from swarmd.sensing.segments import ScanSegment
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other one
     import cython
@@ -93,7 +91,6 @@ class Barrier:
     _hidden: object  # the memory of a lidar's blind zone; None if the lidar reports near returns
     _walls: StandingWalls  # None unless walls are assumed to stand
     _feasible: FeasibleSet
-    _fresh: FreshRays
     _projection: Projection
     _stop: StopCheck
     _limiting: LimitingRows
@@ -127,9 +124,6 @@ class Barrier:
         if settings.walls_stand is not None:
             self._walls = StandingWalls(platform, settings.walls_stand)
         self._feasible = feasible = FeasibleSet(assumptions, outline, self._walls)
-        self._fresh = FreshRays(
-            platform, assumptions, outline, feasible.reckoning, feasible.motion, feasible.near
-        )
         self._projection = Projection()
         self._stop = StopCheck(assumptions, outline, feasible.constraints)
         self._limiting = LimitingRows(assumptions, feasible.constraints, outline)
@@ -220,22 +214,6 @@ class Barrier:
             if len(memory.bearings):
                 hidden = view(_rays_and_ranges(memory.bearings, memory.nearest))
         near.take_scan(ranges, scan.range_min, ages, hidden)
-        self._fresh.forget()
-        self._feasible.situation.is_known = False
-
-    def observe_segment(self, segment: ScanSegment, context: DecisionContext) -> None:
-        """Take in a segment of the turn in progress, for the near returns (fresh_rays.py)."""
-        if context.odometry is not None:
-            self._feasible.reckoning.record(context.odometry)
-        self._fresh.take(
-            view(segment.ranges),
-            view(segment.bearings),
-            view(segment.ages),
-            context.now - segment.age,
-            segment.gap,
-            segment.age,
-            context.odometry_age or 0.0,
-        )
         self._feasible.situation.is_known = False
 
     def _newest_age(self, scan):

@@ -49,7 +49,7 @@ class Situation:
     """The inputs of a decision that determine the constraints.
 
     The scan, the touch zone and the discs are not among the attributes: `FeasibleSet` and `Barrier`
-    set `is_known` to False for a new scan, segment of a scan, touch zone or set of discs.
+    set `is_known` to False for a new scan, touch zone or set of discs.
     """
 
     is_known: cython.bint  # the constraints were built for the inputs below

@@ -102,8 +102,6 @@ class NearObstacles:
     contacts: cython.Py_ssize_t  # the first points
     rays: Points  # unit vectors of the rays of contacts, in `x` and `y`
     is_near: cython.bint  # an obstacle is so near that the envelope (envelope.py) holds
-    binding_range: cython.double  # m, the gap up to which a return of the last scan is taken
-    envelope_range: cython.double  # m, the gap up to which an obstacle is near
     has_contact: cython.bint  # a decision since the last scan found the robot in contact
     min_gap: object  # m to the nearest return; None without a return
     bearings: object  # of the rays, as the scan has them
@@ -249,7 +247,6 @@ class NearObstacles:
         binding_range: cython.double = self._assumptions.binding_range(
             self._assumptions.longest_scan_age + extra_age
         )
-        self.envelope_range, self.binding_range = envelope_range, binding_range
         # m from the lidar: a return with a greater range has a gap greater than both, since the
         # whole outline lies within `outer` m of the lidar.
         longest_range: cython.double = (
@@ -266,57 +263,6 @@ class NearObstacles:
         has_contacts: cython.bint = self.rays.count > 0
         self.is_near = has_contacts or least_gap <= envelope_range
         self._sort_points()
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def has_standing(self) -> cython.int:
-        """1 if a wall of the last scan stands."""
-        return self._walls is not None and self._walls.has_standing
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def drop_returns(self, is_dropped: cython.longlong[::1], room: cython.Py_ssize_t) -> cython.int:
-        """Drop returns; `add_return` may then add up to `room` returns, and `end_refresh` follows.
-
-        `is_dropped`: 1 for each point that is dropped. Contacts, the first points, always stay.
-        """
-        i: cython.Py_ssize_t
-        points: Points = self.points
-        unsorted: Points = self._unsorted
-        unsorted.reserve(points.count + room)
-        unsorted.count = 0
-        if len(self._order) < len(unsorted.x):
-            self._order, self._spare = indices(len(unsorted.x)), indices(len(unsorted.x))
-        for i in range(self.contacts, points.count):
-            if not is_dropped[i]:
-                unsorted.add(
-                    points.x[i], points.y[i], points.gap[i], points.age[i], points.others[i]
-                )
-        points.reserve(points.count + room)
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def add_return(
-        self, x: cython.double, y: cython.double, gap: cython.double, age: cython.double
-    ) -> cython.int:
-        """Add a return measured since the last scan, if it is near enough to constrain the robot.
-
-        `x`, `y` in m in the frame of the last scan. `gap` in m to the outline at its measurement.
-        `age` in s against the newest ray of the last scan; negative: younger.
-        """
-        if gap <= self.binding_range:
-            self._unsorted.add(x, y, gap, age, self._assumptions.others_speed)
-            if gap <= self.envelope_range:
-                self.is_near = True
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1)
-    def end_refresh(self) -> cython.int:
-        """Sort the returns after `drop_returns` and `add_return`."""
-        self.points.count = 0
-        return self._sort_points()
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

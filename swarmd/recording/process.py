@@ -137,12 +137,7 @@ class Converter:
                 twist, scan_seq = stepped.outputs.twist or ZERO, stepped.scan_seq
                 message = messages.requested_message(twist, scan_seq, stamp)
                 self._write(entry, "/command/requested", message)
-            case (
-                events.SegmentInput()  # the rays of a segment come again with the whole scan
-                | events.HostInput()
-                | events.NoteInput()
-                | events.TickInput()
-            ):
+            case events.HostInput() | events.NoteInput() | events.TickInput():
                 pass  # nothing to view
             case _:  # an input of a single field becomes this field, else a list of its fields
                 fields = structs.astuple(input)

@@ -214,15 +214,6 @@ class Robot(Ticker):
         self._sensors.on_ranges(one.scan, now)
         return self._settle(effects)
 
-    def _on_segment(self, input: events.SegmentInput, now: float) -> None:
-        """Take in a segment of a turn; the next decision uses its rays."""
-        segment = self._sensors.on_segment(input.scan, now)
-        if isinstance(segment, str):
-            self._events.log("segments", f"segment of a scan ignored: {segment}", now)
-            self._events.advance(now)
-        elif segment is not None:
-            self._protection.observe_segment(segment, self._sensors.context(now))
-
     def _on_odometry(self, one: events.OdometryInput, now: float) -> None:
         self._take_odometry(one.odometry, now)
 
@@ -485,7 +476,6 @@ class Robot(Ticker):
 
 HANDLERS: dict[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
     events.ScanInput: Robot._on_scan,
-    events.SegmentInput: Robot._on_segment,
     events.RangesInput: Robot._on_ranges,
     events.OdometryInput: Robot._on_odometry,
     events.NeighborsInput: Robot._on_neighbors,

@@ -44,7 +44,6 @@ from swarmd.robot.peers import POSE_TIMEOUT, Peers
 from swarmd.robot.timeouts import NEIGHBOR_TIMEOUT, ODOMETRY_TIMEOUT
 from swarmd.sensing.rays import unit_vectors
 from swarmd.sensing.scan_pipeline import Deskewer, OdometryHistory, ScanConditioner, ScanDelay
-from swarmd.sensing.segments import ScanSegment, SegmentCheck
 
 if TYPE_CHECKING:
     from swarmd.robot.input_ages import InputAges
@@ -120,8 +119,6 @@ class Sensors(InputAges):
         self.scan_delay = ScanDelay(platform.scan)
         self._history = OdometryHistory(self.scan_delay)
         self._deskewer = Deskewer(platform.scan, self._history, self.scan_delay.sweep)
-        # Segments of a turn; None if the driver hands over whole turns alone.
-        self._segments = SegmentCheck(platform.scan) if platform.scan.segments else None
         # The arrival times of scans, for the scan rate.
         self._scan_times: deque[float] = deque(maxlen=SCAN_TIMES)
 
@@ -152,22 +149,7 @@ class Sensors(InputAges):
         self._is_new_scan = True
         odometry_age = None if odometry is None else self.odometry_age(now)
         self.scan = self._deskewer.deskew(conditioned, now, odometry_age, self.scan_delay.added)
-        if self._segments is not None:
-            if self._scan_at == now:
-                newest_at = now - (self.scan.newest_age or 0.0) - self._added
-                self._segments.on_turn(scan, self._deskewer.span, newest_at)
-            else:
-                self._segments.forget()
         return True
-
-    def on_segment(self, scan: Scan, now: float) -> ScanSegment | str | None:
-        """Take in a segment of a turn: the segment, or the reason to ignore it.
-
-        None without `scan.segments` of the platform, and before the first whole turn.
-        """
-        if self._segments is None or self.scan is None:
-            return None
-        return self._segments.take(scan, now, (self.scan.newest_age or 0.0) + self._added)
 
     def on_ranges(self, scan: Scan, now: float) -> None:
         """Take in a scan of the platform's ring of range sensors; ignored without a ring."""

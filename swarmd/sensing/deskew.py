@@ -114,8 +114,7 @@ class Deskewer:
     _cos: cython.const[cython.double][::1]
     _sin: cython.const[cython.double][::1]
     _ages: cython.const[cython.double][::1]
-    # s from the oldest ray of the last scan, as measured, to its newest ray
-    span = cython.declare(cython.double, visibility="readonly")
+    _span: cython.double
     _newest_age: cython.double
     _direction: cython.double
     _oldest: cython.double
@@ -193,7 +192,7 @@ class Deskewer:
         self._ray_ages = rays.ages
         self._bearings, self._ages = view_of(bearings), view_of(rays.ages)
         self._cos, self._sin = view_of(rays.cos), view_of(rays.sin)
-        self.span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
+        self._span, self._newest_age = rays.span, max(self._latency - rays.mean_age, 0.0)
         self._direction, self._oldest = rays.direction, rays.oldest
         self._spacing = rays.spacing
 
@@ -211,7 +210,7 @@ class Deskewer:
             seconds: s from the newest ray of the scan before to the newest ray of this scan.
         """
         history: OdometryHistory = self._history
-        path_rows: cython.Py_ssize_t = history.set_path(stamp, self.span)
+        path_rows: cython.Py_ssize_t = history.set_path(stamp, self._span)
         if path_rows == 0:
             return None  # at rest, odometry does not reach back, or all rays have one age (span 0)
         # 1. The width in rad of the unmeasured sector; below 0 if the robot turns with the sensor.

@@ -90,9 +90,6 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
       robot measures the sweep while turning. Before the sweep is measured, each ray counts as old
       as the oldest ray.
-    - `segments`: in how many segments the driver hands over a turn while the sensor measures it.
-      Protection then uses rays before their turn is whole. 0: whole turns alone. Needs `sweep` with
-      a direction. With a driver that hands over whole turns alone, the value has no effect.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -109,7 +106,6 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     near: Literal["reported", "lost"] = "reported"
     latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     sweep: SweepSection | Literal["measured"] | None = "measured"
-    segments: Annotated[int, Meta(ge=0, le=64)] = 0
 
 
 class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -284,9 +280,6 @@ def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
     if scan.near == "lost" and scan.zero == "too_close":
         text = f"is lost, but {keys[-1]}.zero is too_close; expected reported, or another zero"
         yield fault_at((*keys, "near"), text)
-    if scan.segments and not isinstance(scan.sweep, SweepSection):
-        text = f"is {scan.segments}; expected 0, or {keys[-1]}.sweep with start_deg and direction"
-        yield fault_at((*keys, "segments"), text)
 
 
 def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fault]:
@@ -547,7 +540,6 @@ def _spec(scan: ScanSection) -> ScanSpec:
         sweep=_sweep(scan.sweep, scan.rate) if isinstance(scan.sweep, SweepSection) else None,
         measures_sweep=scan.sweep == "measured",
         cone=math.radians(scan.cone_deg),
-        segments=scan.segments,
     )
 
 

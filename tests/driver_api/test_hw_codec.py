@@ -36,13 +36,10 @@ def test_what_a_sensor_measures_is_taken(input: events.SensorInput) -> None:
     assert decode_input(events.tag_of(input), encode_input(input), PLATFORM) == input
 
 
-@pytest.mark.parametrize("kind", [events.ScanInput, events.SegmentInput])
-def test_rays_are_taken_as_they_are(
-    kind: type[events.ScanInput | events.SegmentInput],
-) -> None:
+def test_rays_are_taken_as_they_are() -> None:
     scan = Scan(7, 1.5, np.array([0.5, math.inf]), np.array([0.25, 0.5]), 0.12, 3.5)
-    taken = decode_input(events.tag_of(kind(scan)), encode_input(kind(scan)), PLATFORM)
-    assert isinstance(taken, kind)
+    taken = decode_input("scan", encode_input(events.ScanInput(scan)), PLATFORM)
+    assert isinstance(taken, events.ScanInput)
     assert (taken.scan.seq, taken.scan.stamp, taken.scan.ages) == (7, 1.5, None)
     for name in ("ranges", "bearings"):
         assert getattr(taken.scan, name).tolist() == getattr(scan, name).tolist()

@@ -16,10 +16,6 @@ from swarmd.core.events import (
     OdometryInput,
     PoseInput,
     ReadingsInput,
-    ScanInput,
-    SegmentInput,
-    SensorInput,
-    tag_of,
 )
 from swarmd.core.finding import Finding
 from swarmd.core.values import (
@@ -33,7 +29,7 @@ from swarmd.core.values import (
     Twist,
     Value,
 )
-from swarmd.driver_api.driver import NullSink, ZeroSenderSpec, gripper_of, message_carrier
+from swarmd.driver_api.driver import ZeroSenderSpec, gripper_of, message_carrier
 from swarmd.driver_api.hw_codec import (
     KINDS,
     MessageWire,
@@ -44,7 +40,6 @@ from swarmd.driver_api.hw_codec import (
 )
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.network.carriers.robot_link import Frame
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness, Rig
@@ -403,18 +398,3 @@ async def test_odometry_waits_for_a_scan_or_a_reading_while_the_robot_rests(
             await asyncio.sleep(POLL_PERIOD)
     assert len(late) == count
     assert not any("overtaken" in kind for kind in sink.lost)
-
-
-async def test_a_segment_is_handed_over_behind_the_whole_turn_before_it() -> None:
-    """Of the segments that wait together only the newest is left."""
-    taken = list[tuple[str, int]]()
-
-    class Taking(NullSink):
-        def take(self, input: SensorInput) -> None:
-            assert isinstance(input, ScanInput | SegmentInput)
-            taken.append((tag_of(input), input.scan.seq))
-
-    sent = [("segment", 6), ("scan", 6), ("segment", 7)]
-    frames = [Frame(name, encode_scan(scan(seq))) for name, seq in sent]
-    make(endpoint=free_endpoint())._take_frames(Taking(), frames)
-    assert taken == sent[1:]

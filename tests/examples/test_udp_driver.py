@@ -117,17 +117,6 @@ class TestUdpDriver(DriverContract):
         return UdpBase()
 
 
-@pytest.mark.parametrize("first", [0, 40, 359])
-def test_rays_of_a_segment_are_those_of_the_scan_in_the_order_of_the_sweep(first: int) -> None:
-    spec = UdpBase.platform.scan  # turns clockwise
-    message = UDP.SegmentMessage(1.0, [1.0, 2.0, 3.0], first, 360)
-    segment = UDP.segment_of(message, 5, spec)
-    scan = UDP.scan_of(UDP.ScanMessage(1.0, [0.0] * 360), 5, spec)
-    expected = [scan.bearings[(first - i) % 360] for i in range(3)]
-    np.testing.assert_allclose(np.cos(segment.bearings - expected), 1.0)
-    assert (segment.seq, segment.ranges.tolist()) == (5, [1.0, 2.0, 3.0])
-
-
 def test_a_base_without_a_port_is_refused() -> None:
     base = UdpBase()
     with pytest.raises(ConfigError, match="nowhere"):

@@ -34,7 +34,6 @@ from swarmd.core.events import (
     ReadingsInput,
     RosterInput,
     ScanInput,
-    SegmentInput,
 )
 from swarmd.core.host_messages import Stepped
 from swarmd.core.messages import LimitingObstacle
@@ -276,7 +275,6 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     )
     inputs: tuple[Input, ...] = (
         ScanInput(scan),
-        SegmentInput(scan),
         OdometryInput(Odometry(2.0, Pose(1.0), Twist(0.1))),
         NeighborsInput((Neighbor("b", 0.0, 1.0, None, 0.5), Neighbor("cc", 0.0))),
         PoseInput(SharedPose(2.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")),

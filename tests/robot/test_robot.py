@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
 import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
@@ -16,17 +14,11 @@ from swarmd.core.events import (
     DuplicateInput,
     MessageInput,
     NeighborsInput,
-    ScanInput,
-    SegmentInput,
 )
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
 from swarmd.core.messages import Code, Reason, Refusal, State, Status
 from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
-from swarmd.robot.robot import Robot
-from swarmd.robot.settings import RobotSettings
-from swarmd.settings.platforms import load_platform
-from swarmd.testing.scans import scan_from
 from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import PATTERNS, idle, standing_state, started
 
@@ -334,19 +326,3 @@ def test_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
     dropped = harness.status.health.dropped
     assert dropped["msg:inbox_full"] + len(step.inputs.messages) == 1000
     assert dropped["msg:wrong_type"] == len(step.inputs.messages)
-
-
-@pytest.mark.parametrize("segments", [0, 8])
-def test_a_segment_in_doubt_is_a_line_of_the_events(segments: int) -> None:
-    platform = load_platform("burger")
-    platform = replace(platform, scan=replace(platform.scan, segments=segments))
-    settings = RobotSettings(driver="story", layers=lambda name: ())
-    robot = Robot("r", platform, settings, seed=1, instance="b", now=10.0)
-    scan = scan_from(platform, np.full(360, 1.0), platform.scan.bearings)
-    robot.step(DriverInput(True, "there"), 10.0)
-    robot.step(SegmentInput(scan), 10.0)  # no whole turn yet
-    robot.step(ScanInput(scan), 10.0)
-    for k in range(30):
-        assert robot.step(SegmentInput(scan), 10.1 + 0.01 * k) is None
-    lines = [event.text for event in robot.status(11.0).events if "segment" in event.text]
-    assert (1 <= len(lines) <= 10) is bool(segments)

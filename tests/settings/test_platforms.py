@@ -218,15 +218,6 @@ SHORT_SIGHTED: list[dict[str, Any]] = [
 ]
 
 
-@pytest.mark.parametrize("sweep", [None, "measured"])
-def test_segments_need_a_sweep_with_a_direction(folder: Path, sweep: str | None) -> None:
-    data = {"extends": "burger", "scan": {"segments": 8}}
-    assert load_platform(write(folder, data)).scan.segments == 8
-    with pytest.raises(ConfigError, match=re.escape("scan.segments is 8")) as caught:
-        load_platform(write(folder, {"extends": "burger", "scan": {"segments": 8, "sweep": sweep}}))
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("changes", SHORT_SIGHTED)
 def test_a_sensor_that_sees_less_far_than_the_robot_needs_is_refused(
     folder: Path, changes: dict[str, Any]

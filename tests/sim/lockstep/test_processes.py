@@ -35,12 +35,6 @@ MIXED: dict[str, Any] = {
     "lidar_visibility": "real",
     "accepts_faster": ["waffle_pi"],
 }  # fmt: skip
-SEGMENTS = {
-    **MIXED,
-    "arena": {"size": [2.0, 2.0]},
-    "groups": {"all": {"platform": "burger", "count": 4, "prefix": "r", "pattern": "random_walk"}},
-    "platforms": {"burger": {"extends": "burger", "scan": {"segments": 4}}},
-}
 AT_ONCE = {**MIXED, "radio": {}, "accepts_unseen": ["waffle_pi"]}
 BOXES = {
     **MIXED,
@@ -136,8 +130,8 @@ def same_bits(a: Trace, b: Trace) -> None:
 
 @pytest.mark.parametrize(
     ("data", "cores"),
-    [(MIXED, 3), (SEGMENTS, 2), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2), (SEEN, 2)],
-    ids=["mixed", "segments", "at_once", "boxes", "latches", "carried", "seen"],
+    [(MIXED, 3), (AT_ONCE, 2), (BOXES, 2), (LATCHES, 3), (CARRIED, 2), (SEEN, 2)],
+    ids=["mixed", "at_once", "boxes", "latches", "carried", "seen"],
 )
 def test_processes_give_the_bits_of_one_process(data: dict[str, Any], cores: int) -> None:
     whole = simulate_run(scenario_of(data), 4)
