@@ -18,7 +18,7 @@ from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.members import HEADER, WIDE, health, row, wide_cells
-from swarmd.texts.status import sections
+from swarmd.texts.status import sections_with_events
 from swarmd.texts.values import printable
 from swarmd.texts.why import why
 
@@ -120,6 +120,8 @@ def describe(options: CommonOptions, robot: str) -> None:
             if member.status is not None:
                 for note in key_warnings([member.status], time.time()):
                     click.echo(note)
-                for title, rows in sections(member, member.status, _described(member.status)):
+                for title, rows in sections_with_events(
+                    member, member.status, _described(member.status)
+                ):
                     print_section(title, rows)
         click.get_current_context().exit(exit_code_of(view, [robot]))

@@ -16,7 +16,7 @@ from swarmd.network.operator.exit_codes import code_of_answers
 from swarmd.network.operator.members_view import MembersView, SeenMember
 from swarmd.plugins import installed_patterns
 from swarmd.texts.members import HEADER, health, row
-from swarmd.texts.status import NOT_DESCRIBED, sections
+from swarmd.texts.status import NOT_DESCRIBED, sections_with_events
 from swarmd.texts.values import printable
 from swarmd.texts.why import why
 
@@ -66,7 +66,9 @@ class Members(Mapping[str, SeenMember]):
         check_known(robot, self)
         member = self[robot]
         status = member.status
-        parts = [] if status is None else sections(member, status, _described(status.pattern))
+        parts = []
+        if status is not None:
+            parts = sections_with_events(member, status, _described(status.pattern))
         return Description(robot, why(member), tuple((title, tuple(rows)) for title, rows in parts))
 
     def rows(self) -> list[dict[str, Any]]:

@@ -32,7 +32,7 @@ NOT_DESCRIBED: Mapping[str, Any] = MappingProxyType({})
 def sections(
     member: Member, status: Status, described: Mapping[str, Any] = NOT_DESCRIBED
 ) -> list[tuple[str, list[tuple[str, str]]]]:
-    """The whole status in titled groups of (name, value) lines; a group may be empty.
+    """The status without events, in titled groups of (name, value) lines; a group may be empty.
 
     `described`: what `describe_patterns` gives of the pattern, for the units of its values.
     """
@@ -49,8 +49,15 @@ def sections(
         ("Health", _health(status)),
         ("Meaning of words", list(status.words.items())),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
-        ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
     ]
+
+
+def sections_with_events(
+    member: Member, status: Status, described: Mapping[str, Any] = NOT_DESCRIBED
+) -> list[tuple[str, list[tuple[str, str]]]]:
+    """As `sections`, with the last events as the last group."""
+    events = [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]
+    return [*sections(member, status, described), ("Events", events)]
 
 
 def _readings(status: Status) -> list[tuple[str, str]]:

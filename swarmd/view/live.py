@@ -235,10 +235,10 @@ class LiveSource:
         if known is None or member is None:
             return None
         status, age = known
-        *rest, _ = sections(member, status, self.descriptions.get(status.pattern or "", {}))
+        groups = sections(member, status, self.descriptions.get(status.pattern or "", {}))
         return {
             "why": why(replace(member, status=status)),
-            "sections": [[title, rows] for title, rows in rest if rows],
+            "sections": [[title, rows] for title, rows in groups if rows],
             "events": [
                 [f"{max(status.uptime - event.at, 0.0) + age:.0f} s ago", event.text]
                 for event in reversed(status.events)

@@ -113,7 +113,7 @@ class RecordingSource:
             alive = Presence.ALIVE
             member = Member(robot=name, instance=status.instance, presence=alive, age=0.0)
             described = self.descriptions.get(status.pattern or "", NOT_DESCRIBED)
-            *groups, _ = sections(member, status, described)
+            groups = sections(member, status, described)
             titled = [[title, rows] for title, rows in groups if rows]
         events = [[f"{at:.1f} s", text] for at, text in track.events(now, MAX_EVENTS)]
         return {"sections": titled, "events": events}

@@ -23,7 +23,7 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-from swarmd.texts.status import passage_text, sections
+from swarmd.texts.status import passage_text, sections, sections_with_events
 from swarmd.texts.values import sandbox_text
 from tests.support.statuses import ESTOPPED, make_member
 
@@ -40,7 +40,6 @@ def test_shows_the_status_in_groups() -> None:
     groups = shown(member)
     assert groups["Parameters"] == {"speed": "0.2  from request", "turn": "0    from robot"}
     assert groups["Readings"] == {"battery": "0.71"}
-    assert groups["Events"] == {"3.0 s ago": "loading drive"}
     expected = {
         "Robot": {"labels": "red", "driver": "simulated (up)", "up for": "2 min"},
         "State": {"state": "running for 3.0 s", "revision": "7"},
@@ -54,6 +53,15 @@ def test_shows_the_status_in_groups() -> None:
     for group, rows in expected.items():
         assert rows.items() <= groups[group].items()
     assert shown(ESTOPPED)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
+
+
+def test_events_are_in_the_whole_status_alone() -> None:
+    member = make_member()
+    assert member.status is not None
+    assert "Events" not in shown(member)
+    *groups, last = sections_with_events(member, member.status)
+    assert groups == sections(member, member.status)
+    assert last == ("Events", [("3.0 s ago", "loading drive")])
 
 
 def test_numbers_of_a_described_pattern_have_their_units() -> None:
