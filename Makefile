@@ -29,7 +29,7 @@ JOBS ?= 6
 # Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
 ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 
-.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel bringup format docs reference names bench budget weight network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
+.PHONY: help demo kernels wheels archive test test-robot evidence check static wheel bringup format docs reference names bench budget network network-scale paper safety outcomes voting learning films screens mutants kernel-mutants ros2-router zenohd ros-study lock clean tuning bench-suite
 .DELETE_ON_ERROR:
 
 help:
@@ -46,7 +46,6 @@ help:
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make bench-suite  the benchmark tasks: the table of docs/benchmark_suite.md; some 70 minutes of a core"
-	@echo "make weight    lines, files and forms of the project beside their limits; ARGS=--write lowers these"
 	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
@@ -168,11 +167,6 @@ bench-suite: $(VENV)/tools
 # Every row of the budgets in two minutes.
 budget: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.budget
-
-# ARGS=--write lowers tests/weights.toml to the present numbers, and ARGS="--list NAME" prints the
-# places of a row; tests/test_weight.py compares them.
-weight: $(VENV)/tools
-	@$(BIN)/python -m benchmarks.house $(ARGS)
 
 # Every verb at 28 pairs of delay and loss, then the long tests of splits, storms and flapping, in
 # network namespaces. ARGS="--rtt 200 500 --loss 0 --json answers.jsonl" picks cells of the matrix.

@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -21,6 +20,14 @@ from studies import kernel_mutants
 from swarmd.core import kernels
 from swarmd.plugins import installed_patterns
 from swarmd.testing.no_side_effects import FORBIDDEN_IMPORTS
+from tests.support.shape import (
+    FILES,
+    executable_statements,
+    import_closure,
+    keys_of,
+    source_files,
+    statements,
+)
 from tests.support.wings import ROOMS, WINGS, wing_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -41,6 +48,17 @@ FORBIDDEN = {
 EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for viewers of real-time mode",
 }
+# Executable statements of the sources. A part that needs more names the part that goes.
+MOST_STATEMENTS = 67_000
+# Modules in the import closure of each module, and keys of all files; SLACK above them is a fault.
+CLOSURES = {
+    "swarmd.protection.arbiter": 63,
+    "swarmd.robot.robot": 100,
+    "swarmd.network.peer": 35,
+    "swarmd.api": 34,  # what the author of a pattern imports
+}
+KEYS = 355
+SLACK = 1.05
 # The public names, which are imported when they are used, and where type checkers find them.
 SURFACE = "swarmd/__init__.py"
 # Packages that take the time as an argument, and read no clock.
@@ -108,17 +126,6 @@ def imports(path: Path) -> list[tuple[int, str]]:
     return found
 
 
-def statements(tree: ast.Module) -> Iterator[ast.stmt]:
-    """All statements, without the expressions in them: these are nine tenths of the nodes."""
-    inner: list[Any] = [tree]
-    while inner:
-        node = inner.pop()
-        for name in ("body", "orelse", "finalbody", "handlers", "cases"):
-            inner += getattr(node, name, ())
-        if isinstance(node, ast.stmt):
-            yield node
-
-
 def lines_for_types(path: Path) -> set[int]:
     """The lines of `if TYPE_CHECKING`, without its `else`."""
     return {
@@ -142,6 +149,38 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
         and (name_of(path), module) not in EXCEPTIONS
         and name_of(path) != SURFACE
     ]
+
+
+def test_executable_statements_stay_below_their_ceiling() -> None:
+    number = sum(executable_statements(path.read_text()) for path in source_files())
+    assert 0.5 < number / MOST_STATEMENTS <= 1.0
+
+
+@pytest.mark.parametrize("module", CLOSURES)
+def test_what_one_must_know_of_a_module_does_not_grow(module: str) -> None:
+    assert 0.5 < len(import_closure(module)) / CLOSURES[module] <= SLACK
+
+
+def test_configuration_keys_do_not_grow() -> None:
+    assert 0.5 < sum(map(len, keys_of(*FILES).values())) / KEYS <= SLACK
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ('"""Text."""\nimport a\nfrom b import c\npass', 0),
+        ("a = 1\nif a:\n    a += 1\nelse:\n    f(a)", 4),
+        ("a, b, c = 1, 2, 3", 3),
+        ("a, b = f()", 1),
+        ("a = b = 1", 2),
+        ("a = 1, 2", 1),
+        ('class A:\n    """Text."""\n    x: int\n    def f(self): return 1', 4),
+        ("try:\n    f()\nexcept E:\n    g()\nfinally:\n    h()", 4),
+        ("match a:\n    case 1:\n        f()", 2),
+    ],
+)
+def test_statements_that_are_counted(text: str, number: int) -> None:
+    assert executable_statements(text) == number
 
 
 def test_one_module_reads_and_writes_yaml() -> None:

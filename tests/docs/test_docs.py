@@ -17,20 +17,30 @@ from typing import Any
 import click
 import pytest
 import yaml
+from msgspec import Struct
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.core.clock import TICK
+from swarmd.core.hazard import HazardKind
 from swarmd.core.key_table import PUBLISHED
+from swarmd.core.messages import Reason
+from swarmd.drivers.crazyflie.driver import CrazyflieOptions
+from swarmd.drivers.ros.options import RmwOptions, Ros1Options
+from swarmd.mission.schema import MissionFile
 from swarmd.plugins import DRIVERS
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.settings.platforms import PlatformFile, load_platform, platform_names
+from swarmd.sim.experiments.benchmark import TaskFile
 from swarmd.sim.experiments.lessons import Lesson, load_lessons
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.placed import is_placed
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
+from swarmd.sim.scenarios.schema import ScenarioFile
+from swarmd.sim.world.realism import Realism
+from tests.support.shape import FILES, keys_of
 from tests.support.swarmctl import parse_line
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,6 +65,18 @@ GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "com
 SOURCE = re.compile(r"`((?:swarmd|patterns|drivers|sim|config|studies|tests)/[\w/-]+\.\w+)`")
 STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+CODE_WORD = re.compile(r"`([^`\n]+)`|^\| ([\w, ]+) \|", re.MULTILINE)
+# Where the keys of each file stand: pages below docs.
+KEY_PAGES: dict[type[Struct], tuple[str, ...]] = {
+    **dict.fromkeys(FILES, ("configuration.md",)),
+    PlatformFile: ("configuration.md", "safety.md", "reference/platforms.md"),
+    **dict.fromkeys((ScenarioFile, Realism), ("configuration.md", "reference/scenarios.md")),
+    **dict.fromkeys((RmwOptions, Ros1Options), ("configuration.md", "ros.md")),
+    MissionFile: ("missions.md",),
+    TaskFile: ("benchmark_suite.md",),
+    CrazyflieOptions: ("configuration.md", "robots/crazyflie.md"),
+}
 
 
 @cache
@@ -311,6 +333,37 @@ def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None
     lines = reference()["part"](part).splitlines()
     found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
     assert set(rows) <= found
+
+
+@cache
+def words_of(page: str) -> set[str]:
+    """The words in code, headings and the first cells of tables, of a page below docs."""
+    text = text_of(ROOT / "docs" / page)
+    code = [block for _, block in BLOCK.findall(text)]
+    rest = BLOCK.sub("", text)
+    cells = [cell for cells in CODE_WORD.findall(rest) for cell in cells]
+    return set(re.findall(r"\w+", " ".join([*code, *cells, *HEADING.findall(rest)])))
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_each_key_stands_in_its_page(file: type[Struct]) -> None:
+    words = set[str]().union(*map(words_of, KEY_PAGES[file]))
+    unknown = {
+        f"{kind.__name__}.{key}" for kind, keys in keys_of(file).items() for key in keys - words
+    }
+    assert unknown == set()
+
+
+@pytest.mark.parametrize(
+    ("names", "page"), [({*HazardKind}, "safety.md"), ({*Reason}, "trouble.md")]
+)
+def test_each_hazard_and_reason_stands_in_its_page(names: set[str], page: str) -> None:
+    assert names - words_of(page) == set()
+
+
+def test_each_verb_stands_in_a_page_that_people_write() -> None:
+    texts = " ".join(page.read_text() for page in PAGES)
+    assert {name for name in VERBS if f"swarmctl {name}" not in texts} == set()
 
 
 def test_each_part_that_is_made_from_the_code_has_one_page() -> None:
