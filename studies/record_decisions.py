@@ -36,12 +36,10 @@ SCENES = (
     Scene("rush", "jackal", "real"),
     Scene("rush", "mixed"),
     Scene("swap", "burger", "real"),
-    Scene("swap", "waffle_pi", mode="reciprocal"),
     Scene("swap", "jackal", "real"),
     Scene("twists", "burger", "real"),
     Scene("twists", "waffle_pi"),
     Scene("twists", "mixed"),
-    Scene("goals", "burger", mode="reciprocal"),
     Scene("goals", "waffle_pi", "real"),
     Scene("goals", "jackal"),
 )

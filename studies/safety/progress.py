@@ -11,7 +11,7 @@ from studies.safety.runs import Record, Task, total
 from studies.safety.scenes import Scene
 
 GHOST = "ghost"
-MODES = (GHOST, "barrier", "reciprocal", "potential_field", "stop_zone")
+MODES = (GHOST, "barrier", "potential_field", "stop_zone")
 
 
 def plan(

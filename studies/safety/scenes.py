@@ -30,7 +30,6 @@ MODES = (
     "barrier",
     "orca",
     "walls_stand",
-    "reciprocal",
     "potential_field",
     "stop_zone",
     "off",
@@ -390,8 +389,6 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     if scene.platform == "mixed":
         barrier |= {"others_speed": _MIXED_SPEED}
         barrier |= {} if scene.is_told else {"keep_out": _MIXED_KEEP_OUT}
-    if scene.mode == "reciprocal":
-        barrier |= {"responsibility": "reciprocal", "margin": 0.08}
     found: dict[str, dict[str, Any]] = {}
     for kind in kinds_of(scene.platform):
         found[kind] = protected(kind, scene.mode, barrier)
@@ -416,8 +413,7 @@ def protected(kind: str, mode: str, barrier: Mapping[str, Any]) -> dict[str, Any
     to stand. ghost: no protection, and a body that others pass through.
     """
     avoiding = ("orca", "walls_stand")
-    of_barrier = ("reciprocal", *avoiding)
-    of_mode = "barrier" if mode in of_barrier else "off" if mode == "ghost" else mode
+    of_mode = "barrier" if mode in avoiding else "off" if mode == "ghost" else mode
     protection: dict[str, Any] = {"mode": of_mode}
     protection["avoidance"] = "orca" if mode in avoiding else "none"
     walls = {"walls_stand": _walls_stand((kind,))} if mode == "walls_stand" else {}

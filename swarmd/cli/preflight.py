@@ -128,7 +128,7 @@ def protection_text(protection: Mapping[str, Any]) -> str:
     if mode == "barrier":
         barrier = protection["barrier"]
         text = (
-            f"barrier ({barrier['responsibility']}): assumes obstacles of up to"
+            "barrier: assumes obstacles of up to"
             f" {barrier['others_speed']:g} m/s that extend {barrier['unseen_extent']:g} m beyond"
             f" their returns, and braking with {barrier['braking_linear']:g} m/s2 and"
             f" {barrier['braking_angular']:g} rad/s2; keeps {barrier['margin']:g} m of margin"

@@ -48,7 +48,6 @@ class Assumptions:
 
     others_speed: cython.double  # m/s, fastest surface of any other object
     standing_speed: cython.double  # m/s, the same for a wall that stands (standing_walls.py)
-    is_passive: cython.bint  # others may approach; else each of two robots uses half of the gap
     unseen_extent: cython.double  # m by which objects extend beyond their part in the scan plane
     margin: cython.double  # m kept free for range noise
     braking_linear: cython.double  # m/s2, least deceleration of the base
@@ -57,7 +56,7 @@ class Assumptions:
     angular_limit: cython.double  # rad/s
     surface_speed: cython.double  # m/s, fastest corner of this robot near an obstacle
     top_surface_speed: cython.double  # m/s, fastest place of this robot's surface anywhere
-    has_special_caps: cython.bint  # of walls that stand, or reciprocal ones
+    has_wall_caps: cython.bint  # walls that have stood are assumed to stand
     side_reserve: cython.double  # m/s by which a corner passes an obstacle more slowly
     keep_out: cython.double  # m around the lidar that stay free; NaN: no circle
     blind_radius: cython.double  # m around the lidar within which an obstacle may hide; 0: nowhere
@@ -67,8 +66,7 @@ class Assumptions:
     may_creep: cython.bint
 
     def __init__(self, platform: Platform, settings: BarrierSettings) -> None:
-        is_passive = settings.responsibility == "passive"
-        self.others_speed, self.is_passive = settings.others_speed, is_passive
+        self.others_speed = settings.others_speed
         self.unseen_extent, self.margin = settings.unseen_extent, settings.margin
         self.braking_linear = settings.braking_linear
         self.braking_angular = settings.braking_angular
@@ -76,18 +74,16 @@ class Assumptions:
         binding = BindingRange(platform, settings, TICK)
         self.surface_speed, self.top_surface_speed = binding.surface, binding.fastest
         self.standing_speed = settings.standing_speed
-        self.has_special_caps = not is_passive or self.standing_speed < self.others_speed
+        self.has_wall_caps = self.standing_speed < self.others_speed
         self.fresh_binding_range, self.longest_scan_age = binding.fresh, binding.stale
-        within = settings.envelope_within
-        self.envelope_range = binding.for_envelope() if within is None else within
+        self.envelope_range = binding.for_envelope()
         self.keep_out = math.nan if settings.keep_out is None else settings.keep_out
         can_hide = platform.scan.near != "reported" and settings.keep_out is None
         self.blind_radius = platform.scan.range_min if can_hide else 0.0
         reserve = settings.side_reserve
-        reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
-        self.side_reserve = reserve if is_passive else 0.0
+        self.side_reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
         # A range ring gives discs: where a disc may touch the robot is too uncertain to creep past.
-        self.may_creep = platform.ranges is None and settings.keep_out is None and is_passive
+        self.may_creep = platform.ranges is None and settings.keep_out is None
 
     @cython.cfunc
     @cython.inline

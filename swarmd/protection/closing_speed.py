@@ -43,7 +43,6 @@ def closing_cap(
     braking: cython.double,
     unseen: cython.double,
     others: cython.double,
-    is_passive: cython.bint,
 ) -> cython.double:
     """The highest closing speed in m/s from which the robot can stop in time.
 
@@ -59,20 +58,7 @@ def closing_cap(
         braking: m/s2, b, at which the closing speed can fall.
         unseen: s since the obstacle was seen.
         others: m/s, V, at which the obstacle approaches.
-        is_passive: False: the result is that of `reciprocal_cap`.
     """
-    if not is_passive:
-        return reciprocal_cap(room, braking, unseen)
-    return passive_cap(room, braking, unseen, others)
-
-
-@cython.cfunc
-@cython.inline
-@cython.exceptval(check=False)
-def passive_cap(
-    room: cython.double, braking: cython.double, unseen: cython.double, others: cython.double
-) -> cython.double:
-    """As `closing_cap` if `is_passive`; a function of its own for loops that become vector code."""
     # The positive root of s^2 + 2 half_slope s = 2 b room_left; 0 without room left.
     room_left: cython.double = room - others * (unseen + DECISION_PERIOD)
     half_slope: cython.double = braking * DECISION_PERIOD + others
@@ -90,10 +76,10 @@ def wall_cap(
 
     `error_speed`: m/s at which the place of the wall may be wrong for each s of its age.
     """
-    cap: cython.double = passive_cap(room - WALL_MARGIN, braking, unseen, error_speed)
+    cap: cython.double = closing_cap(room - WALL_MARGIN, braking, unseen, error_speed)
     if cap > WALL_SPEED:
         return cap
-    cap = passive_cap(room, braking, unseen, error_speed)
+    cap = closing_cap(room, braking, unseen, error_speed)
     return cap if cap < WALL_SPEED else WALL_SPEED
 
 

@@ -41,10 +41,7 @@ def body_of(platform: Platform) -> Body:
     """The `Body` that a robot of this platform sends to its peers."""
     barrier, speed = barrier_settings(platform), fastest_corner(platform)
     if barrier is not None:
-        reach, within = BindingRange(platform, barrier, TICK), barrier.envelope_within
-        # If the envelope holds wherever a constraint may bind, `surface_speed` is kept near others.
-        if within is None or within >= reach.for_envelope():
-            speed = reach.surface
+        speed = BindingRange(platform, barrier, TICK).surface
     heights = platform.heights
     return Body(
         platform=platform.name[:63],

@@ -28,8 +28,8 @@ from swarmd.protection.buffers import (
 from swarmd.protection.closing_speed import (
     CREEP_SPEED,
     DECISION_PERIOD,
+    closing_cap,
     closing_deceleration,
-    passive_cap,
     reciprocal_cap,
     wall_cap,
 )
@@ -250,17 +250,15 @@ def _is_near_corners(
 
 @cython.cfunc
 @cython.exceptval(-1)
-def _set_special_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
-    """Replace caps of the chunk that `passive_cap` gave: by `wall_cap`, or by `reciprocal_cap`.
+def _set_wall_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -> cython.int:
+    """Replace the caps of points of walls that stand by `wall_cap`.
 
-    `wall_cap` is for walls that stand. `reciprocal_cap` is for all other obstacles, if each of two
-    robots uses half of the gap. A wall that stands is straight, so no part of the wall extends
-    unseen into the blind zone: its hidden gap becomes 0.
+    A wall that stands is straight, so no part of the wall extends unseen into the blind zone: its
+    hidden gap becomes 0.
     """
     j: cython.Py_ssize_t
     for j in range(chunk.count):
-        is_wall: cython.bint = is_standing(chunk.others[j], assumptions.others_speed)
-        if is_wall or not assumptions.is_passive:
+        if is_standing(chunk.others[j], assumptions.others_speed):
             linear: cython.double = (
                 chunk.normal_x[j] * axes.along_x + chunk.normal_y[j] * axes.along_y
             )
@@ -268,17 +266,14 @@ def _set_special_caps(chunk: Chunk, axes: SpeedAxes, assumptions: Assumptions) -
                 linear, chunk.lever[j], assumptions.braking_linear, assumptions.braking_angular
             )
             room: cython.double = chunk.gap[j] - chunk.free[j]
-            if is_wall:
-                chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
-                chunk.hidden[j] = 0.0
-            else:
-                chunk.cap[j] = reciprocal_cap(room, braking, chunk.age[j])
+            chunk.cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
+            chunk.hidden[j] = 0.0
     return 0
 
 
 @cython.cfunc
 @cython.exceptval(-1)
-def _set_special_corner_caps(
+def _set_corner_wall_caps(
     chunk: Chunk,
     axes: SpeedAxes,
     assumptions: Assumptions,
@@ -287,7 +282,7 @@ def _set_special_corner_caps(
     begin: cython.Py_ssize_t,
     end: cython.Py_ssize_t,
 ) -> cython.int:
-    """Replace caps of one corner, as `_set_special_caps` does for the nearest place of the outline.
+    """Replace caps of one corner, as `_set_wall_caps` does for the nearest place of the outline.
 
     The loop is not part of the loop of `_add_corners`, which would compute two caps for each point.
 
@@ -296,8 +291,7 @@ def _set_special_corner_caps(
     """
     j: cython.Py_ssize_t
     for j in range(begin, end):
-        is_wall: cython.bint = is_standing(chunk.others[j], assumptions.others_speed)
-        if is_wall or not assumptions.is_passive:
+        if is_standing(chunk.others[j], assumptions.others_speed):
             distance: cython.double = chunk.row_gap[j]
             dx: cython.double = (chunk.x[j] - corner_x) / distance
             dy: cython.double = (chunk.y[j] - corner_y) / distance
@@ -307,10 +301,7 @@ def _set_special_corner_caps(
                 linear, lever, assumptions.braking_linear, assumptions.braking_angular
             )
             room: cython.double = distance - chunk.free[j]
-            if is_wall:
-                chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
-            else:
-                chunk.row_cap[j] = reciprocal_cap(room, braking, chunk.age[j])
+            chunk.row_cap[j] = wall_cap(room, braking, chunk.age[j], chunk.others[j])
     return 0
 
 
@@ -531,10 +522,10 @@ class Constraints:
         for j in range(count):
             linear: cython.double = nx[j] * along_x + ny[j] * along_y
             braking: cython.double = closing_deceleration(linear, lever[j], slowing, turning)
-            cap[j] = passive_cap(gap[j] - free[j], braking, age[j], others[j])
+            cap[j] = closing_cap(gap[j] - free[j], braking, age[j], others[j])
             chunk_row_x[j], chunk_row_y[j] = linear * limit, lever[j] * angular_limit
-        if assumptions.has_special_caps:
-            _set_special_caps(chunk, axes, assumptions)
+        if assumptions.has_wall_caps:
+            _set_wall_caps(chunk, axes, assumptions)
         # 2. Writes the constraints behind the rows so far.
         row_x: cython.p_double = checked(rows.x, first_row + count)
         row_y: cython.p_double = checked(rows.y, first_row + count)
@@ -802,11 +793,11 @@ class Constraints:
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = corner_x * dy - corner_y * dx
                 braking: cython.double = closing_deceleration(linear, lever, slowing, turning)
-                new_cap[j] = passive_cap(distance - free[j], braking, age[j], others[j])
+                new_cap[j] = closing_cap(distance - free[j], braking, age[j], others[j])
                 new_x[j], new_y[j] = linear * limit, lever * angular_limit
                 new_gap[j] = distance
-            if assumptions.has_special_caps:
-                _set_special_corner_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
+            if assumptions.has_wall_caps:
+                _set_corner_wall_caps(chunk, axes, assumptions, corner_x, corner_y, begin, end)
             self._add_corner(first, begin, end)
         return 0
 

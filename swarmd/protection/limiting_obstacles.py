@@ -160,7 +160,7 @@ class LimitingRows:
         )
         if others < assumptions.others_speed:
             return wall_cap(room, braking, unseen, others)
-        return closing_cap(room, braking, unseen, others, assumptions.is_passive)
+        return closing_cap(room, braking, unseen, others)
 
     @cython.cfunc
     @cython.exceptval(-1)

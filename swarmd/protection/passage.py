@@ -84,9 +84,7 @@ class Room:
         assumptions: Assumptions = self._assumptions
         room: cython.double = distance - front - assumptions.margin - assumptions.unseen_extent
         braking: cython.double = assumptions.braking_linear
-        cap: cython.double = closing_cap(
-            room, braking, age, assumptions.others_speed, assumptions.is_passive
-        )
+        cap: cython.double = closing_cap(room, braking, age, assumptions.others_speed)
         if assumptions.has_keep_out():
             room = distance - self._outline.lidar_x - assumptions.keep_out
             cap = min(cap, reciprocal_cap(room, braking, age))
@@ -108,7 +106,7 @@ class Room:
         assumptions: Assumptions = self._assumptions
         width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
         age = self._scan.latency + REACTION
-        others_speed = assumptions.others_speed if assumptions.is_passive else 0.0
+        others_speed = assumptions.others_speed
 
         # 1. The gap to a post of a door.
         free_distance = assumptions.margin + assumptions.unseen_extent

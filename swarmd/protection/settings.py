@@ -66,21 +66,14 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # corner goes; None: 0.3 of `others_speed`. Higher: passes walls more slowly. Lower: an object
     # that steers for the corner can hit it. 0: the robot does not brake before an object at its
     # side is near. While an object approaches by `margin`, the brakes must be able to take off half
-    # of `others_speed` less this reserve. Only for `passive`.
+    # of `others_speed` less this reserve.
     side_reserve: Reserve | None = None
-    # m from the outline within which `surface_speed` applies; None: as far as a constraint can
-    # bind. Higher: slows down earlier. Lower: this robot tells peers the speed of its fastest
-    # corner at its limits, and peers that assume less (`others_speed`) are held.
-    envelope_within: Length | None = None
-    # passive: others may approach at `others_speed`. reciprocal: each of two uses half of the gap;
-    # gets more done, but leaves millimetres and fails unless all robots use it.
-    responsibility: Literal["passive", "reciprocal"] = "passive"
     # m, radius around the sensor that stays free, for a sensor with a blind zone; None: no circle.
     # Higher: passes fewer gaps. Lower than the blind zone: obstacles enter it unseen.
     keep_out: Length | None = None
     # The assumption that walls which have stood do not begin to move; None: everything may move.
     # Given: passes walls and doors faster. If such a wall moves, it may hit the robot, and the
-    # robot may drive into it until its next scan. Only for `passive`.
+    # robot may drive into it until its next scan.
     walls_stand: WallsStand | None = None
 
     @property

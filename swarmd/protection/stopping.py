@@ -110,7 +110,6 @@ class StopPoints:
     def collect(
         self,
         constraints: Constraints,
-        is_passive: cython.bint,
         seconds: cython.double,
         travel: cython.double,
     ) -> cython.int:
@@ -121,7 +120,6 @@ class StopPoints:
 
         Args:
             constraints: the constraints of the decision, with the placed points.
-            is_passive: True: each obstacle moves during the stop. False: all obstacles stand.
             seconds: the duration of the stop.
             travel: m, how far a place of the outline moves at most during the stop.
         """
@@ -147,13 +145,12 @@ class StopPoints:
             is_return: cython.bint = i < placed.seen  # the other points are discs
             if is_granted and is_return and placed.in_touch_zone[i]:
                 continue
-            others_speed: cython.double = others[i] if is_passive else 0.0
-            needed_gap: cython.double = free[i] + others_speed * age[i]
-            needed_gap_at_end: cython.double = needed_gap + others_speed * seconds
+            needed_gap: cython.double = free[i] + others[i] * age[i]
+            needed_gap_at_end: cython.double = needed_gap + others[i] * seconds
             if gap[i] <= needed_gap_at_end + travel:
                 to_x[count], to_y[count] = x[i], y[i]
                 to_gap[count], to_needed_gap[count] = gap[i], needed_gap
-                to_others[count] = others_speed
+                to_others[count] = others[i]
                 count += 1
         self.count = count
         return 0
@@ -216,7 +213,7 @@ class StopCheck:
         angular_s: cython.double = fabs(angular) / assumptions.braking_angular
         seconds: cython.double = DECISION_PERIOD + (angular_s if angular_s > linear_s else linear_s)
         travel: cython.double = (fabs(linear) + fabs(angular) * self._outline.radius) * seconds
-        self._points.collect(self._constraints, assumptions.is_passive, seconds, travel)
+        self._points.collect(self._constraints, seconds, travel)
         if self._points.count == 0:
             return 0
 

@@ -338,12 +338,10 @@ def _lacking_for_barrier(file: PlatformFile) -> str:
 
 
 def _check_walls(file: PlatformFile) -> Iterator[Fault]:
-    """Check that a wall that stands is longer than this robot, and that others may approach."""
+    """Check that a wall that stands is longer than this robot."""
     barrier = file.protection.barrier
     if barrier is None or barrier.walls_stand is None:
         return
-    if barrier.responsibility != "passive":
-        yield fault_at(("protection", "barrier", "walls_stand"), "needs responsibility passive")
     corners = np.array(file.footprint)
     widest = float(np.hypot(*(corners[:, None] - corners).T).max())
     if barrier.walls_stand.length <= widest:

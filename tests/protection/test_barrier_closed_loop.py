@@ -148,13 +148,6 @@ def test_rammed_robot_does_not_close_on_the_other(platform: Platform, bearing: f
     assert run.touch.speed <= NO_FAULT
 
 
-def test_reciprocal_robot_uses_at_most_half_of_the_gap() -> None:
-    """A wall does not give way, so the robot approaches it by half of the rest at each tick."""
-    careful = under_barrier(BURGER, responsibility="reciprocal", margin=0.08)
-    run = FilterSim(careful, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
-    assert 0.08 + 0.06 - ROUNDING <= run.min_gap <= 0.20
-
-
 def test_standing_obstacle_may_start_to_move() -> None:
     """A box starts to approach when the gap just suffices for a standing robot."""
     starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)

@@ -20,7 +20,6 @@ from swarmd.protection.compatibility import (
     sees,
 )
 from swarmd.settings.platforms import load_platform
-from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 
 NAMES = ("burger", "jackal", "thymio", "waffle_pi")
@@ -98,14 +97,6 @@ def test_the_speed_that_is_told_is_that_of_the_barrier_or_of_the_fastest_corner(
     free = with_mode(platform, "stop_zone")
     assert body_of(free).surface_speed == fastest_corner(platform) > barrier["others_speed"]
     assert assumed_speed(free) is None
-
-
-@pytest.mark.parametrize("within", [0.0, 0.2, 5.0])
-def test_a_robot_that_is_slow_near_others_only_tells_how_fast_it_comes(within: float) -> None:
-    """At 5 m it is as slow as without the setting, where any obstacle can bind it."""
-    platform = under_barrier(load_platform("jackal"), envelope_within=within)
-    told = body_of(platform).surface_speed
-    assert told == (0.6 if within == 5.0 else fastest_corner(platform))
 
 
 def test_a_platform_without_settings_of_the_barrier_tells_its_fastest_corner() -> None:

@@ -27,11 +27,11 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (
     braking,
+    closing_cap,
     envelope,
     nearest,
     nearest_feasible,
     outline_of,
-    passive_cap,
     reciprocal_cap,
     separation,
 )
@@ -64,10 +64,10 @@ SECONDS = st.floats(0.0, 1.0)
 
 
 @given(ROOM, BRAKING, OTHERS_SPEED, SECONDS)
-def test_stop_from_the_passive_cap_uses_up_the_room(
+def test_stop_from_the_closing_cap_uses_up_the_room(
     room: float, braking: float, others: float, unseen: float
 ) -> None:
-    cap = passive_cap(room, braking, others, unseen)
+    cap = closing_cap(room, braking, others, unseen)
     own = cap * TICK + cap**2 / (2.0 * braking)
     theirs = others * (unseen + TICK + cap / braking)
     least = others * (unseen + TICK)  # they approach that far even if the robot stands
@@ -301,7 +301,7 @@ def test_binding_range_ends_where_the_cap_reaches_the_speed(speed: float) -> Non
     assert settings is not None
     gap = BindingRange(platform, settings, TICK).for_fresh_scan(speed)
     room = gap - settings.margin - settings.unseen_extent
-    reached = passive_cap(room, settings.braking_linear, settings.others_speed, 0.0)
+    reached = closing_cap(room, settings.braking_linear, settings.others_speed, 0.0)
     assert reached == pytest.approx(speed)
 
 
@@ -309,7 +309,6 @@ KINDS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", 
 KINDS += [under_barrier(KINDS[0], unseen_extent=0.0), under_barrier(KINDS[2], others_speed=0.4)]
 ALONE = {"others_speed": 0.001, "surface_speed": 0.25, "unseen_extent": 0.0}
 KINDS += [under_barrier(KINDS[0], **ALONE), under_barrier(KINDS[1], **ALONE)]
-KINDS += [under_barrier(KINDS[2], surface_speed=0.3, envelope_within=0.2)]  # slower near others
 SHARE = st.sampled_from([-1.0, -0.5, 0.0, 0.3, 1.0])
 RETURNS = st.lists(st.tuples(st.integers(0, 359), st.integers(1, 30), st.floats(0, 2)), max_size=3)
 BEGIN = 10.0

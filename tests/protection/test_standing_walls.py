@@ -603,7 +603,6 @@ def test_scans_of_garbage_show_no_wall(kernel: Any, garbage: Array) -> None:
     "bad",
     [
         *("{length: 0.2}", "{length: 5.0}", "{seconds: 0.5}", "{seconds: .nan}", "{width: 1.0}"),
-        "{}, responsibility: reciprocal",
     ],
 )
 def test_hostile_settings_are_refused(bad: str, tmp_path: Any) -> None:

@@ -35,9 +35,9 @@ def interpreted(platform: Platform = BURGER, **settings: object) -> Any:
     return interpreted_kernel.Barrier(under_barrier(platform, **settings))
 
 
-def passive_cap(room: float, braking: float, others_speed: float, unseen: float) -> float:
+def closing_cap(room: float, braking: float, others_speed: float, unseen: float) -> float:
     """The cap in m/s for obstacles that approach."""
-    cap: float = part("closing_speed").closing_cap(room, braking, unseen, others_speed, True)
+    cap: float = part("closing_speed").closing_cap(room, braking, unseen, others_speed)
     return cap
 
 
@@ -177,7 +177,7 @@ def after_stop_check(
     barrier = interpreted(platform)
     stop, feasible = barrier._stop, barrier._feasible
     assumptions, constraints = feasible.assumptions, feasible.constraints
-    assumptions.others_speed, assumptions.is_passive = others_speed, True
+    assumptions.others_speed = others_speed
     assumptions.margin = free
     assumptions.braking_linear, assumptions.braking_angular = braking
     constraints.axes.along_x, constraints.axes.along_y = along

@@ -59,11 +59,9 @@ def test_sparse_scenes_have_more_room(platform: str) -> None:
 def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     scene = Scene("goals", "burger", mode=mode)
     protection = next(iter(scenario(scene).robots.values())).protection
-    words = {"ghost": "off"} | dict.fromkeys(("reciprocal", "orca", "walls_stand"), "barrier")
+    words = {"ghost": "off"} | dict.fromkeys(("orca", "walls_stand"), "barrier")
     assert protection["mode"] == words.get(mode, mode)
     assert protection["avoidance"] == ("orca" if mode in ("orca", "walls_stand") else "none")
-    shares = {"reciprocal": "reciprocal"}.get(mode, "passive")
-    assert protection["barrier"]["responsibility"] == shares
 
 
 def test_a_third_attacks_and_is_not_protected() -> None:
