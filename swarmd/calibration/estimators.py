@@ -129,7 +129,7 @@ def turn_delay(
     """The scan delay in s, and the scale of odometry: turn by odometry over turn by scans.
 
     The scan delay is the time from the measurement of a scan to its arrival. A figure without a
-    value says why.
+    value says why. A negative scale: scans show turns in the other direction than odometry.
 
     For each candidate delay, scale and offset are fitted by least squares, and the delay with the
     least error is taken. After Rehder, Siegwart and Furgale, IEEE T-RO 2016, with one axis.
@@ -197,4 +197,4 @@ def _fit_scale(odometry_headings: Array, scan_headings: Array) -> tuple[float, f
     y = scan_headings - scan_headings.mean()
     scale = float(x @ y / max(float(x @ x), 1e-12))
     residuals = y - scale * x
-    return max(scale, 1e-6), float(residuals @ residuals)
+    return scale or 1e-6, float(residuals @ residuals)

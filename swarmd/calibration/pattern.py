@@ -40,6 +40,9 @@ _LOOKS = 6  # scans at rest before the first drive
 _LOOK_TIME = 10.0  # s within which these scans must arrive
 _SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # count; s a swing; share of top turn rate
 _LEAST_WAY = 0.08  # m between two scans that give a scale of odometry
+_ASTRAY = math.radians(
+    30.0
+)  # least angle between the ways by scans and by odometry that is a fault
 _RETRIES = 3  # drives without a measured stop before the calibration gives up
 _SLOWER = 0.7  # factor of the top speed for the next try
 _STANDS = "the base stands (motors off, a stop button), its odometry does not change"
@@ -47,25 +50,43 @@ _NO_SLIDE = "its wheels do not slide (limits.lateral: 0)"
 
 
 class _Axis(NamedTuple):
-    """The words of messages for the moves on an axis; `unsteady`, `unseen`: likely causes."""
+    """The words of messages for the moves on an axis.
+
+    `astray`, `unsteady`, `unseen`: likely causes; `astray`: of scans that show another direction
+    than odometry.
+    """
 
     move: str
     unit: str
     way: str
+    astray: str
     unsteady: str = ""
     unseen: str = _STANDS
 
 
 _AXES = {
-    "linear": _Axis("drive", "m/s", "way"),
+    "linear": _Axis(
+        "drive",
+        "m/s",
+        "way",
+        "the lidar is turned by {:.0f} deg, or motors and odometry have the wrong sign",
+    ),
     "lateral": _Axis(
         "drive sideways",
         "m/s",
         "way sideways",
+        "the scan is mirrored (a lidar upside down), or motors and odometry sideways have the wrong"
+        " sign",
         f", or {_NO_SLIDE}",
         f"{_NO_SLIDE}, its driver measures no way sideways",
     ),
-    "angular": _Axis("turn", "rad/s", "turn"),
+    "angular": _Axis(
+        "turn",
+        "rad/s",
+        "turn",
+        "the scan is mirrored (a lidar upside down), left and right motors are swapped, or the turn"
+        " of odometry has the wrong sign",
+    ),
 }
 
 _Drives: TypeAlias = Generator[Twist, Inputs, None]
@@ -207,7 +228,7 @@ class Calibration(Pattern[CalibrationParams]):
         for arrival, points in zip(arrivals, seen, strict=True):
             yield ZERO  # only one scan is matched in each step, to keep the step short
             guess = self._relative(self._pose_at(arrival - self._spec.latency - self._late))
-            located = self._locate(points, guess)
+            located = self._locate(points, guess, _mirrored(guess))
             if located is not None and located.binds_yaw:
                 error = math.remainder(located.pose.yaw - guess.yaw, 2.0 * math.pi)
                 headings.append((arrival, guess.yaw + error))
@@ -278,8 +299,19 @@ class Calibration(Pattern[CalibrationParams]):
         cos, sin = math.cos(yaw), math.sin(yaw)
         return Pose(cos * dx + sin * dy, cos * dy - sin * dx, pose.yaw - yaw)
 
-    def _locate(self, points: Array, guess: Pose) -> Located | None:
-        return None if self._reference is None else self._reference.locate(points, guess)
+    def _locate(self, points: Array, guess: Pose, *others: Pose) -> Located | None:
+        """The pose of a scan near `guess`, or else near one of `others`; None if none matches.
+
+        `others` are the poses by odometry as a lidar or motors with a fault would show them.
+        """
+        best: Located | None = None
+        reference = self._reference
+        for pose in (guess, *others):
+            located = None if reference is None else reference.locate(points, pose)
+            best = best or located
+            if located is not None and located.binds_place:
+                return located
+        return best
 
     def _stops(
         self, axis: str, stops: list[tuple[float, Braking]], scales: list[_Distances]
@@ -327,7 +359,7 @@ class Calibration(Pattern[CalibrationParams]):
         # 1. Drive until _CLEAR s after the speed was first steady, or until the drive is too long.
         twist = Twist(**{axis: speed})
         sign = math.copysign(1.0, speed)
-        pose_before = self._rest()  # by odometry and by the last scan
+        before = self._rest()  # the poses by odometry and by the last scan
         begin = self._now
         steady_since: float | None = None  # set once: the speed is not compared again
         is_too_long = False
@@ -345,13 +377,18 @@ class Calibration(Pattern[CalibrationParams]):
         # 2. Stop, and measure the stop.
         stop_time = self._now
         yield from self._stand()
+        after = self._rest()
+        distances_by_both = None
+        if axis != "angular":  # turns are compared with scans in `_of_turns`
+            distances_by_both = self._compare(axis, before, after)
+        self._check_rest(after)
         track = self._track(begin)
         stop = stop_of(track[:, 0], _distances(track, axis, sign), stop_time)
         if stop is None or is_too_long:
             yield from self._back(twist, stop_time - begin)
             return None
-        if axis != "angular":  # turns are compared with scans in `_swing`
-            self._compare(pose_before, self._rest(), scales)
+        if distances_by_both is not None:
+            scales.append(distances_by_both)
         return stop
 
     def _check_motion(self, times: Array, distances: Array, speed: float, axis: str) -> None:
@@ -374,6 +411,7 @@ class Calibration(Pattern[CalibrationParams]):
         while self._now - begin < seconds:
             yield Twist(-twist.linear, -twist.angular, -twist.lateral)
         yield from self._stand()
+        self._check_rest(self._rest())
 
     def _stand(self) -> _Drives:
         """Command zero until the robot stands by odometry and a whole scan was taken since."""
@@ -391,36 +429,57 @@ class Calibration(Pattern[CalibrationParams]):
                 still = self._now
             if self._now - begin > _LONGEST_STOP:
                 raise _EndError("the robot does not come to rest, or scans have stopped")
-        if self._scan is not None:
-            points = points_of(self._scan, self._spec.offset)
-            self._check_floor(points, self._relative(self._pose_at(self._now)))
 
     def _rest(self) -> tuple[Pose, Located | None]:
         """The pose at rest by odometry, and by the last scan (None if it does not match)."""
         pose = self._relative(self._pose_at(self._now))
         if self._scan is None:
             return pose, None
-        return pose, self._locate(points_of(self._scan, self._spec.offset), pose)
+        # As a lidar shows it that is turned by 180, 90 or -90 degrees.
+        opposite, left, right = (
+            Pose(x, y, pose.yaw)
+            for x, y in ((-pose.x, -pose.y), (-pose.y, pose.x), (pose.y, -pose.x))
+        )
+        points = points_of(self._scan, self._spec.offset)
+        return pose, self._locate(points, pose, opposite, left, right, _mirrored(pose))
+
+    def _check_rest(self, rest: tuple[Pose, Located | None]) -> None:
+        """End if a return of the last scan lies on the floor; `rest`: the poses from `_rest`."""
+        pose, located = rest
+        if located is not None and located.binds_place and located.binds_yaw:
+            pose = located.pose
+        if self._scan is not None:
+            self._check_floor(points_of(self._scan, self._spec.offset), pose)
 
     def _compare(
         self,
+        axis: str,
         before: tuple[Pose, Located | None],
         after: tuple[Pose, Located | None],
-        scales: list[_Distances],
-    ) -> None:
-        """Append the distances by odometry and by scans in m, if scans show the distance.
+    ) -> _Distances | None:
+        """The distances of a drive by odometry and by scans in m; None if scans show no distance.
 
-        `before`, `after`: the poses at rest by odometry and by scans, from `_rest`.
+        `before`, `after`: the poses at rest from `_rest`. Ends the calibration by _EndError if
+        scans show another direction than odometry.
         """
         (start, start_by_scan), (end, end_by_scan) = before, after
         if start_by_scan is None or end_by_scan is None:
-            return
+            return None
         if not (start_by_scan.binds_place and end_by_scan.binds_place):
-            return
-        a, b = start_by_scan.pose, end_by_scan.pose
-        distance = math.hypot(b.x - a.x, b.y - a.y)
-        if distance >= _LEAST_WAY:
-            scales.append((math.hypot(end.x - start.x, end.y - start.y), distance))
+            return None
+        way, scan_way = _way(start, end), _way(start_by_scan.pose, end_by_scan.pose)
+        distance = math.hypot(*scan_way)
+        if distance < _LEAST_WAY:
+            return None
+        direction, scan_direction = math.atan2(way[1], way[0]), math.atan2(scan_way[1], scan_way[0])
+        astray = math.remainder(scan_direction - direction, 2.0 * math.pi)
+        if abs(astray) > _ASTRAY:
+            words, angle = _AXES[axis], math.degrees(astray)
+            raise _EndError(
+                f"scans show a {words.way} in another direction than odometry, by {angle:.0f} deg:"
+                f" {words.astray.format(-angle)}"
+            )
+        return math.hypot(*way), distance
 
     def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
         """Turn to and fro at a changing rate.
@@ -439,6 +498,7 @@ class Calibration(Pattern[CalibrationParams]):
                 arrivals.append(self._scan_at)
                 points.append(points_of(last_scan, self._spec.offset))
         yield from self._stand()
+        self._check_rest(self._rest())
         return arrivals, points, self._track(begin - 2.0)
 
     # Figures
@@ -488,6 +548,10 @@ class Calibration(Pattern[CalibrationParams]):
         arrivals, scan_headings = np.array(headings).T
         odometry_headings = track[:, 3] - self._start.yaw
         delay, scale = turn_delay(arrivals, scan_headings, track[:, 0], odometry_headings)
+        if scale.is_measured and scale.value < 0.0:
+            raise _EndError(
+                f"scans show turns in the other direction than odometry: {_AXES['angular'].astray}"
+            )
         if delay.is_measured and self._scan is not None and self._scan.ages is not None:
             # `turn_delay` gives the age of the newest ray, since a matched pose is the pose at that
             # ray. So the mean time by which rays are older than the newest ray is added. This time
@@ -543,6 +607,18 @@ class Calibration(Pattern[CalibrationParams]):
         excess = max(reaction - REACTION_TIME, 0.0) * (surface_speed + others_speed)
         margin = float(barrier["margin"])
         return Figure(margin + excess, 0.0, sum(delay.samples for delay in delays), margin)
+
+
+def _mirrored(pose: Pose) -> Pose:
+    """The pose as a mirrored scan shows it, or a scan of a base that turns the other way."""
+    return Pose(pose.x, -pose.y, -pose.yaw)
+
+
+def _way(start: Pose, end: Pose) -> tuple[float, float]:
+    """The way from `start` to `end` in m, ahead and to the left, in the base frame at `start`."""
+    x, y = end.x - start.x, end.y - start.y
+    cos, sin = math.cos(start.yaw), math.sin(start.yaw)
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _distances(track: Array, axis: str, sign: float) -> Array:

@@ -87,6 +87,13 @@ def test_turns_give_the_delay_of_scans_and_the_scale_of_odometry(delay: float) -
     assert late.spread < 0.01
 
 
+def test_turns_in_the_other_direction_have_a_negative_scale_at_the_same_delay() -> None:
+    times, arrivals = np.arange(0.0, 12.0, 0.05), np.arange(2.0, 11.0, 0.2)
+    late, scale = turn_delay(arrivals, -np.sin(2.0 * (arrivals - 0.1)), times, np.sin(2.0 * times))
+    assert late.value == pytest.approx(0.1, rel=0.05)
+    assert scale.value == pytest.approx(-1.0, rel=0.01)
+
+
 def test_a_robot_that_does_not_turn_shows_no_delay() -> None:
     times, arrivals = np.arange(0.0, 9.0, 0.05), np.arange(2.0, 8.0, 0.2)
     late, scale = turn_delay(arrivals, 0.0 * arrivals, times, 1e-4 * np.sin(times))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_scan
 
 from swarmd.calibration.figures import DONE, REFUSED, Figure, names_of
 from swarmd.calibration.floor import needed_floor
 from swarmd.calibration.report import figures_of, settings
 from swarmd.core.messages import Reason, State
-from swarmd.core.values import Platform
+from swarmd.core.values import Platform, Scan
 from swarmd.protection.assumption_monitor import axis_of
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -37,6 +39,7 @@ def simulated(
     limits: dict[str, float] | None = None,
     events: Sequence[dict[str, Any]] = (),
     floor: float | None = None,
+    repeats: int = 4,
     seed: int = 3,
 ) -> Lockstep:
     """One robot in the middle, which calibrates itself from 0.1 s on.
@@ -44,9 +47,10 @@ def simulated(
     Its daemon has the platform's own file, and its base other values of `body` and `limits`.
     """
     file = load_platform(platform)
-    begin = {"at": 0.1, "run": "calibration"}
+    parameters: dict[str, float] = {"repeats": repeats}
     if floor is not None:
-        begin["parameters"] = {"floor": floor}
+        parameters["floor"] = floor
+    begin = {"at": 0.1, "run": "calibration", "parameters": parameters}
     scenario = scenario_of(
         {
             "duration": 300.0,
@@ -263,6 +267,78 @@ def test_the_floor_has_room_at_the_sides_as_ahead() -> None:
     aside = replace(base, footprint=turned, limits=limits)
     slow = replace(aside, limits=replace(limits, lateral=0.0))
     assert needed_floor(slow) < needed_floor(aside) == needed_floor(ahead)
+
+
+def turned(scan: Scan, angle: float) -> Scan:
+    """The scan of a lidar that is mounted turned by `angle` rad, against its file."""
+    steps = round(angle / (2.0 * np.pi) * len(scan.ranges))
+    return replace_scan(scan, ranges=np.roll(scan.ranges, -steps))
+
+
+def mirrored(scan: Scan) -> Scan:
+    """The scan of a lidar that is mounted upside down: its bearing 0 stays ahead."""
+    return replace_scan(scan, ranges=np.roll(scan.ranges[::-1], 1))
+
+
+def with_scans(sim: Lockstep, change: Callable[[Scan], Scan]) -> Lockstep:
+    """The simulation with changed scans, as a robot with a wrongly mounted lidar gets them."""
+    arrived = sim.world.arrived_scans
+    sim.world.arrived_scans = lambda: [  # type: ignore[method-assign]
+        (row, change(scan)) for row, scan in arrived()
+    ]
+    return sim
+
+
+def with_motors(sim: Lockstep, linear: float, angular: float) -> Lockstep:
+    """The simulation with motors that turn otherwise, and so do their encoders."""
+    factors = np.array((linear, angular, 1.0))
+    set_commands = sim.world.set_commands
+    sim.world.set_commands = (  # type: ignore[method-assign]
+        lambda twists: set_commands(factors * twists)
+    )
+    sim.world._odometers._measured[0] *= factors[:, None]
+    return sim
+
+
+def refusal_of(sim: Lockstep) -> str:
+    report = calibrated(sim)
+    assert report["state"] == REFUSED
+    return str(report["why"])
+
+
+@pytest.mark.parametrize(
+    "angle", [180.0, *(pytest.param(angle, marks=pytest.mark.evidence) for angle in (90.0, -90.0))]
+)
+def test_a_lidar_that_is_turned_ends_the_first_drive(angle: float) -> None:
+    sim = simulated(realism=NOISE)
+    why = refusal_of(with_scans(sim, lambda scan: turned(scan, np.radians(angle))))
+    assert "lidar is turned" in why
+    (told,) = re.findall(r"turned by (-?\d+) deg", why)
+    assert abs(np.remainder(float(told) - angle + 180.0, 360.0) - 180.0) < 5.0
+    assert sim.world.time < 12.0
+
+
+@pytest.mark.evidence
+def test_a_mirrored_scan_gives_no_figures() -> None:
+    why = refusal_of(with_scans(simulated(realism=NOISE, repeats=1), mirrored))
+    assert "scan is mirrored" in why
+
+
+def test_swapped_motors_give_no_figures() -> None:
+    why = refusal_of(with_motors(simulated(realism=NOISE, repeats=1), 1.0, -1.0))
+    assert "motors are swapped" in why
+
+
+def test_motors_of_wrong_sign_end_the_first_drive() -> None:
+    sim = with_motors(simulated(realism=NOISE), -1.0, -1.0)
+    assert "wrong sign" in refusal_of(sim)
+    assert sim.world.time < 12.0
+
+
+@pytest.mark.evidence
+def test_a_mirrored_scan_of_a_base_that_moves_sideways_ends_the_first_drive_sideways() -> None:
+    why = refusal_of(with_scans(simulated("rosbot_xl", NOISE, HALL, repeats=1), mirrored))
+    assert "scan is mirrored" in why
 
 
 LATE = {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}}
