@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import (
@@ -27,9 +28,23 @@ from swarmd.network.carriers.interface_watch import (
     InterfaceWatch,
     read_state,
 )
-from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files, watch_links
+from swarmd.network.carriers.link_gate import (
+    CLOSED_TIME,
+    LINE_BURST,
+    LINE_RATE,
+    LinkFlood,
+    LinkGate,
+    LinkShares,
+    open_files,
+)
 from swarmd.network.carriers.routed import RoutedCarrier
-from swarmd.network.carriers.session import default_listen, open_in_thread, open_session
+from swarmd.network.carriers.session import (
+    address_of,
+    default_listen,
+    end_links,
+    open_in_thread,
+    open_session,
+)
 from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import Address
 from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
@@ -95,6 +110,8 @@ class NetworkConnection:
         self._opened = settings  # the settings; once a session was open, with its port
         self._flood: LinkFlood | None = None  # detects a flood of connections to the session
         self._gate: LinkGate | None = None  # lets only known hosts connect during a flood
+        self._shares: LinkShares | None = None  # bounds the links of names
+        self._lines = TokenBucket(LINE_RATE, LINE_BURST)  # of lines about ended links
         # Watches the interface in profile `field`, else None.
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None  # the task that opens the session again
@@ -138,35 +155,61 @@ class NetworkConnection:
             self._follow_ipv4(self._watch.state)
 
     def watch_for_flood(self, now: float) -> None:
-        """Let only known hosts connect while too many connections wait; called on each tick.
+        """Bound the links of names, and the connections that wait; called on each tick.
 
-        A known host has sent a signed datagram. At the begin of a flood this method also reopens
-        the session, which ends the connections that wait.
+        While too many connections wait, only known hosts may connect. A known host has sent a
+        signed datagram. At the begin of such a flood this method also reopens the session, which
+        ends the connections that wait.
         """
-        flood, session = self._flood, self._session
-        if flood is None or session is None or not flood.is_due(now):
+        flood, session, shares = self._flood, self._session, self._shares
+        if flood is None or session is None or shares is None or not flood.is_due(now):
             return
-        if flood.look(open_files(), lambda: len(session.info.links()), now):
+        links = self._end_excess(session, shares, flood, now)
+        is_flooded = flood.look(open_files(), links, now)
+        self._set_gate(now)
+        if is_flooded:
             self._owner.on_event(
                 f"{flood.waiting} connections wait at the port for links: for"
                 f" {flood.closed_until - now:.0f} s it takes those of hosts that sent a signed"
                 " datagram"
             )
-            self._set_gate(now)
             self._begin_renewal()
-        elif self._gate is not None and self._gate.is_closed and not flood.is_closed(now):
-            self._gate.admit(None)
 
-    def admit_links_from(self, source: Address, now: float) -> None:
-        """Let the host `source` connect: it has sent a datagram with a valid signature."""
+    def _end_excess(
+        self, session: zenoh.Session, shares: LinkShares, flood: LinkFlood, now: float
+    ) -> int:
+        """End the links beyond the shares; returns the number of links."""
+        links = {str(link.dst): link for link in session.info.links()}
+        names = {far: link.auth_identifier or "" for far, link in links.items()}
+        ended = shares.excess(names)
+        if ended:
+            end_links((str(links[far].src), far) for far in ended)
+            addresses = filter(None, map(address_of, ended))
+            refused = flood.end((host for host, _ in addresses), now)
+            if refused or self._lines.take(1.0, now):
+                far, why = next(iter(ended.items()))
+                rest = f"; no connection for {CLOSED_TIME:.0f} s from {', '.join(refused)}"
+                self._owner.on_event(
+                    f"ended links ({len(ended)}), such as that of {far.partition('/')[2]} with a"
+                    f" certificate of {names[far][:63]!r}: {why}{rest if refused else ''}"
+                )
+        return len(links)  # files of ended links are open for some ms more
+
+    def admit_links_from(self, source: Address, now: float, *, is_operator: bool) -> None:
+        """Let the host `source` connect: it has sent a datagram with a valid signature.
+
+        `is_operator`: the signature is an operator's.
+        """
         flood = self._flood
-        if flood is not None and flood.hear(source[0].partition("%")[0], now):
+        host = source[0].partition("%")[0]
+        if flood is not None and flood.hear(host, now, is_operator=is_operator):
             self._set_gate(now)
 
     def _set_gate(self, now: float) -> None:
         flood = self._flood
-        if self._gate is not None and flood is not None and flood.is_closed(now):
-            self._gate.admit(flood.known(now))
+        if self._gate is not None and flood is not None:
+            hosts = flood.known(now) if flood.is_closed(now) else None
+            self._gate.admit(hosts, flood.refused(now))
 
     def close(self) -> None:
         """Close at once."""
@@ -299,13 +342,13 @@ class NetworkConnection:
         self.carrier.attach(self._loop, self._owner.on_datagram)
 
     def _use(self, session: zenoh.Session) -> None:
-        """Use a newly opened session. A secured one gets a watch of its links and a link gate."""
+        """Use a newly opened session. A secured one gets shares of its links and a link gate."""
         swarm, now = self._settings.swarm, boottime()
         self._session = session
         self.bus = ZenohBus(session, swarm=swarm, robot=self._robot, drops=self._drops)
         if self._identity is None or self._settings.profile == "routed":
             return
-        watch_links(session, self._identity.roster, self._loop, self._owner.on_event)
+        self._shares = LinkShares(self._identity.roster)
         self._gate = LinkGate({parse_endpoint(text).port for text in self._opened.listen})
         if self._flood is None:
             self._flood = LinkFlood(open_files(), now)

@@ -62,6 +62,7 @@ from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
 from swarmd.security.identity import Identity, authority_of
+from swarmd.security.roster import Role
 
 log = logging.getLogger(__name__)
 
@@ -430,7 +431,8 @@ class Network:
             author = self._guard.author_of(payload, source, now)
             if author is None:
                 return
-            self._connection.admit_links_from(source, now)
+            is_operator = author.role is Role.OPERATOR
+            self._connection.admit_links_from(source, now, is_operator=is_operator)
         body = unpack(self._tag, payload)
         if body is None:
             return

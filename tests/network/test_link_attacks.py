@@ -194,9 +194,12 @@ def test_a_stolen_certificate_of_a_robot_commands_no_other_robot(besieged: Besie
         assert attacking.ask(build(besieged.name, "r1", "state", "status")) == []
 
 
-def test_a_certificate_that_was_revoked_is_linked_denied_and_logged(besieged: Besieged) -> None:
+def test_a_certificate_that_was_revoked_is_denied_logged_and_its_link_ends(
+    besieged: Besieged,
+) -> None:
     with unchanged(besieged), attacker(besieged, besieged.revoked) as attacking:
         assert attacking.is_linked()
+        wait_until(lambda: not list(attacking.session.info.peers_zid()), "the link ends", 20.0)
         assert_all_denied(besieged, attacking, ("mallory", "anna", ANY), ("run", "members"))
         assert attacking.ask(build(besieged.name, "r1", SHARED, "roster", "mallory")) == []
         log = besieged.daemons["r1"]

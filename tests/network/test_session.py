@@ -26,7 +26,7 @@ from swarmd.network.carriers.session import (
     open_session,
     operator_options,
     session_options,
-    tune_link,
+    tune_links,
 )
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import TIMEOUT
@@ -272,15 +272,15 @@ def test_the_sockets_between_two_locators_are_tuned(
     pair: tuple[socket.socket, socket.socket],
 ) -> None:
     near, far = pair
-    assert tune_link(locator(near.getsockname()), locator(far.getsockname()), 2.5) == 2
+    assert tune_links([(locator(near.getsockname()), locator(far.getsockname()))], 2.5) == 2
     assert [user_timeout(sock) for sock in pair] == [2500, 2500]
     assert not lingers(near)
 
 
 def test_other_sockets_are_left_alone(pair: tuple[socket.socket, socket.socket]) -> None:
     near, _ = pair
-    assert tune_link("tcp/127.0.0.1:1", "tcp/127.0.0.1:2", 2.5) == 0
-    assert tune_link("nonsense", "unixpipe/x", 2.5) == 0
+    assert tune_links([("tcp/127.0.0.1:1", "tcp/127.0.0.1:2")], 2.5) == 0
+    assert tune_links([("nonsense", "unixpipe/x")], 2.5) == 0
     assert user_timeout(near) == 0
     assert lingers(near)
 

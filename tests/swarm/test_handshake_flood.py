@@ -1,4 +1,4 @@
-"""Floods of TLS handshakes at the port of a robot, from a host of their own on loopback."""
+"""Floods of TLS handshakes, and of links with a certificate, at the port of a robot."""
 
 from __future__ import annotations
 
@@ -111,3 +111,26 @@ def test_a_flood_of_handshakes_keeps_no_operator_out(
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_great_flood_of_handshakes_keeps_no_operator_out(flooded: Flooded, kind: str) -> None:
     check(flooded, kind, 2000 if kind in ("silent", "half", "slow") else 100)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", ["class", "r2"])
+def test_a_flood_of_links_of_one_certificate_keeps_no_operator_out(
+    flooded: Flooded, name: str
+) -> None:
+    """1,000 links take all that Zenoh gives, from the host of the operator."""
+    words = [flooded.keys.folder_of(name), flooded.endpoint, 1000, FLOOD_TIME]
+    command = [sys.executable, "-m", "tests.support.link_flood", *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as flood:
+        try:
+            assert flood.stdout is not None
+            assert flood.stdout.readline() == b"begun\n"
+            log = flooded.daemons["r1"]
+            wait_until(lambda: f"certificate of '{name}'" in log.text(), "r1 tells of it")
+            wait_until(lambda: set(flooded.states()) == set(ROBOTS), "both answer in the flood")
+            run_and_stop(flooded)
+            assert flood.poll() is None
+        finally:
+            flood.kill()
+    wait_until(lambda: set(flooded.states()) == set(ROBOTS), "both answer after the flood")
+    assert log.terminate() == 0

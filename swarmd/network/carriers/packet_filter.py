@@ -96,14 +96,20 @@ def _limit_blocks(rules: FloodRules, is_ipv6: bool) -> list[Block]:
     return blocks
 
 
-def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
-    """The program for a listening TCP socket that accepts only packets from these hosts."""
+def host_filter(hosts: Iterable[str] | None, refused: Iterable[str] = ()) -> bytes:
+    """The program for a listening TCP socket that drops all packets of the hosts `refused`.
+
+    It accepts those of `hosts`; None: those of all other hosts.
+    """
     blocks: list[Block] = []
-    for host in hosts:
-        words = struct.unpack(f">{len(host.packed) // 4}I", host.packed)
-        first = _SOURCE4 if host.version == 4 else _SOURCE6
-        tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
-        blocks.append((_ACCEPT, tests))
+    for verdict, named in ((_DROP, refused), (_ACCEPT, hosts or ())):
+        for host in map(ipaddress.ip_address, named):
+            words = struct.unpack(f">{len(host.packed) // 4}I", host.packed)
+            first = _SOURCE4 if host.version == 4 else _SOURCE6
+            tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
+            blocks.append((verdict, tests))
+    if hosts is None:
+        blocks.append((_ACCEPT, []))
     return b"".join(_SOCK_FILTER.pack(*instruction) for instruction in _stage(blocks))
 
 
