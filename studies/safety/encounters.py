@@ -29,6 +29,7 @@ from studies.safety.runs import commit, fingerprint
 from studies.safety.scenes import PLUGINS, Scene, protected, scenario
 from studies.safety.tracking import TrueTracker, replace_trackers
 from swarmd.core.values import Array
+from swarmd.protection.decision import MOVING_WALL
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenario import Scenario
@@ -50,7 +51,8 @@ class Found(Struct, frozen=True, kw_only=True):
 
     `arrived` of `robots` reached a goal, the last at `last` s (None: not all did). `goals` in all.
     `recovering` and `avoiding`: shares of the instants. `stuck` of `windows` of 10 s. `faults` of
-    `touches`. `cpu` in s.
+    `touches`. `slowed`: robots that a finding slows at the end; `found`: robots with any finding.
+    `cpu` in s.
     """
 
     arrived: int
@@ -62,6 +64,8 @@ class Found(Struct, frozen=True, kw_only=True):
     windows: int
     touches: int
     faults: int
+    slowed: int = 0
+    found: int = 0
     cpu: float
 
 
@@ -238,7 +242,12 @@ def perform(task: str, mode: str, seed: int) -> Found:
     if mode == TRUTH:
         replace_trackers(run, TrueTracker)
     run.advance(made.duration)
-    return measure(run.trace(), time.process_time() - begin)
+    found = measure(run.trace(), time.process_time() - begin)
+    status = [shell.robot.status(run.world.time) for shell in run.shells if shell is not None]
+    slowing = [any(MOVING_WALL not in text for text in one.findings) for one in status]
+    return msgspec.structs.replace(
+        found, slowed=sum(slowing), found=sum(bool(one.findings) for one in status)
+    )
 
 
 def carry_out(
@@ -292,7 +301,8 @@ def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
     rows = [
         [
             *("task", "mode", "arrived", "of ghosts", "all within [s]", "60, 120 s", "median [s]"),
-            *("goals", "recovering", "stuck", "touches", "at fault", "CPU [s]"),
+            *("goals", "recovering", "stuck", "touches", "at fault"),
+            *("slowed", "with findings", "CPU [s]"),
         ]
     ]
     for (task, mode), runs in found.items():
@@ -314,6 +324,8 @@ def table(found: Mapping[tuple[str, str], Sequence[Found]]) -> str:
                 f"{sum(one.stuck for one in runs) / sum(one.windows for one in runs):.1%}",
                 str(sum(one.touches for one in runs)),
                 str(sum(one.faults for one in runs)),
+                f"{sum(one.slowed for one in runs)} of {robots}",
+                f"{sum(one.found for one in runs)} of {robots}",
                 f"{sum(one.cpu for one in runs):.0f}",
             ]
         )

@@ -176,6 +176,8 @@ class Protection:
             moved = arbiter.moved_wall
             if moved is not None and self._is_running:
                 self.events.append(self._monitor.on_moved_wall(scan.stamp, moved))
+            if self._has_walls:
+                self._monitor.end_wall_doubt(scan.stamp)
                 arbiter.trust_walls(self._monitor.trusts_walls)
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)

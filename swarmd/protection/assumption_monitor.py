@@ -23,13 +23,14 @@ rest is compared with `others_speed`. The test finds an object that approaches, 
 passes.
 
 Walls that stand (`walls_stand`): standing_walls.py tells each wall that moved. The second such wall
-within 10 min is a violation. No wall counts as standing until an operator ends the violation.
+within 10 min is a violation. No wall counts as standing then, and the full speed is safe. The
+violation ends _WALL_DOUBT s after the last wall that moved, or by an operator.
 
-A violation reduces the speed of the robot to `speed_share` until an operator ends the violation,
-since nothing that happens later proves the assumption again. For braking, the share is the measured
-braking (less two standard deviations) over the declared braking. At the reduced speed the time to
-stop is as declared, and the distance to stop is shorter. For others, the share is the assumed speed
-over the measured speed.
+Any other violation reduces the speed of the robot to `speed_share` until an operator ends the
+violation, since nothing that happens later proves the assumption again. For braking, the share is
+the measured braking (less two standard deviations) over the declared braking. At the reduced speed
+the time to stop is as declared, and the distance to stop is shorter. For others, the share is the
+assumed speed over the measured speed.
 
 A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
@@ -116,6 +117,7 @@ _RANGE_NOISE = 0.01  # m of the nearest range, at least
 _MAX_RESIDUAL, _MAX_RESIDUAL_SHARE = 0.03, 0.05
 _STANDARD_DEVIATIONS = 3.0  # standard deviations by which an approach must be too fast
 _MIN_APART, _MAX_APART = 5.0, 600.0  # s between two approaches that together are a violation
+_WALL_DOUBT = 300.0  # s after the last wall that moved, in which no wall counts as standing
 
 RESPONSE = 0.05
 """s after a command within which the base responds, as mode `barrier` assumes."""
@@ -713,10 +715,9 @@ class AssumptionMonitor:
     _approach_text: object  # text on objects that are too fast; empty without a violation
     _approach_share: cython.double  # of `speed_share`
     _approaches: object  # the approaches that were too fast: stamp, m/s, standard deviation
-    # The same for walls that moved: a text, the share of `speed_share`; stamp and m/s of each.
-    _wall_text: object
-    _wall_share: cython.double
-    _wall_moves: object
+    _wall_text: object  # text on walls that moved; empty without a violation
+    _wall_moves: object  # the walls that moved: stamp, m/s
+    _wall_moved_at: cython.double  # the stamp of the last wall that moved
 
     def __init__(self, platform: Platform) -> None:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
@@ -730,7 +731,8 @@ class AssumptionMonitor:
         self._command, self._stamp = ZERO, -math.inf
         self._gaps, self._approaches = deque(maxlen=64), deque()
         self._approach_text, self._approach_share, self.speed_share = "", 1.0, 1.0
-        self._wall_text, self._wall_share, self._wall_moves = "", 1.0, deque()
+        self._wall_text, self._wall_moves = "", deque()
+        self._wall_moved_at = -math.inf
 
     def check_indices(self) -> None:
         """ValueError unless its counts are of its arrays; see `recall`."""
@@ -750,6 +752,11 @@ class AssumptionMonitor:
     def trusts_walls(self) -> bool:
         """False after walls were found to move that had stood, until the finding ends."""
         return not self._wall_text
+
+    def end_wall_doubt(self, stamp: float) -> None:
+        """End the finding on walls if no wall has moved in the _WALL_DOUBT s before `stamp`."""
+        if self._wall_text and stamp - self._wall_moved_at > _WALL_DOUBT:
+            self.forget((self._wall_text,))
 
     @property
     def late(self) -> str:
@@ -775,7 +782,7 @@ class AssumptionMonitor:
             self._approach_text, self._approach_share = "", 1.0
             self._approaches.clear()
         if self._wall_text in findings:
-            self._wall_text, self._wall_share = "", 1.0
+            self._wall_text = ""
             self._wall_moves.clear()
         self._reduce()
 
@@ -918,14 +925,14 @@ class AssumptionMonitor:
     def on_moved_wall(self, stamp: float, moved: MovedWall) -> str:
         """Take in a wall that had stood and has moved; return the text of an event.
 
-        A second wall that moves, _MIN_APART to _MAX_APART s later, is a violation, which slows the
-        robot.
+        After a second wall that moves, _MIN_APART to _MAX_APART s later, no wall is trusted.
         """
         moves = self._wall_moves
         evidence = (
             f"{MOVING_WALL}: a wall that stood for {moved.stood:.0f} s moved"
             f" {moved.distance:.2f} m at {moved.speed:.2f} m/s"
         )
+        self._wall_moved_at = stamp
         if not _is_apart(moves, stamp):
             return evidence
         moves.append((stamp, moved.speed))
@@ -936,9 +943,7 @@ class AssumptionMonitor:
             f"{MOVING_WALL}: {len(moves)} walls moved at {speed:.2f} m/s or faster, declared to"
             f" stand; the last one had stood for {moved.stood:.0f} s"
         )
-        assumed = self._settings.standing_speed
-        self._wall_share = min(assumed / max(speed, assumed), self._wall_share)
-        return self._reduced(self._wall_text)
+        return f"{self._wall_text}: no wall counts as standing"
 
     def _approach(self) -> tuple[float, float]:
         """The speed in m/s of the object that approaches, and its standard deviation.
@@ -983,7 +988,7 @@ class AssumptionMonitor:
     def _reduce(self) -> None:
         """Set `speed_share` by all violations."""
         brake: _Brake
-        share: cython.double = min(self._approach_share, self._wall_share)
+        share: cython.double = self._approach_share
         for brake in self._brakes():
             share = min(share, brake.braking / brake.declared)
         self.speed_share = max(share, MIN_SHARE)

@@ -67,9 +67,10 @@ _WALLS = cython.declare(cython.Py_ssize_t, 16)  # the most walls
 _PARALLEL = cython.declare(cython.double, 0.3)  # sine of the angle by which a wall may have turned
 _FASTEST_WALL = cython.declare(cython.double, 1.0)  # m/s at which a moving wall is recognised
 _SHOWN_TWICE = cython.declare(cython.double, 2.0)  # scans in a row that show a wall elsewhere
-# m by which a wall must be elsewhere to have moved. The lines of robots that turned among walls at
-# rest were up to 4 cm off in two scans in a row.
-_MOVED = cython.declare(cython.double, 0.05)
+# m, beyond the error of odometry, by which rays must pass through the old place of a wall. Lines of
+# robots that turned among walls at rest were up to 9 cm off in two scans in a row.
+_MOVED = cython.declare(cython.double, 0.1)
+_EDGE = cython.declare(cython.Py_ssize_t, 2)  # covered bins on both sides of a ray through a wall
 _AT_REST = cython.declare(cython.double, 1e-3)  # m and rad by odometry
 
 # The fields of a wall in `_walls`.
@@ -246,7 +247,7 @@ class StandingWalls:
             was_elsewhere: cython.bint = self._walls[_W_FIELDS * i + _W_MOVES] != 0.0
             if not was_elsewhere and self._is_still(i, run):
                 self._continue(i, run, is_on_wall, motion)
-                self._runs.fields[run + RUN_TAKEN] = 1.0
+                self._runs.fields[run + RUN_TAKEN] = i + 1.0
                 break
         return 0
 
@@ -658,13 +659,16 @@ class StandingWalls:
             # 2. The wall is elsewhere if a run lies within the m that a wall can have moved.
             farthest: cython.double = _still + _FASTEST_WALL * seconds
             was_elsewhere: cython.bint = scans_elsewhere > 0.0
-            distance: cython.double = self._moved_by(i, was_elsewhere, farthest)
-            is_elsewhere: cython.bint = distance < farthest
+            is_elsewhere: cython.bint = self._moved_by(i, was_elsewhere, farthest) < farthest
             if not is_elsewhere:
                 continue
-            # 3. The wall has moved if the scan before showed the wall elsewhere, too.
+            # 3. The wall has moved if the scan before showed the wall elsewhere, too, and rays pass
+            # through its old place to a run that was no wall before.
             walls[at + _W_MOVES] = scans_elsewhere + 1.0
-            if scans_elsewhere + 1.0 >= _SHOWN_TWICE and distance >= _MOVED:
+            if scans_elsewhere + 1.0 < _SHOWN_TWICE:
+                continue
+            distance: cython.double = self._moved_away_by(i, farthest)
+            if distance < farthest:
                 stood: cython.double = walls[at + _W_CONFIRMED] - walls[at + _W_SINCE]
                 self.moved = MovedWall(stood, distance, distance / seconds)
         return 0
@@ -694,26 +698,107 @@ class StandingWalls:
     ) -> cython.double:
         """The m from the line of a wall to the nearest run that may show the wall elsewhere.
 
-        The result is `farthest` in m if no such run is nearer. The run must lie beside at least
-        half of `length` of the wall. The distance is that of the farther end of this part of the
-        run, less the distance at which the wall was last confirmed. A run that continues a wall is
+        The result is `farthest` in m if no such run is nearer. A run that continues a wall is
         examined only if `was_elsewhere`: the scan before showed the wall elsewhere, perhaps as a
         new wall.
         """
         j: cython.Py_ssize_t
-        runs: cython.double[::1] = self._runs.fields
-        off_before: cython.double = self._walls[_W_FIELDS * wall + _W_OFF]
         least: cython.double = farthest
         for j in range(self._runs.count):
             run: cython.Py_ssize_t = RUN_FIELDS * j
-            if runs[run + RUN_TAKEN] > 0.0 and not was_elsewhere:
+            if self._runs.fields[run + RUN_TAKEN] > 0.0 and not was_elsewhere:
                 continue
-            if not self._overlap(wall, run) or self._is_still(wall, run):
-                continue
-            off: cython.double = fabs(self._off_first - off_before)
-            last_off: cython.double = fabs(self._off_last - off_before)
-            off = last_off if last_off > off else off
-            overlap: cython.double = self._overlap_last - self._overlap_first
-            if overlap >= 0.5 * self._length and off < least:
+            off: cython.double = self._distance(wall, run)
+            if off < least:
                 least = off
         return least
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _moved_away_by(self, wall: cython.Py_ssize_t, farthest: cython.double) -> cython.double:
+        """As `_moved_by`, of the runs that are seen through the old place of the wall.
+
+        A run that continues a wall which was there when `wall` was last confirmed is that other
+        wall, and shows nothing. A wall that has come nearer hides its old place.
+        """
+        j: cython.Py_ssize_t
+        runs: cython.double[::1] = self._runs.fields
+        walls: cython.double[::1] = self._walls
+        least: cython.double = farthest
+        for j in range(self._runs.count):
+            run: cython.Py_ssize_t = RUN_FIELDS * j
+            owner: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, runs[run + RUN_TAKEN]) - 1
+            since: cython.double = walls[_W_FIELDS * owner + _W_SINCE] if owner >= 0 else INFINITY
+            is_known: cython.bint = since <= walls[_W_FIELDS * wall + _W_CONFIRMED]
+            off: cython.double = self._distance(wall, run)
+            if not is_known and off < least and self._is_seen_through(wall, run):
+                least = off
+        return least
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _distance(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.double:
+        """The m from the line of a wall to a run that lies beside it; inf if the run does not.
+
+        The run must lie beside at least half of `length` of the wall, off its line. The distance is
+        that of the farther end of this part of the run, less the distance at which the wall was
+        last confirmed.
+        """
+        if not self._overlap(wall, run) or self._is_still(wall, run):
+            return INFINITY
+        off_before: cython.double = self._walls[_W_FIELDS * wall + _W_OFF]
+        off: cython.double = fabs(self._off_first - off_before)
+        last_off: cython.double = fabs(self._off_last - off_before)
+        off = last_off if last_off > off else off
+        overlap: cython.double = self._overlap_last - self._overlap_first
+        return off if overlap >= 0.5 * self._length else INFINITY
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_seen_through(self, wall: cython.Py_ssize_t, run: cython.Py_ssize_t) -> cython.int:
+        """1 if the rays to a run pass through at least half of `length` of a wall's old place.
+
+        A ray passes through if it crosses the line of the wall among covered bins, and ends at
+        least _MOVED m and the error of odometry behind the line.
+        """
+        k: cython.Py_ssize_t
+        b: cython.Py_ssize_t
+        walls: cython.double[::1] = self._walls
+        at: cython.Py_ssize_t = _W_FIELDS * wall
+        first: cython.Py_ssize_t = _BINS * wall
+        count: cython.Py_ssize_t = (
+            cython.cast(cython.Py_ssize_t, self._runs.fields[run + RUN_LENGTH]) + 1
+        )
+        ux: cython.double = walls[at + _W_HERE_UX]
+        uy: cython.double = walls[at + _W_HERE_UY]
+        from_x: cython.double = self._runs.lidar_x - walls[at + _W_HERE_X]
+        from_y: cython.double = self._runs.lidar_y - walls[at + _W_HERE_Y]
+        before: cython.double = ux * from_y - uy * from_x  # m from the line to the lidar
+        least_bin: cython.Py_ssize_t = _BINS
+        greatest_bin: cython.Py_ssize_t = -1
+        for k in range(count):
+            along: cython.double = self._runs.along(run, k)
+            place: cython.Py_ssize_t = self._runs.return_of(run, k)
+            x: cython.double = self._runs.x[place] - walls[at + _W_HERE_X]
+            y: cython.double = self._runs.y[place] - walls[at + _W_HERE_Y]
+            behind: cython.double = ux * y - uy * x
+            is_on_line: cython.bint = along == along  # NaN for a return off the line of the run
+            is_other_side: cython.bint = before * behind < 0.0
+            if not is_on_line or not is_other_side:
+                continue
+            if fabs(behind) < _MOVED + self._odometry_error(wall, run, along):
+                continue
+            share: cython.double = before / (before - behind)
+            cross_x: cython.double = from_x + share * (x - from_x)
+            cross_y: cython.double = from_y + share * (y - from_y)
+            crossing: cython.double = (ux * cross_x + uy * cross_y) / _BIN + 0.5 * _BINS
+            if not _EDGE <= crossing < _BINS - _EDGE:
+                continue
+            bin_of_wall: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(crossing))
+            is_covered: cython.bint = True
+            for b in range(bin_of_wall - _EDGE, bin_of_wall + _EDGE + 1):
+                is_covered = is_covered and self._since[first + b] < INFINITY
+            if is_covered:
+                least_bin = bin_of_wall if bin_of_wall < least_bin else least_bin
+                greatest_bin = bin_of_wall if bin_of_wall > greatest_bin else greatest_bin
+        return 1 if _BIN * (greatest_bin - least_bin) >= 0.5 * self._length else 0

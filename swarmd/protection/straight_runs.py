@@ -58,7 +58,7 @@ RUN_UX = cython.declare(cython.Py_ssize_t, 10)  # the unit vector along its line
 RUN_UY = cython.declare(cython.Py_ssize_t, 11)
 RUN_FROM = cython.declare(cython.Py_ssize_t, 12)  # m along its line from this point to its begin
 RUN_TO = cython.declare(cython.Py_ssize_t, 13)  # m along its line from this point to its end
-RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)  # 1 once the run belongs to a wall
+RUN_TAKEN = cython.declare(cython.Py_ssize_t, 14)  # 1 + the index of the wall that it continues
 RUN_IS_LONG = cython.declare(cython.Py_ssize_t, 15)  # 1 for a long and straight run
 RUN_FIELDS = cython.declare(cython.Py_ssize_t, 16)
 

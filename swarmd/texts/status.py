@@ -174,7 +174,7 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         *_walls_stand(status.walls_stand),
         *_fence(status.fence),
         *_scan_delay(status.scan_delay),
-        *_titled("slowed by", status.findings),
+        *_titled("findings", status.findings),
         *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]

@@ -217,7 +217,7 @@ def test_findings_of_the_assumption_monitor_are_lines_of_protection() -> None:
     member = make_member(findings=found)
     assert member.status is not None
     lines = dict(sections(member, member.status))["Protection"]
-    assert ("slowed by", found[0]) in lines
+    assert ("findings", found[0]) in lines
     assert ("", found[1]) in lines
 
 
