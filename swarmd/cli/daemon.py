@@ -31,6 +31,7 @@ VERBS = {
     ),
     "service": LazyVerb("swarmd.cli.service:service", "Run the daemon as a service of systemd."),
     "stop-base": LazyVerb("swarmd.cli.stop_base:stop_base", "Command zero to the base, and exit."),
+    "hub": LazyVerb("swarmd.cli.hub:hub", "Run the hub of a base, 3 s longer than asked."),
 }
 _EPILOG = """\b
 Exit codes:
@@ -127,7 +128,8 @@ def swarmd(
         _refuse_options(ctx)
         return
     overrides = {  # options that replace values of the file; None: the value of the file counts
-        **options,
+        # Empty: not given, as launch files pass an argument without a value.
+        **{name: value or None for name, value in options.items()},
         "seeds": list(seeds) or None,
         "insecure": insecure or None,
         "driver_options": _read_options(driver_options) or None,

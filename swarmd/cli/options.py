@@ -30,10 +30,20 @@ FILE = click.Path(dir_okay=False, path_type=Path)
 FOLDER = click.Path(file_okay=False, path_type=Path)
 EXISTING = click.Path(exists=True, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
-PROFILES = click.Choice(["dev", "field", "routed"])
 FORMS = click.Choice(["table", "json"])
 
 _MAX_DURATION = 1e7  # s
+
+
+class _Choice(click.Choice[str]):
+    """A choice that takes an empty value as not given, as launch files pass it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The value, or None for an empty one."""
+        return super().convert(value, param, ctx) if value else None
+
+
+PROFILES = _Choice(["dev", "field", "routed"])
 
 
 class Failure(click.ClickException):

@@ -20,6 +20,7 @@ from swarmd.daemon.driver import make_driver
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
+from swarmd.network.settings import ONLY_HERE
 from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.protection.fence_settings import FenceSettings
@@ -157,6 +158,8 @@ def _check_network(settings: DaemonSettings) -> Finding:
         text += f", secured as {settings.identity.name}"
     elif settings.network.profile != "dev":
         text += "; insecure: anyone on this network can drive this robot"
+    if settings.network.profile == "dev":
+        text += f"; {ONLY_HERE}"
     return Finding("network", True, text)
 
 

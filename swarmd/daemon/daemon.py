@@ -65,6 +65,7 @@ from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
 from swarmd.network.datagram import Address, Beacon, Stop
 from swarmd.network.peer import Summary
+from swarmd.network.settings import ONLY_HERE
 from swarmd.network.spread.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
@@ -112,7 +113,10 @@ async def serve(settings: DaemonSettings) -> int:
     ask_for_slices(SHORT_SLICE)  # before any thread starts: threads inherit the setting
     for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
-    daemon = Daemon(settings, make_driver(settings))
+    driver = make_driver(settings)
+    if settings.network.profile == "dev" and not driver.is_simulated:
+        log.warning("profile dev: %s", ONLY_HERE)
+    daemon = Daemon(settings, driver)
     await daemon.run(stop)
     return 0
 

@@ -20,6 +20,11 @@ MIN_LEASE, MAX_LEASE = 0.2, 60.0
 
 Profile = Literal["dev", "field", "routed"]
 DEFAULT_SWARM = "default"
+ONLY_HERE = (
+    "no other computer reaches this robot; for other robots and laptops give profile field and the"
+    " interface"
+)
+"""What profile `dev` means for a robot that is not simulated."""
 # The path of a setting, such as ("seeds", 0), and the text of its fault.
 Fault = tuple[tuple[str | int, ...], str]
 

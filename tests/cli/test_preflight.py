@@ -12,6 +12,7 @@ import pytest
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
     _check_fence,
+    _check_network,
     _platform_text,
     check_daemon,
     check_patterns,
@@ -89,6 +90,16 @@ def test_the_main_numbers_of_the_barrier_are_given() -> None:
     for name in ("others_speed", "unseen_extent", "margin", "braking_linear", "keep_out"):
         assert f" {barrier[name]:g} m" in text, name
     assert "sensor" not in protection_text(protection("burger", "barrier"))
+
+
+@pytest.mark.parametrize(("profile", "is_open"), [("dev", False), ("field", True)])
+def test_a_robot_that_no_other_computer_reaches_says_so(
+    tmp_path: Path, profile: str, is_open: bool
+) -> None:
+    network: dict[str, Any] = {"swarm": "meadow", "interface": "lo", "insecure": True}
+    finding = _check_network(settings_of(tmp_path, profile=profile, **network))
+    assert finding.is_well
+    assert ("no other computer reaches this robot" in finding.text) is not is_open
 
 
 @pytest.mark.parametrize(

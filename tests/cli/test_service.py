@@ -150,6 +150,13 @@ def test_the_daemon_feeds_the_watchdog_more_often_than_it_must() -> None:
     assert float(seconds) >= 4 * NEIGHBORS_PERIOD * TICK
 
 
+def test_the_bridge_of_a_robot_stops_after_the_daemon_and_never_before() -> None:
+    """The name is that of the unit in the packages of the bridge's makers."""
+    unit = settings_of(unit_text(PROGRAM))
+    assert "zenoh-bridge-ros2dds.service" in unit["After"][0].split()
+    assert unit["StopPropagatedFrom"] == ["zenoh-bridge-ros2dds.service"]
+
+
 @needs_systemd
 def test_systemd_finds_no_fault_in_the_unit_and_little_exposure(tmp_path: Path) -> None:
     unit = tmp_path / "swarmd.service"

@@ -76,7 +76,8 @@ def _config(endpoint: str, domain: int, namespace: str) -> dict[str, object]:
 class Bridge:
     """The bridge between a DDS domain and `endpoint`; a context manager.
 
-    Its log is in `folder`. `distro` is the robot's. Its end is that of whoever started it.
+    Its log is in `folder`. `distro` is the robot's. Its end is that of whoever started it. Others
+    start it by `command` with `environ`.
     """
 
     def __init__(
@@ -87,8 +88,8 @@ class Bridge:
         self.domain, self._namespace = domain, namespace
         program, self._config = bridge_program(), folder / "bridge.json5"
         assert program is not None, why_no_bridge()
-        self._command = ["setpriv", "--pdeathsig", "KILL", program, "-c", str(self._config)]
-        self._environ = {
+        self.command = [program, "-c", str(self._config)]
+        self.environ = {
             **{name: value for name, value in os.environ.items() if not name.startswith("ROS_")},
             "CYCLONEDDS_URI": LOOPBACK,
             "ROS_DISTRO": distro,
@@ -103,14 +104,22 @@ class Bridge:
 
     def start(self) -> Bridge:
         """Start it in `domain`, also again at the same endpoint, and wait until it listens."""
-        settings = _config(self.endpoint, self.domain, self._namespace)
-        self._config.write_text(json.dumps(settings))
+        self.configure()
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
-                self._command, env=self._environ, stdin=subprocess.DEVNULL, stdout=log, stderr=log
+                ["setpriv", "--pdeathsig", "KILL", *self.command],
+                env=self.environ,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
             )
         wait_until(self._listens, f"{NAME} listens at {self.endpoint}")
         return self
+
+    def configure(self) -> None:
+        """Write the file that `command` reads."""
+        settings = _config(self.endpoint, self.domain, self._namespace)
+        self._config.write_text(json.dumps(settings))
 
     def kill(self) -> None:
         """SIGKILL, unless it has ended."""
