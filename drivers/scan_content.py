@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.protection.footprint import Footprint
 from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
 
 ENOUGH_SCANS = MAX_REPEATS + 1
@@ -14,6 +16,8 @@ ENOUGH_SCANS = MAX_REPEATS + 1
 
 # A sensor with less range in m, or with fewer rays, often has no return in an ordinary room.
 _FAR_SENSOR, _MANY_RAYS = 1.0, 8
+_DEGREES = 360
+_LEAST_OWN = 2  # degrees with returns inside the outline; a single ray may be noise
 
 
 class ScanContent:
@@ -25,9 +29,17 @@ class ScanContent:
     have no return in an ordinary room, `has_measured` is True from the first scan on.
     """
 
-    def __init__(self, spec: ScanSpec, section: str = "scan") -> None:
-        """No scan yet. `section`: of the platform's file, which describes the sensor."""
+    def __init__(
+        self, spec: ScanSpec, section: str = "scan", footprint: Array | None = None
+    ) -> None:
+        """No scan yet.
+
+        `section`: of the platform's file, which describes the sensor. `footprint`: (k, 2) m, the
+        outline in which no return of another object can lie; None: not known.
+        """
         self.spec, self.section = spec, section
+        self._outline = None if footprint is None else Footprint(footprint)
+        self._own_degrees = np.ones(_DEGREES, np.bool_)  # see `_degrees_inside`, in each scan
         self._recent: deque[bytes] = deque(maxlen=COMPARED_SCANS)
         self._repeats = 0
         self.last: Scan | None = None
@@ -38,6 +50,7 @@ class ScanContent:
         """Take in a scan as the driver reads it."""
         self.last, self.count = scan, self.count + 1
         self.has_measured |= bool(scan.ranges.any()) or not self._expects_return(scan)
+        self._own_degrees &= self._degrees_inside(scan)
         ranges = scan.ranges.tobytes()
         if ranges in self._recent:
             self._repeats += 1
@@ -68,9 +81,10 @@ class ScanContent:
         """Why the scans cannot be right, and the next step; empty without a fault.
 
         The first fault that applies: all ranges of the last scan are 0, no ray has a return (a
-        fault only of a sensor that has returns in every ordinary room), or the last scans repeat
-        earlier scans. With noise an exact repeat of several returns is implausible, so repeats mean
-        that the sensor's driver sends the same scan again and again.
+        fault only of a sensor that has returns in every ordinary room), rays end inside the outline
+        of the robot in each scan, or the last scans repeat earlier scans. With noise an exact
+        repeat of several returns is implausible, so repeats mean that the sensor's driver sends the
+        same scan again and again.
         """
         scan, spec = self.last, self.spec
         if scan is None or not len(scan.ranges):
@@ -87,6 +101,12 @@ class ScanContent:
                 " something in front of the sensor and check again: if there is still no return,"
                 f" look at the sensor, or correct the platform's {self.section}.range_max"
             )
+        if np.count_nonzero(self._own_degrees) >= _LEAST_OWN:
+            return (
+                f"rays at {_sectors(self._own_degrees)} deg end inside the robot's outline in each"
+                " scan; free the sensor, or if these are parts of the robot, set the platform's"
+                f" {self.section}.mask to {_sectors(_widened(self._own_degrees))}"
+            )
         is_frozen = spec.is_noisy and self._repeats >= MAX_REPEATS
         if is_frozen and returns >= MIN_DISTINCT_RETURNS:
             return (
@@ -95,6 +115,31 @@ class ScanContent:
                 " without noise, such as a simulated one"
             )
         return ""
+
+    def _degrees_inside(self, scan: Scan) -> NDArray[np.bool_]:
+        """(360,) True for each degree with a ray that is not masked and ends inside the outline.
+
+        A return that is too close to measure counts as one at the sensor. A sensor without returns
+        in an ordinary room gives none: it may stand at the rim of the robot.
+        """
+        degrees = np.zeros(_DEGREES, np.bool_)
+        is_measured = (scan.ranges > 0.0) & (scan.ranges <= self.spec.range_max)
+        is_return = is_measured | self._is_too_close(scan)
+        is_return &= ~self.spec.masked(scan.bearings)
+        if self._outline is not None and self._expects_return(scan) and is_return.any():
+            bearings = scan.bearings[is_return]
+            directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+            ranges = scan.ranges[is_return]
+            ranges = np.where(ranges < self.spec.range_min, 0.0, ranges)
+            places = self.spec.offset + ranges[:, None] * directions
+            inside = bearings[self._outline.gaps(places) == 0.0]
+            degrees[np.floor(np.degrees(inside) + 1e-6).astype(np.intp) % _DEGREES] = True
+        return degrees
+
+    def _is_too_close(self, scan: Scan) -> NDArray[np.bool_]:
+        """(n,) True for each ray whose object is too close to measure."""
+        is_close: NDArray[np.bool_] = scan.ranges == -np.inf
+        return is_close | (scan.ranges == 0.0) if self.spec.zero == "too_close" else is_close
 
     def _expects_return(self, scan: Scan) -> bool:
         """True if the sensor has range and rays enough to have a return in an ordinary room."""
@@ -107,7 +152,18 @@ class ScanContent:
 
     def _returns(self, scan: Scan) -> int:
         """The number of rays with a return, measured or too close to measure."""
-        is_close = scan.ranges == -np.inf
-        if self.spec.zero == "too_close":
-            is_close |= scan.ranges == 0.0
-        return len(self._distances(scan)) + int(np.count_nonzero(is_close))
+        return len(self._distances(scan)) + int(np.count_nonzero(self._is_too_close(scan)))
+
+
+def _widened(degrees: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The degrees and their neighbours."""
+    return degrees | np.roll(degrees, 1) | np.roll(degrees, -1)
+
+
+def _sectors(degrees: NDArray[np.bool_]) -> str:
+    """The runs of degrees, each from its begin to its end, such as `[[55, 61], [112, 118]]`."""
+    begins = np.flatnonzero(degrees & ~np.roll(degrees, 1))
+    ends = np.flatnonzero(degrees & ~np.roll(degrees, -1)) + 1
+    ends = np.roll(ends, -int(np.count_nonzero(ends[:1] <= begins[:1])))
+    runs = [[first, last] for first, last in zip(begins.tolist(), ends.tolist(), strict=True)]
+    return str(runs or [[0, _DEGREES]])

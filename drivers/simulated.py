@@ -321,7 +321,7 @@ class _CheckSink(NullSink):
     """A sink that keeps what scans show, and arrivals and stamps of scans and odometry."""
 
     def __init__(self, platform: Platform) -> None:
-        self.content = ScanContent(platform.scan)
+        self.content = ScanContent(platform.scan, footprint=platform.footprint)
         self.has_ring = platform.ranges is None
         self.scans: list[tuple[float, float]] = []
         self.odometries: list[tuple[float, float]] = []

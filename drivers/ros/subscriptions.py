@@ -57,7 +57,7 @@ class Subscriptions:
         self.contents: dict[str, ScanContent] = {}
         has_lidar = not options.ranges or platform.ranges is not None
         if has_lidar:
-            self.contents["scan"] = ScanContent(platform.scan)
+            self.contents["scan"] = ScanContent(platform.scan, footprint=platform.footprint)
         self._add_ring(options, platform)
         self._add_entries(options)
         self.topics: Mapping[str, TopicStats] = {

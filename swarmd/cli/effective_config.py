@@ -88,6 +88,7 @@ def _scan(scan: ScanSpec) -> Mapping[str, Any]:
         "near": scan.near,
         "latency": scan.latency,
         "sweep": "measured" if scan.measures_sweep else _sweep(scan.sweep),
+        "mask": [[round(math.degrees(edge), 6) for edge in sector] for sector in scan.mask],
     }
 
 

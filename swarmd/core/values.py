@@ -314,6 +314,8 @@ class ScanSpec:
     - `measures_sweep`: the robot finds the order of the rays itself, while it turns. Of the ages
       that the driver gives the rays, it then uses only the duration of a scan, and whether all rays
       are measured at the same time.
+    - `mask`: sectors in which the sensor sees its own robot, each from a bearing counter-clockwise
+      to another one, in rad. Their rays are unknown.
     """
 
     bearings: Array
@@ -329,6 +331,16 @@ class ScanSpec:
     sweep: Sweep | None = None
     measures_sweep: bool = False
     cone: float = 0.0
+    mask: tuple[tuple[float, float], ...] = ()
+
+    def masked(self, bearings: Array) -> NDArray[np.bool_]:
+        """(n,) True for each of the bearings (n,) in rad that lies in a sector of `mask`."""
+        rounding = 1e-9  # rad: a ray at the edge of a sector lies in the sector
+        is_masked = np.zeros(len(bearings), np.bool_)
+        for first, last in self.mask:
+            width = (last - first) % (2.0 * math.pi)
+            is_masked |= (bearings - first + rounding) % (2.0 * math.pi) <= width + 2.0 * rounding
+        return is_masked
 
     @property
     def stale_after(self) -> float:

@@ -63,6 +63,7 @@ class ScanConditioner:
     _range_max: object
     _latency: object
     _is_noisy: cython.bint
+    _spec: object
     _bearings: object  # (n,) rad, of the last scan whose bearings were valid
     _ages: object  # (n,) s, of the last scan whose ages were valid; None: the scan had no ages
     _blind: BlindSectors
@@ -82,6 +83,7 @@ class ScanConditioner:
         self._max_sector = max(spec.max_gap, widest_between_rays(spec.bearings)) + 1e-9
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._latency, self._is_noisy = spec.latency, spec.is_noisy
+        self._spec = spec
         self._bearings, self._recent_bytes = np.empty(0), []
         self._blind, self._rays = BlindSectors(spec), RayMemory(spec, guesses_near=guesses_near)
         self._last_seq = self._newest_seq = self._last_stamp = self._newest_stamp = -INFINITY
@@ -131,6 +133,8 @@ class ScanConditioner:
         # Both steps write into `values`, and so into `ranges`: `mark` makes rays of blind sectors
         # unknown (NaN), and `interpret` replaces the raw ranges by conditioned ranges.
         self._blind.mark(values, self._bearings, odometry, measured_at)
+        if self._spec.mask:
+            ranges[self._spec.masked(self._bearings)] = NAN
         if not self._rays.interpret(values, self._bearings, yaw, measured_at):
             return Reason.INVALID_SCAN
         ranges.setflags(write=False)  # pattern and memory share the array

@@ -90,6 +90,9 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `sweep`: how a rotating sensor rotates. None: all rays are measured at once. `measured`: the
       robot measures the sweep while turning. Before the sweep is measured, each ray counts as old
       as the oldest ray.
+    - `mask`: sectors in which the sensor sees parts of its own robot, such as `[[55, 61]]`: each
+      from a bearing in degrees counter-clockwise to another one. Their rays are unknown, so that an
+      object that stands within such a sector alone is not seen.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -106,6 +109,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     near: Literal["reported", "lost"] = "reported"
     latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
     sweep: SweepSection | Literal["measured"] | None = "measured"
+    mask: Annotated[list[tuple[Bearing, Bearing]], Meta(max_length=64)] = []
 
 
 class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -280,6 +284,28 @@ def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
     if scan.near == "lost" and scan.zero == "too_close":
         text = f"is lost, but {keys[-1]}.zero is too_close; expected reported, or another zero"
         yield fault_at((*keys, "near"), text)
+    if scan.mask and (scan.rays is None) != (scan.bearings_deg is None):
+        yield from _check_mask(_spec(scan), keys)
+
+
+def _check_mask(spec: ScanSpec, keys: Keys) -> Iterator[Fault]:
+    """Check that the sectors without rays that the mask leaves are no wider than is bridged."""
+    rays = spec.bearings
+    left = rays[~spec.masked(rays)]
+    widest = math.degrees(max(spec.max_gap, _widest_between(rays)))
+    gap = math.degrees(_widest_between(left))
+    if gap > widest + 1e-6 or 2 * len(left) < len(rays):
+        text = (
+            f"leaves {len(left)} of {len(rays)} rays, and {gap:.1f} deg without a ray; expected at"
+            f" least half of the rays, and at most {widest:.1f} deg, by {keys[-1]}.max_gap_deg"
+        )
+        yield fault_at((*keys, "mask"), text)
+
+
+def _widest_between(bearings: Array) -> float:
+    """The widest angle in rad between neighbouring rays; a full turn for fewer than two."""
+    rising = np.sort(bearings % (2.0 * math.pi))
+    return float(np.diff(rising, append=rising[:1] + 2.0 * math.pi).max(initial=0.0)) or math.tau
 
 
 def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fault]:
@@ -538,6 +564,7 @@ def _spec(scan: ScanSection) -> ScanSpec:
         sweep=_sweep(scan.sweep, scan.rate) if isinstance(scan.sweep, SweepSection) else None,
         measures_sweep=scan.sweep == "measured",
         cone=math.radians(scan.cone_deg),
+        mask=tuple((math.radians(first), math.radians(last)) for first, last in scan.mask),
     )
 
 

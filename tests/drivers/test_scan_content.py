@@ -40,6 +40,31 @@ def test_tells_returns_the_nearest_and_whether_scans_differ() -> None:
     assert ScanContent(SPEC).text == ""
 
 
+@pytest.mark.parametrize(("near", "zero"), [(0.09, "lds"), (-math.inf, "lds"), (0.0, "too_close")])
+def test_rays_that_end_inside_the_outline_propose_a_mask(near: float, zero: str) -> None:
+    """A Burger whose lidar sees a post 0.09 m to its left, and another one behind, across 180."""
+    burger = load_platform("burger")
+    spec = replace(SPEC, zero=zero)
+    bearings = np.radians(np.arange(360.0))
+    post = np.array([*range(88, 93), *range(358, 360), 0, 1])
+    made = ScanContent(spec, footprint=burger.footprint)
+    masked = ScanContent(
+        replace(spec, mask=((math.radians(87), math.radians(94)), (math.radians(357), 0.05))),
+        footprint=burger.footprint,
+    )
+    rng = np.random.default_rng(1)
+    for seq in range(ENOUGH_SCANS):
+        ranges = rng.uniform(0.5, 2.0, 360)
+        ranges[post] = near
+        ranges[120 + seq] = near  # a hand, not in each scan
+        for content in (made, masked):
+            content.take(Scan(seq, 0.2 * seq, ranges, bearings, 0.0, 3.5))
+    assert "rays at [[88, 93], [358, 2]] deg end inside" in made.fault
+    assert made.fault.endswith("scan.mask to [[87, 94], [357, 3]]")
+    assert masked.fault == ""
+    assert ScanContent(spec).fault == ""
+
+
 @pytest.mark.parametrize(
     ("ranges", "changes", "fault"),
     [

@@ -1,7 +1,8 @@
-"""A lidar with 20 degrees of zeros ahead, and a thin pole in them."""
+"""A lidar with 20 degrees of zeros ahead, and a thin pole in them; a lidar that sees a post."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -44,3 +45,22 @@ def test_a_robot_that_has_turned_does_not_drive_into_a_pole_that_it_cannot_see()
     assert "deg have not returned anything" in sim.sensors.blind_text
     assert drive(sim) <= 0.02
     assert drive(Covered(BURGER, shapes)) > 0.15  # it cannot know without a turn
+
+
+class OwnPost(FilterSim):
+    """Rays from 69 to 73 degrees end at a post of the robot, 0.05 m from the lidar."""
+
+    def scan(self) -> Scan:
+        scan = super().scan()
+        is_post = np.abs(np.angle(np.exp(1j * (scan.bearings - math.radians(71.0))))) < 0.04
+        return replace(scan, ranges=np.where(is_post, 0.05, scan.ranges))
+
+
+def test_a_robot_whose_lidar_sees_a_post_of_its_own_drives_with_a_mask_alone() -> None:
+    spec = dataclasses.replace(BURGER.scan, mask=((math.radians(68.0), math.radians(74.0)),))
+    held = OwnPost(BURGER, WALLS)
+    masked = OwnPost(dataclasses.replace(BURGER, scan=spec), WALLS)
+    for sim, seconds in ((held, 2.0), (masked, 8.0)):
+        assert sim.run(Twist(0.22), seconds).touch is None
+    assert abs(held.pose.x) < 0.01
+    assert masked.pose.x > 1.0

@@ -239,6 +239,18 @@ def test_sector_wider_than_max_gap_is_invalid(width: int) -> None:
     assert isinstance(got, Scan) == (width <= 12)
 
 
+@pytest.mark.parametrize("scans", FORMS)
+def test_masked_rays_are_unknown_and_filled_by_the_nearer_edge(scans: Any) -> None:
+    """Sectors are from a bearing counter-clockwise to another one, here also across 0."""
+    spec = replace(SPEC, mask=((math.radians(55), math.radians(61)), (math.radians(358), 0.0)))
+    posts = [*range(55, 62), 358, 359, 0]
+    ranges = raw(2.0, (posts, 0.05), (62, 1.0))
+    assert (conditioned(scans.ScanConditioner(SPEC), ranges, 1)[posts] == -np.inf).all()
+    got = conditioned(scans.ScanConditioner(spec), ranges, 1)
+    assert got[54:64].tolist() == [2.0, *[1.0] * 8, 2.0]
+    assert got[[357, 358, 359, 0, 1]].tolist() == [2.0] * 5
+
+
 def test_memory_follows_the_bearing_when_the_rays_change() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, raw(2.0, (90, 0.5)), 1)
