@@ -68,6 +68,15 @@ def state_of(robot: Robot) -> tuple[object, ...]:
 
 
 def test_every_kind_of_datagram_has_its_signers() -> None:
+    """By the roles of docs/security.md: robots tell, operators command, each name may ask.
+
+    A robot hands on the stops of operators. `Swarm` is never signed.
+    """
+    told = "Beacon MemberList Ack Latches Message Place ClockReply GoalReport"
+    wanted = dict.fromkeys(told.split(), "robot")
+    wanted |= dict.fromkeys(("Solicit", "ClockQuery"), "operator robot viewer")
+    wanted |= {"Stop": "operator robot", "RunLease": "operator", "Swarm": ""}
+    assert {kind.__name__: " ".join(sorted(roles)) for kind, roles in SIGNERS.items()} == wanted
     assert set(SIGNERS) == set(get_args(Datagram))
 
 
