@@ -3,10 +3,17 @@
 1. Two poses agree if the robot has moved from the first to the second by its odometry, to within
    the error bounds of both poses and of odometry.
 2. A pose is used once CONFIRMATIONS poses in a row agree, over at least CONFIRM_TIME.
-3. A pose that does not agree with the pose in use is a jump: the robot has no usable pose until new
-   poses agree by rule 2, or a pose agrees with the pose in use again.
-4. With `without_pose: hold` of the fence, the robot is held while it has no usable pose, and once
+3. A pose in use agrees with the newest pose in use, and with those kept of the time before: a pose
+   that stands still or drifts agrees with the newest one for long. One of them may contradict.
+4. A pose that does not agree with the newest pose in use is a jump: the robot has no usable pose
+   until new poses agree by rule 2, or a pose agrees with the poses in use again.
+5. A pose that agrees with the newest pose in use alone is a drift, and so is a second jump within
+   FORGET_TIME. After a drift rule 2 uses no pose for FORGET_TIME. A hold of this length ends the
+   run, so that a robot does not leave its fence in short moves, each of which agrees.
+6. With `without_pose: hold` of the fence, the robot is held while it has no usable pose, and once
    the pose in use is older than the timeout (`until`).
+
+docs/safety.md has the rates of drift that are found.
 
 Pure. Units: m, rad, s on the robot's clock.
 """
@@ -29,8 +36,16 @@ CONFIRMATIONS = 3
 CONFIRM_TIME = 0.2
 """Seconds that the last of these poses is newer than the first pose, at least."""
 FORGET_TIME = 5.0
-"""Seconds after which a pose in use is no longer compared with new poses."""
+"""Seconds after which poses in use are no longer compared with new poses, and a drift is over."""
+COMPARED_TIME, COMPARED_WAY, LONGEST_TIME = 5.0, 0.5, 10.0
+"""s, m and s: a pose is compared with the poses in use of the last COMPARED_TIME, and with those of
+the last COMPARED_WAY within LONGEST_TIME: a robot that creeps finds a drift late."""
+_SPACING = 0.5
+"""Seconds between the poses in use that are kept for comparison."""
 _SLACK = 0.02, 0.02  # m and rad that two poses may differ by, beside their errors
+_BEND = 0.1
+"""rad by which odometry turns on 1 m of way, since the wheels differ: 1.5 % of their diameter on a
+base 0.16 m wide, three standard deviations of the simulated bases."""
 
 
 class _Fix(Struct, frozen=True):
@@ -45,6 +60,44 @@ class _Fix(Struct, frozen=True):
     turned: float  # rad turned since the start, both senses counted
 
 
+class _Trail:
+    """Poses in a row that agree, each with the pose before and with those kept."""
+
+    def __init__(self, first: _Fix) -> None:
+        self.newest = self._first = first
+        self.followers = 0  # poses after the first
+        self._kept: deque[_Fix] = deque()  # older than the newest pose, _SPACING apart
+
+    def contradicted(self, fix: _Fix) -> _Fix | None:
+        """The newest pose with which `fix` does not agree; None if it agrees.
+
+        A single one may contradict, since it may be false by less than the bounds; the newest pose
+        only if two others agree.
+        """
+        others = [one for one in (*self._kept, self.newest) if not _agree(one, fix)]
+        if len(others) == 1 and (others[0] is not self.newest or len(self._kept) > 1):
+            return None
+        return others[-1] if others else None
+
+    def add(self, fix: _Fix) -> None:
+        """Take in the next pose, which agrees."""
+        if not self._kept or self.newest.at - self._kept[-1].at >= _SPACING:
+            self._kept.append(self.newest)
+        self.newest = fix
+        self.followers += 1
+        while self._is_over(self._kept[0]):
+            self._kept.popleft()
+
+    def _is_over(self, old: _Fix) -> bool:
+        """True for a kept pose that is too old for a comparison, and from too far away."""
+        seconds, way = self.newest.at - old.at, self.newest.way - old.way
+        return seconds > LONGEST_TIME or (seconds > COMPARED_TIME and way > COMPARED_WAY)
+
+    def is_confirmed(self, seconds: float) -> bool:
+        """True if enough poses agree, over `seconds` at least (rule 2)."""
+        return self.followers >= CONFIRMATIONS and self.newest.at - self._first.at >= seconds
+
+
 class FencePose:
     """The pose of one robot in the frame of its fence."""
 
@@ -54,12 +107,11 @@ class FencePose:
         self._holds = settings.without_pose == "hold"
         self._readings: deque[Odometry] = deque(maxlen=HISTORY)
         self._way = self._turned = 0.0
-        self._used: _Fix | None = None  # the last pose in use; after a jump kept for comparison
-        # Of a place not in use: the first and the last of the poses in a row that agree.
-        self._new: _Fix | None = None
-        self._newest: _Fix | None = None
-        self._agreeing = 0  # poses after `_new` that agree each with the pose before
+        self._used: _Trail | None = None  # the poses in use; after a jump kept for comparison
+        self._new: _Trail | None = None  # poses in a row that agree, of a place not in use
         self._is_used = False  # True if the last pose agreed with `_used`
+        self._jumped_at = -math.inf  # the time of the last jump that was confirmed
+        self._needed_time = CONFIRM_TIME  # s over which the poses of `_new` must agree
         self._fault = f"no pose in the frame {self._frame!r} has arrived"
 
     def on_odometry(self, odometry: Odometry) -> None:
@@ -114,34 +166,47 @@ class FencePose:
         return _pose_at(self._readings, stamp)
 
     def _take(self, fix: _Fix) -> None:
-        """Use `fix`, or keep `fix` until enough poses of its place agree (rules 2 and 3)."""
-        if self._used is not None and fix.at - self._used.at > FORGET_TIME:
+        """Use `fix`, or keep `fix` until enough poses of its place agree (rules 2 to 5)."""
+        if self._used is not None and fix.at - self._used.newest.at > FORGET_TIME:
             self._used = None
-        if self._used is not None and _agree(self._used, fix):
-            self._use(fix)
-        elif self._new is not None and self._newest is not None and _agree(self._newest, fix):
-            self._newest, self._agreeing = fix, self._agreeing + 1
-            if self._agreeing >= CONFIRMATIONS and fix.at - self._new.at >= CONFIRM_TIME:
-                self._use(fix)
+        used, new = self._used, self._new
+        if used is not None and used.contradicted(fix) is None:
+            used.add(fix)
+            self._use(used)
+        elif new is not None and new.contradicted(fix) is None:
+            new.add(fix)
+            if new.is_confirmed(self._needed_time):
+                self._jumped_at = self._jumped_at if used is None else fix.at
+                self._use(new)
         else:
             self._begin_new_place(fix)
 
     def _begin_new_place(self, fix: _Fix) -> None:
-        """Count agreeing poses from `fix` on: the first pose, or the first after a jump."""
-        self._fault = "waits until poses agree"
-        if self._used is not None:
-            distance, _ = _difference(self._used, fix)
-            self._fault = f"the pose jumped by {distance:.2f} m; {self._fault}"
-        self._new = self._newest = fix
-        self._agreeing, self._is_used = 0, False
+        """Count agreeing poses from `fix` on: the first, or the first after a jump or a drift."""
+        last = self._used if self._is_used else self._new
+        other = None if last is None else last.contradicted(fix)
+        is_jump = last is not None and other is last.newest
+        is_jump_again = self._is_used and fix.at - self._jumped_at < FORGET_TIME
+        if other is not None and (is_jump_again or not is_jump):
+            self._needed_time = FORGET_TIME
+            self._fault = (
+                f"{_contradiction(other, fix)}; waits until poses agree for {FORGET_TIME:g} s"
+            )
+        elif self._needed_time == CONFIRM_TIME:
+            self._fault = "waits until poses agree"
+            if self._used is not None:
+                distance, _ = _difference(self._used.newest, fix)
+                self._fault = f"the pose jumped by {distance:.2f} m; {self._fault}"
+        self._new = _Trail(fix)
+        self._is_used = False
 
-    def _use(self, fix: _Fix) -> None:
-        self._used, self._new, self._newest = fix, None, None
-        self._agreeing, self._is_used, self._fault = 0, True, ""
+    def _use(self, trail: _Trail) -> None:
+        self._used, self._new, self._needed_time = trail, None, CONFIRM_TIME
+        self._is_used, self._fault = True, ""
 
     def _forget(self, fault: str) -> None:
-        self._used = self._new = self._newest = None
-        self._agreeing, self._is_used, self._fault = 0, False, fault
+        self._used = self._new = None
+        self._is_used, self._fault = False, fault
 
     @property
     def until(self) -> float:
@@ -151,13 +216,13 @@ class FencePose:
     @property
     def known_until(self) -> float:
         """The time until which there is an anchor; -inf without a usable pose."""
-        return self._used.at + self._timeout if self._is_used and self._used else -math.inf
+        return self._used.newest.at + self._timeout if self._is_used and self._used else -math.inf
 
     def anchor(self, now: float) -> Anchor | None:
         """The pose in use with its odometry; None without a fresh pose."""
-        fix = self._used
-        if fix is None or now > self.known_until:
+        if self._used is None or now > self.known_until:
             return None
+        fix = self._used.newest
         way, turned = self._way - fix.way, self._turned - fix.turned
         return Anchor(fix.shared.pose, fix.odometry, fix.error, fix.yaw_error, way, turned)
 
@@ -166,7 +231,7 @@ class FencePose:
         if now <= self.known_until:
             return ""
         if self._used is not None and self._is_used:
-            return f"the last pose is {now - self._used.at:.1f} s old"
+            return f"the last pose is {now - self._used.newest.at:.1f} s old"
         return self._fault
 
 
@@ -206,11 +271,29 @@ def _difference(earlier: _Fix, later: _Fix) -> tuple[float, float]:
     return math.hypot(pose.x - x, pose.y - y), abs(turn)
 
 
+def _explained(earlier: _Fix, later: _Fix) -> tuple[float, float]:
+    """m and rad by which two poses may differ: errors of both poses and of odometry, and slack."""
+    way, turned = later.way - earlier.way, later.turned - earlier.turned
+    here, there = later.odometry, earlier.odometry
+    most = earlier.error + later.error + _SLACK[0]
+    most += earlier.yaw_error * math.hypot(here.x - there.x, here.y - there.y)
+    most += (ODOMETRY_SHARE * (1.0 + turned) + 0.5 * _BEND * way) * way
+    most_turn = earlier.yaw_error + later.yaw_error + _SLACK[1]
+    most_turn += ODOMETRY_SHARE * turned + _BEND * way
+    return most, most_turn
+
+
 def _agree(earlier: _Fix, later: _Fix) -> bool:
     """True if errors explain the difference of two poses; False for NaN."""
-    far, turn = _difference(earlier, later)
-    way, turned = later.way - earlier.way, later.turned - earlier.turned
-    most = earlier.error + later.error + (earlier.yaw_error + ODOMETRY_SHARE * turned) * way
-    most += ODOMETRY_SHARE * way + _SLACK[0]
-    most_turn = earlier.yaw_error + later.yaw_error + ODOMETRY_SHARE * turned + _SLACK[1]
+    (far, turn), (most, most_turn) = _difference(earlier, later), _explained(earlier, later)
     return far <= most and turn <= most_turn
+
+
+def _contradiction(earlier: _Fix, later: _Fix) -> str:
+    """The difference of two poses, and what errors explain, in words."""
+    (far, turn), (most, most_turn) = _difference(earlier, later), _explained(earlier, later)
+    return (
+        f"in {later.at - earlier.at:.1f} s the pose moved otherwise than odometry by {far:.2f} m"
+        f" and {math.degrees(turn):.0f} deg, errors explain {most:.2f} m and"
+        f" {math.degrees(most_turn):.0f} deg"
+    )

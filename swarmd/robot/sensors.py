@@ -212,9 +212,11 @@ class Sensors(InputAges):
         self.hazards.take(hazards, now)
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
-    def hazard_text(self, now: float) -> str:
-        """Each hazard that holds the robot, with its age; empty without a hazard."""
-        return self.hazards.text(now)
+    def hold_text(self, hold: Reason | None, now: float) -> str:
+        """The detail of a hold: hazards with their ages, or why the fence has no usable pose."""
+        if hold is Reason.HAZARD:
+            return self.hazards.text(now)
+        return self.fence_text(now) if hold is Reason.NO_POSE else ""
 
     def on_message(
         self,

@@ -110,10 +110,8 @@ def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: 
     loading = lifecycle.pattern_run.loading
     if loading is not None:
         return _loading_text(loading, now)
-    if reason is Reason.NO_POSE and lifecycle.is_running:
-        return sensors.fence_text(now)[:MAX_VALUE]
-    if reason is Reason.HAZARD and lifecycle.is_running:
-        return sensors.hazard_text(now)[:MAX_VALUE]
+    if reason in (Reason.NO_POSE, Reason.HAZARD) and lifecycle.is_running:
+        return sensors.hold_text(reason, now)[:MAX_VALUE]
     return lifecycle.state_machine.detail
 
 

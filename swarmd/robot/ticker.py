@@ -16,7 +16,7 @@ from swarmd.core.messages import Reason, State
 from swarmd.robot import timeouts
 from swarmd.robot.actions import Actions
 from swarmd.robot.effects import Effects
-from swarmd.robot.input_ages import HAZARD, InputAges
+from swarmd.robot.input_ages import InputAges
 from swarmd.robot.pattern_run import NOTHING_PERMITTED, ROUNDING, PatternRun, Running, later
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -189,16 +189,12 @@ class Ticker:
         # How late (s beyond the latency of the platform) scans may be for the running pattern.
         sensors.permitted_delay = 0.0 if running is None else running.permit.scan_delay
         hold = InputAges.hold(sensors, now)
-        hazard_text = ""
-        if hold is HAZARD or sensors._ends_run:
-            hazard_text = sensors.hazard_text(now)
         if sensors._ends_run:  # a wheel drop or a lift, also under a hold for another reason
-            self._lifecycle.on_hazard(hazard_text, effects)
+            self._lifecycle.on_hazard(sensors.hazards.text(now), effects)
         # Only a routine event has certainly not changed the lifecycle.
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
-            hold_text = hazard_text if hold is HAZARD else ""
-            hold = self._lifecycle.advance(hold, effects, hold_text)
+            hold = self._lifecycle.advance(hold, effects, sensors.hold_text(hold, now))
             self._is_status_due, self._due_at = True, -INFINITY
         return hold
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -75,6 +77,7 @@ class Base:
         self.lateness = int(rng.integers(0, 6))  # in hundredths of a second
         self.scale, self.turn_scale = 1.0 + rng.uniform(-0.04, 0.04, 2)
         self.queue = [np.zeros(3)] * self.lateness
+        self.bend = 0.0  # rad by which odometry turns on 1 m of way, since the wheels differ
 
     def drive(self, command: Twist) -> None:
         """Move for one tick under a command, in steps of 10 ms."""
@@ -89,6 +92,8 @@ class Base:
                 (self.pose, 1.0, 1.0),
                 (self.odometry, self.scale, self.turn_scale),
             ):
+                if pose is self.odometry:
+                    pose[2] += self.bend * moved[0]
                 yaw = pose[2] + 0.5 * turn * moved[2]
                 cos, sin = math.cos(yaw), math.sin(yaw)
                 pose[0] += scale * (cos * moved[0] - sin * moved[1])
@@ -402,6 +407,193 @@ def test_odometry_that_jumps_holds_until_poses_agree() -> None:
     told.tell(0.0, times=6)
     told.known.on_odometry(Odometry(told.now + 0.05, Pose(5.0, 0.0, 0.0), Twist()))
     assert told.holds
+
+
+Source = Callable[[float, Pose], Pose]
+"""The pose that a tracker tells, from s since it began to fail, and the true pose."""
+
+
+def frozen(at: float, true: Pose) -> Pose:
+    return Pose(0.0, 0.0, 0.0)
+
+
+def drifting(rate: float, way: float = 0.0) -> Source:
+    return lambda at, true: Pose(
+        true.x + rate * at * math.cos(way), true.y + rate * at * math.sin(way), true.yaw
+    )
+
+
+def turned(deg: float) -> Source:
+    return lambda at, true: Pose(true.x, true.y, true.yaw + math.radians(deg))
+
+
+def mirrored(at: float, true: Pose) -> Pose:
+    return Pose(-true.x, true.y, true.yaw)
+
+
+class Failing:
+    """A robot that drives straight on from the origin, and a tracker that fails then.
+
+    Poses come each 0.1 s; their told errors are 0.05 m and 3 degrees.
+    """
+
+    def __init__(self, source: Source, speed: float) -> None:
+        """The robot stands for 2 s before."""
+        self.known = FencePose(SQUARE, TIMEOUT)
+        self.source, self.speed = source, speed
+        self.now, self.x, self.began = 0.0, 0.0, math.inf
+        self.advance(2.0, 0.0)
+        assert not self.holds
+        self.began = self.now
+
+    def advance(self, seconds: float, speed: float) -> None:
+        """Drive at a speed."""
+        for _ in range(round(seconds / 0.1)):
+            self.now += 0.1
+            self.x += 0.1 * speed
+            self.known.on_odometry(Odometry(self.now, Pose(self.x, 0.0, 0.0), Twist(speed)))
+            true = Pose(self.x, 0.0, 0.0)
+            told = self.source(max(self.now - self.began, 0.0), true)
+            errors = 0.05 + 0.05 * abs(speed), math.radians(3.0)
+            self.known.on_pose(SharedPose(self.now, told, *errors, "w"), self.now, errors, self.now)
+
+    @property
+    def holds(self) -> bool:
+        return self.now > self.known.until
+
+    def drive(self, seconds: float) -> float | None:
+        """Drive until the fence holds: s since the tracker began to fail; None without a hold."""
+        while self.now < self.began + seconds - 1e-9:
+            self.advance(0.1, self.speed)
+            if self.holds:
+                return self.now - self.began
+        return None
+
+
+@pytest.mark.parametrize(
+    ("source", "speed", "within"),
+    [
+        (frozen, 0.22, 1.0),
+        (frozen, 0.03, 9.0),
+        (drifting(0.15), 0.22, 1.5),
+        (drifting(0.15, math.pi), 0.22, 1.5),
+        (drifting(0.15, math.pi / 2.0), 0.0, 1.0),
+        (turned(90.0), 0.22, 1.5),
+        (turned(30.0), 0.22, 3.0),
+        (mirrored, 0.22, 1.0),
+        # The rates of row 13 of docs/safety.md.
+        (drifting(0.02), 0.0, 10.0),
+        (drifting(0.07), 0.22, 10.0),
+        (drifting(0.15), 0.5, 10.0),
+    ],
+)
+def test_poses_that_odometry_does_not_explain_hold(
+    source: Source, speed: float, within: float
+) -> None:
+    failing = Failing(source, speed)
+    found = failing.drive(within)
+    assert found is not None
+    assert failing.known.anchor(failing.now) is None
+
+
+def test_a_drift_holds_longer_than_a_run_lasts_and_tells_its_figure() -> None:
+    """Any hold of 2 s ends the run (docs/safety.md)."""
+    failing = Failing(frozen, 0.22)
+    failing.drive(2.0)
+    text = failing.known.text(failing.now)
+    assert re.fullmatch(
+        r"in \d\.\d s the pose moved otherwise than odometry by 0\.1\d m and 0 deg,"
+        r" errors explain 0\.1\d m and \d deg; waits until poses agree for 5 s",
+        text,
+    )
+    for _ in range(40):
+        failing.advance(0.1, 0.0)
+        assert failing.holds
+        assert failing.known.text(failing.now) == text
+    failing.advance(1.5, 0.0)  # the frozen pose agrees with a robot that stands
+    assert not failing.holds
+
+
+def test_a_tracker_that_finds_the_robot_again_ends_the_hold() -> None:
+    failing = Failing(frozen, 0.22)
+    failing.drive(2.0)
+    failing.source = lambda at, true: true
+    failing.advance(0.1, 0.0)
+    assert not failing.holds
+
+
+def test_a_second_jump_holds_longer_than_a_run_lasts() -> None:
+    told = Told()
+    told.tell(0.0, times=6)
+    told.tell(1.5, times=CONFIRMATIONS + 1)
+    assert not told.holds
+    told.tell(0.0, times=40)
+    assert told.holds
+    assert "waits until poses agree for 5 s" in told.known.text(told.now)
+
+
+def test_a_false_pose_within_the_bounds_is_no_drift() -> None:
+    told = Told()
+    told.tell(0.0, times=20)
+    for _ in range(10):
+        told.tell(0.035)  # the bounds permit 0.04 m
+        assert not told.holds
+        told.tell(0.0, times=9)
+        assert not told.holds
+
+
+@pytest.mark.parametrize(("error", "late"), [(0.10, 0.0), (0.02, 0.5)])
+def test_errors_as_declared_hold_nothing(error: float, late: float) -> None:
+    """Odometry errs by up to 5 % and bends; half of the poses are late by up to 0.1 s."""
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        base, known = Base(BURGER, np.zeros(3), rng), FencePose(SQUARE, TIMEOUT)
+        base.scale, base.turn_scale = 1.0 + rng.choice([-0.05, 0.05], 2)
+        base.bend, asked = float(rng.choice([-0.09, 0.09])), Twist()
+        poses: list[Array] = []
+        for number in range(300):
+            now = number * TICK
+            known.on_odometry(base.reading(now))
+            poses.append(base.pose.copy())
+            back = int(rng.integers(0, 3)) if rng.random() < late else 0
+            true = poses[max(number - back, 0)]
+            far, way = error * rng.uniform(), rng.uniform(-math.pi, math.pi)
+            x, y = true[0] + far * math.cos(way), true[1] + far * math.sin(way)
+            told = Pose(x, y, true[2] + error * rng.uniform(-1.0, 1.0))
+            errors = error + 0.05 * abs(base.speeds[0]), error + 0.05 * abs(base.speeds[2])
+            if number % 2 == 0:
+                pose = SharedPose(now, told, error, error, "w")
+                known.on_pose(pose, now - back * TICK, errors, now)
+            assert now < 1.0 or now <= known.until
+            if rng.random() < 0.05:
+                asked = Twist(0.22 * rng.uniform(-0.3, 1.0), rng.uniform(-1.0, 1.0))
+            base.drive(asked)
+
+
+@pytest.mark.parametrize("source", [frozen, drifting(0.15), turned(90.0)])
+def test_a_failed_tracker_lets_no_robot_far_out_of_its_fence(source: Source) -> None:
+    """From rest in the middle of a square of 2.4 m a Burger drives on for 20 s."""
+    made = replace_settings(SQUARE, polygon=[(-1.2, -1.2), (1.2, -1.2), (1.2, 1.2), (-1.2, 1.2)])
+    fence, known, rng = Fence(made, BURGER), FencePose(made, TIMEOUT), np.random.default_rng(1)
+    base, command, kept = Base(BURGER, np.array([0.0, 0.0, 0.3]), rng), Twist(), Pose()
+    outside, held, is_running = 0.0, 0.0, True
+    for number in range(400):
+        now = number * TICK
+        known.on_odometry(base.reading(now))
+        if number % 2 == 0:
+            true = Pose(*base.pose.tolist())
+            kept = true if now < 3.0 else kept
+            told = kept if source is frozen else source(max(now - 3.0, 0.0), true)
+            known.on_pose(SharedPose(now, told, 0.05, 0.05, "w"), now, (0.06, 0.05), now)
+        held = held + TICK if now > known.until else 0.0
+        is_running &= now < 1.5 or held < 2.0
+        context = DecisionContext(now, 0.0, base.reading(now), 0.0, anchor=known.anchor(now))
+        asked = Twist(0.22, 0.0) if is_running and held == 0.0 else Twist()
+        command = fence.limit(asked, context, command)
+        base.drive(command)
+        outside = max(outside, outline_outside(fence, BURGER, base.pose))
+    assert outside <= 0.10
+    assert not is_running
 
 
 def test_a_robot_may_drive_without_a_pose_if_declared() -> None:

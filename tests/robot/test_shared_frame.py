@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import PeersInput, PlaceInput, PoseInput
+from swarmd.core.events import OdometryInput, PeersInput, PlaceInput, PoseInput
 from swarmd.core.messages import Body, Reason, State, Status
-from swarmd.core.values import PeerPlace, Pose, SharedPose, Twist
+from swarmd.core.values import Odometry, PeerPlace, Pose, SharedPose, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
 from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
@@ -223,6 +223,34 @@ def test_a_fenced_robot_runs_while_it_has_a_pose_and_no_longer() -> None:
     harness.advance(2.0)
     assert harness.status.state is State.STOPPED
     assert harness.status.reason is Reason.NO_POSE
+
+
+def test_a_pose_that_stands_still_ends_the_run_and_the_status_tells_the_figure() -> None:
+    harness = RobotHarness("burger", PATTERNS, fence=FENCE)
+    harness.odometry, x = None, 0.0
+
+    def drive(seconds: float, speed: float) -> Status:
+        nonlocal x
+        for _ in range(round(seconds / 0.1)):
+            x += 0.1 * speed
+            harness.step(OdometryInput(Odometry(harness.now, Pose(x), Twist(speed))))
+            told(harness, 0.1, x=2.0)
+        return harness.status
+
+    drive(1.0, 0.0)
+    harness.applied("run", pattern="forward")
+    drive(0.3, 0.0)
+    assert harness.twist.linear > 0.0
+    held = drive(0.8, 0.2)
+    assert (held.state, held.reason) == (State.RUNNING, Reason.NO_POSE)
+    assert harness.twist.is_zero
+    ended = drive(2.2, 0.0)
+    assert (ended.state, ended.reason) == (State.STOPPED, Reason.NO_POSE)
+    for status in (held, ended):
+        assert "the pose moved otherwise than odometry by 0." in status.detail
+        assert status.fence is not None
+        assert status.fence.text == status.detail
+        assert status.fence.clearance is None
 
 
 def test_a_fence_stops_a_robot_and_the_status_tells_it() -> None:
