@@ -28,8 +28,11 @@ from tests.support.forked_python import ForkedPython, forked_python
 from tests.support.scheduling import NICENESS, MixedScheduling, computes, order
 
 # A machine may be busy: how long an example takes is no property. A property test draws an eighth
-# of its examples in `make test`, other ones each time, and all of them in `make evidence`.
-settings.register_profile("test", deadline=None, max_examples=FULL // 8)
+# of its examples in `make test`, the same ones for everybody, and all of them in `make evidence`,
+# other ones each time. What these find becomes an `@example` of the test.
+settings.register_profile(
+    "test", deadline=None, max_examples=FULL // 8, derandomize=True, database=None
+)
 settings.register_profile("evidence", deadline=None, max_examples=FULL)
 # Whether a mechanism is missing shows soon; which example shows it best does not matter.
 settings.register_profile(

@@ -253,14 +253,27 @@ def edge_along(platform: Platform, way: Array) -> Array:
     return edge
 
 
+def passes_as_creeping(
+    platform: Platform, scan: Scan, requested: Twist, safe: Twist, age: float
+) -> bool:
+    """True if the safe command of a request passes, or only turns a robot that may creep.
+
+    A robot creeps by a request for a slow speed, and its turn may be more than one without speed
+    gets.
+    """
+    is_slow = 0.0 < abs(requested.linear) <= SLOW_REQUEST
+    return passes(platform, scan, safe, age) or (is_slow and safe.linear == 0.0)
+
+
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE, st.sampled_from([0.05, 0.2, 0.6]))
+@example(PLATFORMS[0], [(0, 0.0625)], 0.125, 1.0, 0.25, 0.05)
 def test_older_rays_never_allow_more(
     platform: Platform, returns: Returns, v: float, w: float, age: float, sweep: float
 ) -> None:
     scan, requested = seeing(platform, returns), request_of(platform, v, w)
     later = max(platform.scan.latency - since_seen(platform, sweeping(scan, sweep)).min(), 0.0)
     safe = decided(platform, sweeping(scan, sweep), requested, age=age + later).safe
-    assert passes(platform, scan, safe, age)
+    assert passes_as_creeping(platform, scan, requested, safe, age)
     assert decided(
         platform, structs.replace(scan, ages=np.zeros(RAYS)), requested, age=age
     ) == decided(platform, scan, requested, age=age)
@@ -288,18 +301,6 @@ def test_envelope_begins_farther_away_after_a_late_scan(delay: float) -> None:
     )
     assert late.angular == pytest.approx(1.604, abs=1e-3)
     assert waited == requested
-
-
-def passes_as_creeping(
-    platform: Platform, scan: Scan, requested: Twist, safe: Twist, age: float
-) -> bool:
-    """True if the safe command of a request passes, or only turns a robot that may creep.
-
-    A robot creeps by a request for a slow speed, and its turn may be more than one without speed
-    gets.
-    """
-    is_slow = 0.0 < abs(requested.linear) <= SLOW_REQUEST
-    return passes(platform, scan, safe, age) or (is_slow and safe.linear == 0.0)
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
