@@ -34,8 +34,10 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
 
 from swarmd.core.errors import SwarmError
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
 from swarmd.view.history import History, Survey
@@ -69,6 +71,11 @@ PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 MAX_WAITING = 128
 """Connections without a role, such as those of files; a new one takes the place of the oldest."""
+VIEWER_RATE, VIEWER_BURST = 30.0, 60.0
+"""Messages of a read-only page that are read per second, and at once: an open page sends about ten.
+
+A message of more than MESSAGE_BYTES counts as several."""
+MESSAGE_BYTES = 4096
 MAX_UNREAD = 8 * 2**20
 """Bytes that wait for a client: answers to pings have no other limit."""
 
@@ -195,12 +202,19 @@ class ViewServer:
         # 2. Send the present state, then take the commands of the page until it closes. Meanwhile a
         #    task of the server sends the frames (poses).
         client = Client(connection, role)
+        loop, budget = asyncio.get_running_loop(), TokenBucket(VIEWER_RATE, VIEWER_BURST)
         self._clients.add(client)
         try:
             await client.send_hello(self.source)
             if self._estop is not None:
                 client.tell(self._estop)
             async for received in connection:
+                # What is not read fills the buffers of the page, and delays no other page.
+                cost = min(1.0 + len(received) / MESSAGE_BYTES, VIEWER_BURST)
+                while role == "viewer" and not budget.take(cost, loop.time()):
+                    await asyncio.sleep(1.0 / VIEWER_RATE)
+                if connection.state is not State.OPEN:  # what a closed page had sent is dropped
+                    break
                 self._take(client, received)
         except ConnectionClosed:
             pass  # the page was closed

@@ -19,8 +19,8 @@ from websockets.asyncio.client import ClientConnection, connect
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.view.access import Access
-from swarmd.view.client import MAX_UNACKED
-from swarmd.view.server import ViewServer, overload
+from swarmd.view.client import MAX_UNACKED, Client
+from swarmd.view.server import VIEWER_BURST, VIEWER_RATE, ViewServer, overload
 from swarmd.view.source import CommandProgress, ShownRobot
 
 FRAMES = 150
@@ -350,6 +350,38 @@ async def test_a_frame_that_fails_is_told_and_the_next_one_comes(
             await frame(page)
     assert source.frames > 4
     assert [one.getMessage() for one in caplog.records] == ["the page got no frame"]
+
+
+async def test_a_flood_of_refused_commands_of_viewers_is_read_at_a_bounded_rate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The stop of an operator is taken before most of the flood."""
+    taken: list[str] = []
+    take = ViewServer._take
+
+    def counted(server: ViewServer, client: Client, text: str | bytes) -> None:
+        taken.append(client.role)
+        take(server, client, text)
+
+    monkeypatch.setattr(ViewServer, "_take", counted)
+    robots, loop = SilentRobots(), asyncio.get_running_loop()
+    access, source = Access("operator-token", "viewer-token"), OneRobot()
+    monkeypatch.setattr(source, "rows", dict)
+    async with (
+        serving(source, robots, access) as (_, address),
+        connect(socket_of(address, "viewer-token"), close_timeout=0.1) as one,
+        connect(socket_of(address, "viewer-token"), close_timeout=0.1) as other,
+        connect(socket_of(address, "operator-token")) as operator,
+    ):
+        begin = loop.time()
+        for number in range(500):
+            for viewer in (one, other):
+                await viewer.send(json.dumps({"kind": "act", "verb": "stop", "id": number}))
+        await operator.send('{"kind": "act", "verb": "stop", "id": "s", "targets": ["r1"]}')
+        assert (await message(operator, "answer"))["line"] == "stop: done"
+        most = VIEWER_BURST + VIEWER_RATE * (loop.time() - begin)
+        assert taken.count("viewer") <= 2.0 * most
+        assert robots.verbs == ["stop"]
 
 
 async def test_a_flood_of_selections_reaches_the_robots_now_and_then() -> None:
