@@ -219,6 +219,8 @@ def reach(place: dict[str, Any], parent: int) -> Probes:
         "copy the daemon's memory": lambda: call("process_vm_readv", parent, None, 0, None, 0, 0),
         "read the daemon's memory": lambda: open(f"/proc/{parent}/mem", "rb").close(),
         "read the daemon's environment": lambda: open(f"/proc/{parent}/environ", "rb").close(),
+        "read the daemon's command line": lambda: open(f"/proc/{parent}/cmdline").close(),
+        "list the processes": lambda: os.listdir("/proc"),
         "read the daemon's memory map": lambda: open(f"/proc/{parent}/maps").close(),
         "see a file of the daemon": lambda: os.readlink(f"/proc/{parent}/fd/0"),
         "take a file of the daemon": lambda: with_descriptor(
@@ -327,7 +329,8 @@ def may(place: dict[str, Any], parent: int) -> Probes:
         "name itself": lambda: call("prctl", 15, b"pattern", 0, 0, 0),
         "pair streams": lambda: close_all(socket.socketpair()),
         "write to nowhere": lambda: open("/dev/null", "w").close(),
-        "read the names of processes": lambda: open(f"/proc/{parent}/cmdline").close(),
+        "read its own state": lambda: open("/proc/self/statm").close(),
+        "count the processors": lambda: open("/proc/cpuinfo").close(),
         "see the size of the key": lambda: os.stat(place["key"]),
     }
 
@@ -438,8 +441,13 @@ def run_in_memory(program: str, *arguments: str) -> None:
 
 def take_rights_by_a_program() -> None:
     """A program of root has all rights; PermissionError if this one has none."""
-    status = subprocess.run(["cat", "/proc/self/status"], capture_output=True, text=True).stdout
-    if "CapEff:\t0000000000000000" in status:
+    code = (  # capget(2): effective, permitted and inheritable rights, in two parts
+        "import ctypes, struct; head = struct.pack('=Ii', 0x20080522, 0); found = bytearray(24);"
+        "ctypes.CDLL(None).capget(head, (ctypes.c_char * 24).from_buffer(found));"
+        "print(any(struct.unpack('=6I', found)[i] for i in (0, 3)))"
+    )
+    command = [sys.executable, "-I", "-c", code]
+    if subprocess.run(command, capture_output=True, text=True).stdout == "False\n":
         raise PermissionError
 
 
