@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import functools
 import secrets
 import signal
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from swarmd.view.source import Source
 
 HOST, PORT = "127.0.0.1", 8080
+TOKEN_BYTES = 12
+MAX_TOKEN = 200  # characters that are read of a file
 _START_TIME = 10.0  # s
 ENDED = "The server has ended."
 R = TypeVar("R")
@@ -36,11 +39,12 @@ _OPTIONS = (
     click.option("--port", type=click.IntRange(0, 65535), default=PORT, help="0: any [8080]."),
     click.option(
         "--token",
-        metavar="TEXT",
-        help="What an operator's address must contain; `-`: a new one. Other interfaces than"
-        " loopback require it. In a secured swarm a page without this option makes one.",
+        metavar="FILE",
+        help="What an operator's address must contain: the first line of this file; `-`: a new one."
+        " Other interfaces than loopback require it. In a secured swarm a page without this option"
+        " makes one.",
     ),
-    click.option("--viewer-token", metavar="TEXT", help="The same for read-only pages."),
+    click.option("--viewer-token", metavar="FILE", help="The same for read-only pages."),
     click.option(
         "--tls",
         is_flag=False,
@@ -82,7 +86,7 @@ class WebOptions:
             return self
         return replace(
             self,
-            token=self.token or _token("-"),
+            token=self.token or secrets.token_urlsafe(TOKEN_BYTES),
             tls=(identity.certificate, identity.key) if self.tls == () else self.tls,
             is_read_only=identity.role is not Role.OPERATOR,
         )
@@ -118,7 +122,8 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
     ) -> R:
         if viewer_token and not token:
             token = "-"  # without a token anyone could command from the page
-        web = WebOptions(bind, port, _token(token), _token(viewer_token), _files(tls))
+        tokens = _token("--token", token), _token("--viewer-token", viewer_token)
+        web = WebOptions(bind, port, *tokens, _files(tls))
         return function(*args, page=web, **kwargs)
 
     for option in reversed(_OPTIONS):
@@ -218,5 +223,19 @@ def _files(text: str | None) -> tuple[Path, Path] | tuple[()] | None:
     return Path(certificate), Path(key)
 
 
-def _token(text: str | None) -> str:
-    return secrets.token_urlsafe(12) if text == "-" else text or ""
+def _token(option: str, source: str | None) -> str:
+    """A new token for `-`, else the first line of the file `source`; empty without a source.
+
+    UsageError without `source` if the file is absent or empty: the word may be a token.
+    """
+    if source == "-" or not source:
+        return secrets.token_urlsafe(TOKEN_BYTES) if source else ""
+    token = ""
+    with contextlib.suppress(OSError, ValueError), open(source, encoding="utf-8") as file:
+        token = file.readline(MAX_TOKEN).strip()
+    if not token:
+        raise click.UsageError(
+            f"{option}: expected -, or a file whose first line is the token; all users and programs"
+            " of this computer can read the words of a command (ps)"
+        )
+    return token

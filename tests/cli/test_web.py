@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import ssl
 from pathlib import Path
 
+import click
 import pytest
+from click.testing import CliRunner
 
-from swarmd.cli.web import WebOptions
+from swarmd.cli.web import WebOptions, web_options
 from swarmd.core.errors import ConfigError
 from tests.support.keys import SwarmKeys
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -59,3 +64,37 @@ async def test_tls_without_files_takes_the_certificate_of_the_identity(keys: Swa
 def test_files_of_ones_own_win(keys: SwarmKeys) -> None:
     files = (Path("page.pem"), Path("page.key"))
     assert WebOptions("127.0.0.1", 0, tls=files).of(keys["alice"]).tls == files
+
+
+@click.command()
+@web_options
+def tokens(page: WebOptions) -> None:
+    """Print the tokens of a page."""
+    click.echo(f"{page.token} {page.viewer_token}")
+
+
+@pytest.mark.parametrize("option", ["--token", "--viewer-token"])
+def test_a_token_on_the_command_line_is_refused_without_repeating_it(option: str) -> None:
+    done = CliRunner().invoke(tokens, [option, "heron-41-basalt"])
+    assert done.exit_code == 2
+    assert option in done.output
+    assert "heron" not in done.output
+
+
+def test_a_token_is_the_first_line_of_a_file_or_new(tmp_path: Path) -> None:
+    file, empty = tmp_path / "token", tmp_path / "empty"
+    file.write_text("heron-41-basalt\nnote\n")
+    empty.write_text("\n")
+    done = CliRunner().invoke(tokens, ["--token", str(file), "--viewer-token", "-"])
+    operator, viewer = done.output.split()
+    assert operator == "heron-41-basalt"
+    assert len(viewer) == 16
+    assert CliRunner().invoke(tokens, ["--token", str(empty)]).exit_code == 2
+
+
+def test_no_option_of_a_program_takes_a_secret_as_its_value() -> None:
+    """All options whose names sound like one: they take a file, or no value at all."""
+    text = (ROOT / "tests" / "docs" / "public_names.txt").read_text(encoding="utf-8")
+    found = re.findall(r"--[a-z-]*(?:token|secret|pass|credential|pin)\b[a-z-]* ([^,\s]+)", text)
+    assert len(found) >= 8  # of four verbs with a page
+    assert set(found) == {"FILE"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -132,10 +133,13 @@ def test_a_lost_server_is_found_again_and_a_killed_robot_is_not_shown_as_alive(
         process.finish()
 
 
-def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:
+def test_tokens_decide_who_may_command(swarm: Swarm, page: Page, tmp_path: Path) -> None:
     body = swarm.body("tb3-01")
     swarm.start("tb3-01", body)
-    tokens = ("--token", "secret-a", "--viewer-token", "secret-b")
+    files = tmp_path / "operator", tmp_path / "viewer"
+    files[0].write_text("secret-a")
+    files[1].write_text("secret-b")
+    tokens = ("--token", str(files[0]), "--viewer-token", str(files[1]))
     with served(swarm, *tokens) as (whole, read_only):
         page.open(read_only)
         shown(page, "tb3-01", "idle")
