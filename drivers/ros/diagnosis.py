@@ -33,6 +33,11 @@ from swarmd.sensing.scan_pipeline import ScanConditioner
 LAST_WORD = "docs/robots/last_word.md"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
+WAKE_TIME = 12.0
+"""Seconds that a check waits longer for a sensor that sleeps until a node subscribes.
+
+A lidar spins up within 4 to 8 s (`auto_standby` of a TurtleBot 4).
+"""
 MAX_RATE, MIN_GAPS = 1.5, 7
 """More than MAX_RATE times the declared rate of scans means two publishers; over MIN_GAPS gaps."""
 
@@ -73,6 +78,7 @@ class Graph:
     middleware: Middleware
     endpoints: Collection[Endpoint] = ()
     strays: Collection[Endpoint] = ()  # DDS readers of no ROS node, or of another bridge
+    nodeless: Collection[Endpoint] = ()  # DDS ends of ROS processes whose nodes no bridge can read
     options: TopicOptions = field(default_factory=TopicOptions)  # name this robot's topics
     heard: Collection[str] = ()  # this robot's topics that carried messages
     now: float = math.inf  # s on the clock of `Endpoint.since`
@@ -106,7 +112,10 @@ class Graph:
         if types:
             option = f"driver_options.{stats.option}"
             return f"{topic} carries {', '.join(types)}; expected {wanted_type}: correct {option}"
-        return self._unrouted(topic, is_publisher=True) or self._unpublished(stats, publishers)
+        fault = self._unrouted(topic, is_publisher=True) or self._undecoded(
+            topic, is_publisher=True
+        )
+        return fault or self._unpublished(stats, publishers)
 
     def _unpublished(self, stats: TopicStats, publishers: Collection[Endpoint]) -> str:
         """The text for a topic that no node of this domain publishes.
@@ -309,6 +318,8 @@ class Graph:
             return f"only {only} takes {topic}, which moves nothing; start the base"
         if unrouted := self._unrouted(topic, is_publisher=False):
             return unrouted
+        if undecoded := self._undecoded(topic, is_publisher=False):
+            return undecoded
         if not has_subscriber:
             return self._no_base(topic)
         # A node subscribes without an announcement. Only the options can tell its message class.
@@ -428,6 +439,38 @@ class Graph:
             f"{listed(names)} {does} {topic}, but {hub} does not hand it on: start that again, or"
             " look at what it allows"
         )
+
+    def _undecoded(self, topic: str, *, is_publisher: bool) -> str:
+        """The text for a topic of ROS processes whose nodes a bridge cannot read; empty without.
+
+        Up to Humble a node announces its ends in DDS in another form than from Iron on. A bridge
+        reads one of both forms, by its ROS_DISTRO.
+        """
+        ends = [end for end in self.nodeless if end.topic == topic]
+        if not any(end.is_publisher is is_publisher for end in ends):
+            return ""
+        does, hub = "publishes" if is_publisher else "takes", self.middleware.hub
+        return (
+            f"a ROS process {does} {topic} in DDS, but {hub} cannot read its node: it has another"
+            f" ROS distribution than ROS_DISTRO of {hub}; run all nodes and {hub} with Humble or"
+            " older, or all with Iron or newer"
+        )
+
+    def may_wake(self, topics: Iterable[TopicStats]) -> bool:
+        """True while a sensor may sleep: it is announced and silent, and other topics are heard.
+
+        Such a sensor starts when a node subscribes, as a check does.
+        """
+        stats = [one for one in topics if one.is_needed or one.has_only_entries]
+        return any(one.count for one in stats) and any(map(self._may_sleep, stats))
+
+    def _may_sleep(self, stats: TopicStats) -> bool:
+        """True for a topic that is announced with its type, and has not enough messages."""
+        enough = ENOUGH_MESSAGES if stats.is_needed else 1
+        types = {end.type for end in self.publishers(stats.topic)}
+        is_announced = self.middleware.type_name(stats.message_type) in types
+        is_silent = stats.count < enough and not stats.faults
+        return is_announced and is_silent and not stats.is_never_stale
 
     def _namespaces(self) -> Namespaces:
         domain = self.middleware.domain
@@ -562,6 +605,11 @@ def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
         stats.count >= (ENOUGH_MESSAGES if stats.is_needed else 1)
         for stats in subscriptions.topics.values()
     )
+
+
+def check_time(graph: Graph, subscriptions: Subscriptions, seconds: float) -> float:
+    """How long a check lasts in s: `seconds`, and WAKE_TIME more while a sensor may wake."""
+    return seconds + (WAKE_TIME if graph.may_wake(subscriptions.topics.values()) else 0.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

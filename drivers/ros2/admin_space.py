@@ -260,6 +260,7 @@ class _Answer:
     nodes: frozenset[Endpoint]
     dds: frozenset[Endpoint]  # DDS readers and writers
     strays: frozenset[Endpoint]  # DDS readers without a node, or of another bridge
+    nodeless: frozenset[Endpoint]  # DDS ends of ROS processes without a node, not of bridges
     not_ros: frozenset[str]  # DDS participants that are no ROS processes
 
 
@@ -269,7 +270,8 @@ class NodeList:
     `endpoints`: of all nodes that are no bridges; the `zid` of an endpoint is the bridge that lists
     the node. `dds`: the DDS readers and writers that were queried. `strays`: the DDS readers that
     belong to no listed node, or to a bridge other than the one that lists them; the `node` of a
-    stray is the name of its process, or of its bridge.
+    stray is the name of its process, or of its bridge. `nodeless`: the DDS readers and writers of
+    ROS processes that belong to no listed node.
     """
 
     def __init__(self) -> None:
@@ -287,6 +289,7 @@ class NodeList:
         self.endpoints: tuple[Endpoint, ...] = ()
         self.dds: tuple[Endpoint, ...] = ()
         self.strays: tuple[Endpoint, ...] = ()
+        self.nodeless: tuple[Endpoint, ...] = ()
 
     @property
     def namespaces(self) -> Mapping[str, str]:
@@ -372,6 +375,7 @@ class NodeList:
         self._since = {end.source: self._since.get(end.source, now) for end in ends}
         self.endpoints = tuple(replace(end, since=self._since[end.source]) for end in ends)
         self.dds = tuple(end for answer in answers for end in answer.dds)
+        self.nodeless = tuple(end for answer in answers for end in answer.nodeless)
 
 
 def route_faults(ends: Iterable[Endpoint], graph: Graph) -> dict[str, str]:
@@ -434,24 +438,27 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
 def _answer(
     prefix: str, ends: Collection[Endpoint], bridge_names: Collection[str], in_dds: _DdsEnds
 ) -> _Answer:
-    """Join what was decoded from one bridge's admin space; marks its strays.
+    """Join what was decoded from one bridge's admin space; marks its ends without a node.
 
     `prefix`: the namespace of the bridge. `ends`: the endpoints of the nodes that it lists, bridges
     included. `in_dds`: the DDS entities that it lists. `bridge_names`: the names by which nodes of
     bridges are known. The strays of the result are the DDS readers in `in_dds` that belong to no
-    listed node, or to another bridge.
+    listed node, or to another bridge. `nodeless` are its DDS ends of ROS processes without a node.
     """
     of_nodes = [end for end in ends if end.node.rpartition("/")[2] not in bridge_names]
     # By process: the name of the bridge in it, else the name of the process itself.
     bridges = {end.process: end.node for end in ends if end not in of_nodes}
     owners = {**in_dds.processes, **bridges}
-    node_readers = {(end.process, end.topic) for end in of_nodes if not end.is_publisher}
-    strays = frozenset(
+    node_ends = {(end.process, end.topic, end.is_publisher) for end in of_nodes}
+    unlisted = [
         replace(end, node=owners.get(end.process, _NAMELESS))
         for end in in_dds.ends
-        if not end.is_publisher and (end.process, end.topic) not in node_readers
-    )
-    return _Answer(prefix, frozenset(of_nodes), in_dds.ends, strays, in_dds.not_ros)
+        if (end.process, end.topic, end.is_publisher) not in node_ends
+    ]
+    strays = frozenset(end for end in unlisted if not end.is_publisher)
+    others = in_dds.not_ros | bridges.keys()
+    nodeless = frozenset(end for end in unlisted if end.process not in others)
+    return _Answer(prefix, frozenset(of_nodes), in_dds.ends, strays, nodeless, in_dds.not_ros)
 
 
 def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:

@@ -101,7 +101,7 @@ class RosDriver:
         sensed_types = [stats.message_type for stats in self._subscriptions.topics.values()]
         cdr.build_codecs(*options.command_types, *sensed_types)  # else the first message is late
         self._state = StateTopics(scheme, platform, options)
-        self._services = CommandServices(scheme, options)
+        self._services = CommandServices(scheme, options, lambda: not self._gate.is_open)
         self.command_source = self._services if self._services.is_on else None
         self._opinions = OpinionTopics(scheme, options, robot)
         self.opinion_link = self._opinions if self._opinions.is_on else None
@@ -153,7 +153,13 @@ class RosDriver:
         began = loop.time()
         task = asyncio.create_task(self._run(NullSink(), is_check=True))
         try:
-            while loop.time() - began < seconds and not task.done():
+            while not task.done():
+                graph = self._foreign_graph()
+                wanted = diagnosis.check_time(graph, self._subscriptions, seconds)
+                if loop.time() - began >= wanted:
+                    break
+                if loop.time() - began >= seconds:
+                    self._wake_sensors()
                 await asyncio.sleep(min(_PERIOD, seconds))
                 if diagnosis.has_enough(self._subscriptions, loop.time() - began) and not (
                     self._bridges.is_awaited(self._announcing())
@@ -225,7 +231,7 @@ class RosDriver:
         self._was_incomplete = False
 
     async def _run(self, sink: Sink, *, is_check: bool) -> None:
-        """Connect, and feed the sink until cancelled; `is_check`: announce and publish nothing.
+        """Connect, and feed the sink until cancelled; `is_check`: publish and announce nothing.
 
         `inbox` hands the samples from Zenoh's threads to `_take` in the loop.
         """
@@ -417,6 +423,7 @@ class RosDriver:
             middleware=self._scheme,
             endpoints=self._foreign_ends,
             strays=self._bridges.nodes.strays,
+            nodeless=self._bridges.nodes.nodeless,
             options=self._options,
             heard={stats.topic for stats in self._subscriptions.topics.values() if stats.count},
             now=asyncio.get_running_loop().time(),
@@ -503,6 +510,17 @@ class RosDriver:
         if self._scheme.is_node and not is_check:
             self._announce(self._command_type)
         self._opened_type = self._command_type
+
+    def _wake_sensors(self) -> None:
+        """Announce the subscriptions of a check: a sensor may sleep until a node subscribes."""
+        if self._session is None or not self._scheme.is_node or self._tokens.are_declared:
+            return
+        topics = self._subscriptions.topics.values()
+        if all(stats.count for stats in topics if stats.is_needed):
+            return
+        graph = self._foreign_graph()
+        subscribed = [_subscribed_end(stats, graph) for stats in topics]
+        self._tokens.declare(self._session, subscribed, None, ())
 
     def _announce(self, command_type: type | None) -> None:
         """Announce this driver, with all its ends, as a ROS node; again for another type."""

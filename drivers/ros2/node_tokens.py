@@ -40,11 +40,18 @@ class NodeTokens:
         self,
         session: zenoh.Session,
         subscriptions: Sequence[TopicEnd],
-        command: TopicEnd,
+        command: TopicEnd | None,
         published: Sequence[PublishingTopics],
     ) -> None:
-        """Declare the tokens of all ends, in place of those declared before."""
+        """Declare the tokens of all ends, in place of those declared before.
+
+        `command`: the publisher of commands; None for a check, which publishes nothing.
+        """
         undeclare(*self._declared)
+        if command is None:
+            tokens = self._scheme.tokens(str(session.info.zid()), subscriptions)
+            self._declared = [*map(session.liveliness().declare_token, tokens)]
+            return
         other_ends = [end for topics in published for end in topics.ends]
         zid = str(session.info.zid())
         # The tokens of the ends come last, in the order of the ends: so the token of the commands

@@ -10,8 +10,9 @@ import asyncio
 import struct
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -51,9 +52,10 @@ _DOUBT = (
 class CommandServices:
     """Serves the services of one robot; does nothing without the option `services`."""
 
-    def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
-        """Not open yet."""
+    def __init__(self, scheme: KeyScheme, options: RosOptions, is_lost: Callable[[], bool]) -> None:
+        """Not open yet. `is_lost`: whether the base is lost."""
         self._scheme, self._options = scheme, options.services
+        self._is_lost = is_lost
         self._names = {
             name: options.topic(name)
             for name in (() if self._options is None else self._options.names)
@@ -77,6 +79,27 @@ class CommandServices:
             return ()
         role = f"{self._options.operator}, {self._options.role}"
         return (Finding("services", True, f"serves {', '.join(self._names.values())} ({role})"),)
+
+    @property
+    def runs(self) -> Mapping[str, DriverCommand]:
+        """The commands of the services that run a pattern, by the key of their option."""
+        options = self._options
+        names = () if options is None else options.runs
+        return {f"services.runs.{name}": self._command(f"{RUN}/{name}") for name in names}
+
+    def _command(self, name: str) -> DriverCommand:
+        """The command of a call of the service `name`; its age is not known yet."""
+        options = self._options
+        assert options is not None
+        run = options.runs.get(name.removeprefix(f"{RUN}/"))
+        return DriverCommand(
+            verb=_VERBS.get(name, "run"),
+            operator=options.operator,
+            is_viewer=options.role == "viewer",
+            source=f"ROS service {self._names[name]}",
+            run=None if run is None else run.declared(),
+            resets_others=options.reset == "all",
+        )
 
     def serve(self, take: TakeCommand) -> None:
         """Hand the commands to `take`; without it calls get no answer."""
@@ -142,23 +165,13 @@ class CommandServices:
     def _on_call(
         self, name: str, query: zenoh.Query, attachment: bytes | None, stamp: float | None
     ) -> None:
-        take, options = self._take, self._options
-        if take is None or options is None or self._session is None:
+        take = self._take
+        if take is None or self._session is None:
             query.drop()
             return
         age, doubt = self._age_of(stamp)
-        run = options.runs.get(name.removeprefix(f"{RUN}/"))
-        command = DriverCommand(
-            verb=_VERBS.get(name, "run"),
-            operator=options.operator,
-            is_viewer=options.role == "viewer",
-            source=f"ROS service {self._names[name]}",
-            run=None if run is None else run.declared(),
-            resets_others=options.reset == "all",
-            age=age,
-            doubt=doubt,
-        )
-        take(command, partial(self._answer, query, attachment))
+        command = replace(self._command(name), age=age, doubt=doubt)
+        take(command, partial(self._answer, query, attachment, command.verb == "run"))
 
     def _age_of(self, stamp: float | None) -> tuple[float | None, str]:
         """The greatest age of a call that has just arrived, or None and the reason."""
@@ -176,13 +189,17 @@ class CommandServices:
             return None, text
         return max(age, stamp_age), ""
 
-    def _answer(self, query: zenoh.Query, attachment: bytes | None, reply: Reply) -> None:
+    def _answer(
+        self, query: zenoh.Query, attachment: bytes | None, is_run: bool, reply: Reply
+    ) -> None:
+        """Answer a call; a run of a robot whose base is lost is no success, as its text says."""
         is_applied = reply.code is Code.APPLIED
         text = reply.text if is_applied else f"{reply.refusal}: {reply.text}"
+        is_success = is_applied and not (is_run and self._is_lost())
         with suppress(zenoh.ZError):  # the caller or the session has gone
             query.reply(
                 str(query.key_expr),
-                trigger_response(is_applied, text),
+                trigger_response(is_success, text),
                 attachment=self._scheme.reply_attachment(attachment),
             )
         query.drop()

@@ -83,6 +83,27 @@ def describe_patterns(
     return rows
 
 
+def check_runs(
+    runs: Sequence[Record],
+    plugin_dir: Path | None,
+    platform: str,
+    timeout: float = DESCRIBE_TIMEOUT,
+) -> dict[str, str]:
+    """Why a robot would refuse each run, by the run's name; empty for a run that it would load.
+
+    `runs`: with `name`, `pattern`, `layers` (the parameters by source, weakest first), `until`, and
+    `provides` (the inputs of the robot). PluginError if the child process fails before a run.
+    """
+    options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
+    faults = {run["name"]: "not checked, since the run before has ended the check" for run in runs}
+    for row in _inspect([*options, "runs", json.dumps(runs)], timeout, plugin_dir):
+        if "result" in row:
+            faults[row["result"]] = row["fault"]
+        elif "lost" in row:
+            faults[row["lost"]] = f"the process that imports it {row['how']}"
+    return faults
+
+
 def parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str:
     """The fault of a parameter's name, type or bounds; empty without a fault."""
     if key not in specs:

@@ -11,12 +11,15 @@ from typing import Any
 
 import click
 
-from swarmd.cli.plugin_check import Record, describe_patterns, parameter_fault
+from swarmd.cli.plugin_check import Record, check_runs, describe_patterns, parameter_fault
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.files import write_fault
 from swarmd.core.finding import Finding
+from swarmd.core.host_messages import REQUEST_LAYER
 from swarmd.core.kernels import describe_kernels
 from swarmd.daemon.driver import make_driver
+from swarmd.daemon.driver_commands import permission_fault
+from swarmd.driver_api.command_source import command_source
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
@@ -227,7 +230,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     rows_by_name = {row["name"]: row for row in rows}
     yield from _check_parameters(settings, rows_by_name)
     yield from _check_touch(settings, rows_by_name)
-    yield from _check_low_battery(settings, rows_by_name)
+    yield from _check_low_battery(settings)
 
 
 def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
@@ -256,20 +259,51 @@ def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterat
         yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
 
 
-def _check_low_battery(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
+def _run(
+    settings: DaemonSettings,
+    name: str,
+    pattern: str,
+    params: Mapping[str, object],
+    until: Sequence[str] = (),
+) -> Record:
+    """A run as `check_runs` takes it, with the configured parameters below its own."""
+    layers = (*settings.pattern_layers(pattern), (REQUEST_LAYER, dict(params)))
+    provides = sorted(settings.platform.provides)
+    run = {"name": name, "pattern": pattern, "layers": layers, "until": until}
+    return {**run, "provides": provides}
+
+
+def _check_commands(settings: DaemonSettings, driver: Driver) -> Iterator[Finding]:
+    """A fault for each run of the driver's options that the robot would refuse."""
+    source = command_source(driver)
+    commands = {} if source is None else source.runs
+    refused = {
+        name: why
+        for name, command in commands.items()
+        if (why := permission_fault(command.operator, command.is_viewer, settings.identity))
+    }
+    runs = [
+        _run(settings, name, run.pattern, run.params, run.until)
+        for name, command in commands.items()
+        if (run := command.run) is not None and name not in refused
+    ]
+    if runs:
+        refused |= check_runs(runs, settings.plugin_dir, settings.platform_name)
+    for name, why in refused.items():
+        if why:
+            yield Finding(name, False, f"a call would be refused: {why}")
+
+
+def _check_low_battery(settings: DaemonSettings) -> Iterator[Finding]:
     """What the robot does at a low battery, or why it stands instead of running a pattern."""
     given = settings.on_low_battery
     if given is None:
         return
     act, fault = "stands", ""
     if given.pattern is not None:
-        act, row = f"runs {given.pattern}", rows.get(given.pattern)
-        if row is None:
-            fault = unknown("pattern", given.pattern, rows)
-        else:
-            specs = {spec["name"]: spec for spec in row.get("params", ())}
-            faults = (parameter_fault(specs, *item) for item in given.params.items())
-            fault = row.get("error") or row.get("refused") or next(filter(None, faults), "")
+        act = f"runs {given.pattern}"
+        run = _run(settings, act, given.pattern, given.params)
+        fault = check_runs([run], settings.plugin_dir, settings.platform_name)[act]
     if fault:
         text = f"on_low_battery: {given.pattern}: {fault}; the robot stands instead"
         yield Finding("low battery", False, text)
@@ -283,6 +317,7 @@ def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding
     subject = f"driver {settings.driver}"
     try:
         driver = make_driver(settings)
+        yield from _check_commands(settings, driver)
         timeout = max(deadline - monotonic() - CLOSE_TIMEOUT, MIN_DRIVER_TIMEOUT)
         yield from asyncio.run(driver.check(timeout))
         yield Finding("command_timeout", True, command_timeout_text(settings, driver))

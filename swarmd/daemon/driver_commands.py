@@ -157,13 +157,8 @@ class DriverCommands:
 
     def _refusal_of(self, command: DriverCommand) -> tuple[Refusal, str] | None:
         """Why the command is refused for its operator or its age; None if it is accepted."""
-        operator, identity = command.operator, self._identity()
-        if command.is_viewer:
-            return Refusal.NOT_PERMITTED, f"{operator} is a viewer: viewers command nothing"
-        if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
-            generation = identity.roster.generation
-            text = f"{operator} is no operator of roster {generation}"
-            return Refusal.NOT_PERMITTED, text
+        if why := permission_fault(command.operator, command.is_viewer, self._identity()):
+            return Refusal.NOT_PERMITTED, why
         if command.verb in ("stop", "estop"):
             return None
         if command.age is None:
@@ -172,3 +167,12 @@ class DriverCommands:
             text = f"issued up to {command.age:.1f} s ago; at most {MAX_COMMAND_AGE:g} s count"
             return Refusal.TOO_LATE, text
         return None
+
+
+def permission_fault(operator: str, is_viewer: bool, identity: Identity | None) -> str:
+    """Why this operator may not command the robot; empty if it may. `identity`: of the robot."""
+    if is_viewer:
+        return f"{operator} is a viewer: viewers command nothing"
+    if identity is not None and identity.roster.role_of(operator) is not Role.OPERATOR:
+        return f"{operator} is no operator of roster {identity.roster.generation}"
+    return ""

@@ -53,6 +53,10 @@ TakeCommand: TypeAlias = Callable[[DriverCommand, Answer], None]
 class CommandSource(Protocol):
     """Receives the commands to one robot. The daemon calls `serve` once, before the driver runs."""
 
+    @property
+    def runs(self) -> Mapping[str, DriverCommand]:
+        """The runs that the options declare, by a name for `swarmd --check`."""
+
     def serve(self, take: TakeCommand) -> None:
         """Hand each command to `take` from now on."""
 

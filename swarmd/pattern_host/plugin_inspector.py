@@ -20,7 +20,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Any
@@ -35,6 +35,7 @@ from swarmd.core.processes import die_with_parent, limit_growth
 from swarmd.core.values import Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.condition_state import until_conditions
 from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find, assemble, check_scan_delay
 from swarmd.kit.params import Params, schema
@@ -108,7 +109,7 @@ def main() -> None:
         # Memory is bounded and the sandbox entered before any plugin code is imported.
         platform = load_platform(args.platform)
         readable = [] if args.plugin_dir is None else [args.plugin_dir]
-        if args.verb != "describe":
+        if args.verb in ("check", "mission"):
             readable.append(readable_beside(args.file.resolve()))
         limit_growth(MAX_GROWTH)
         confine(readable, args.secret)
@@ -116,6 +117,8 @@ def main() -> None:
             _check_plugin(args.file.resolve(), frozenset(args.done), output)
         elif args.verb == "describe":
             _describe_patterns(args.names, args.plugin_dir, platform, output)
+        elif args.verb == "runs":
+            _check_runs(json.loads(args.runs), args.plugin_dir, platform, output)
         else:
             _inspect_mission(args.file, platform, args.plugin_dir, output)
         output.send(end=True)
@@ -139,6 +142,7 @@ def _parser() -> argparse.ArgumentParser:
         "--done", nargs="*", default=[], help="rules that are not tested again"
     )
     verbs.add_parser("mission").add_argument("file", type=Path)
+    verbs.add_parser("runs").add_argument("runs", help="JSON, as `check_runs` of the tool says")
     return parser
 
 
@@ -210,6 +214,30 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
             for spec in params
         ],
     }
+
+
+def _check_runs(
+    runs: Sequence[dict[str, Any]],
+    plugin_dir: Path | None,
+    platform: Platform,
+    answer: InspectionOutput,
+) -> None:
+    """For each run sends its name, and why a robot of that platform would refuse the run."""
+    loader = PatternLoader(places_of(pattern_names(plugin_dir)))
+    for run in runs:
+        robot = replace(platform, provides=frozenset(run["provides"]))
+        answer.send(begin=run["name"])
+        answer.send(result=run["name"], fault=_run_fault(run, loader, robot))
+
+
+def _run_fault(run: dict[str, Any], find: Find, platform: Platform) -> str:
+    """Why a robot would refuse a run, as its pattern host does; empty if it would load the run."""
+    try:
+        _made(run["pattern"], tuple(run["layers"]), find, platform)
+        until_conditions(run["until"], platform)
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
+        return error_text(error)
+    return ""
 
 
 def _refusal(name: str, loader: PatternLoader, platform: Platform) -> str:

@@ -267,6 +267,8 @@ class Robot(Ticker):
         if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.driver_hold):
             self._lifecycle.log(f"driver: {one.text}", now)
         sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
+        hold = one.hold if one.is_up else Reason.DRIVER_LOST
+        self._lifecycle.base_fault = "" if hold is None else f"held: {hold}: {one.text}"
         settings = self._lifecycle.identity.settings.on_low_battery
         if settings is not None and not sensors.is_driver_up:  # the readings have become stale
             self._lifecycle.battery.take(None, settings, now)

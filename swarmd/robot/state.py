@@ -208,6 +208,8 @@ class Lifecycle:
         # and not yet proved by 60 s of runs without a fault.
         self.provisional: tuple[int, ...] = ()
         self.battery = LowBattery()
+        # Why the base is lost or must not move, for the answer to a run; empty if it may move.
+        self.base_fault = f"held: {Reason.DRIVER_LOST}: not connected yet"
         self._last_fault_text = ""  # the last failure of the pattern, as text
         self._load_command: host_messages.Load | None = None  # the last command to load a pattern
         if self.latches.held:
@@ -341,7 +343,8 @@ class Lifecycle:
             now,
             is_resumed=not isinstance(loading.request, RunRequest),
         )
-        text = "; ".join(filter(None, (f"runs {loading.pattern}", note, self.battery.remark)))
+        remarks = (f"runs {loading.pattern}", note, self.battery.remark, self.base_fault)
+        text = "; ".join(filter(None, remarks))
         if loading.request is None:
             self.log(text, now)
         else:

@@ -11,6 +11,7 @@ import pytest
 
 from swarmd.cli.effective_config import effective_config
 from swarmd.cli.preflight import (
+    _check_commands,
     _check_fence,
     _check_network,
     _platform_text,
@@ -259,6 +260,39 @@ def test_what_a_low_battery_does_is_told(
     assert told.is_well is is_well
     assert text in told.text
     assert "on_low_battery: {below: " in effective_config(settings)
+
+
+def test_the_runs_of_services_are_checked_as_a_run_would_be(tmp_path: Path) -> None:
+    runs: dict[str, dict[str, Any]] = {
+        "well": {"pattern": "attraction", "params": {"speed": 0.1}, "until": ["nearer:0.3"]},
+        "absent": {"pattern": "attracton"},
+        "misnamed": {"pattern": "attraction", "params": {"sped": 0.1}},
+        "too_fast": {"pattern": "attraction", "params": {"speed": 100.0}},
+        "blind": {"pattern": "collective_perception"},
+    }
+    options: dict[str, Any] = {"services": {"operator": "ros", "runs": runs}}
+    settings = settings_of(tmp_path, platform="burger", driver="ros2dds", driver_options=options)
+    found = {
+        one.subject.rpartition(".")[2]: one.text
+        for one in _check_commands(settings, make_driver(settings))
+        if not one.is_well
+    }
+    assert found.keys() == runs.keys() - {"well"}
+    for name, word in {
+        "absent": "'attraction'",
+        "misnamed": "'speed'",
+        "too_fast": "speed is 100",
+        "blind": "reading:ground",
+    }.items():
+        assert word in found[name]
+
+
+def test_the_runs_of_a_viewer_are_refused(tmp_path: Path) -> None:
+    runs = {"go": {"pattern": "drive"}}
+    options: dict[str, Any] = {"services": {"operator": "ros", "role": "viewer", "runs": runs}}
+    settings = settings_of(tmp_path, driver="rmw_zenoh", driver_options=options)
+    (told,) = faults(_check_commands(settings, make_driver(settings)))
+    assert "viewer" in told
 
 
 def test_a_check_goes_on_without_the_folder_of_patterns(

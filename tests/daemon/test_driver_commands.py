@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.clock import TICK
+from swarmd.core.events import DriverInput
 from swarmd.core.messages import Code, Refusal, Reply, State
 from swarmd.core.verbs import AuditEntry, Request
 from swarmd.daemon.audit import Audit
@@ -76,6 +77,20 @@ def test_a_run_is_that_of_an_operator_for_this_robot() -> None:
     (entry,) = rig.entries
     assert (entry.operator, entry.source, entry.verb) == ("ros", SOURCE, "run")
     assert (entry.what, entry.result, entry.targets) == ("run forward to 1 robot", "applied", 1)
+
+
+def test_the_answer_to_a_run_says_that_the_base_is_lost() -> None:
+    rig = Rig(idle())
+    rig.advance(5.0)
+    rig.harness.step(DriverInput(False, "no scan and no odometry"))
+    reply = rig.reply("run")
+    assert (reply.code, reply.text) == (
+        Code.APPLIED,
+        "runs forward; held: driver_lost: no scan and no odometry",
+    )
+    rig.harness.step(DriverInput(True, "there"))
+    rig.advance(3.0)
+    assert rig.reply("run").text == "runs forward"
 
 
 @pytest.mark.parametrize("verb", ["run", "reset"])

@@ -189,9 +189,17 @@ class BridgedRobot(Robot):
 
     def list_reader(self, participant: str) -> str:
         """List a reader of the commands in DDS; its key."""
-        key = f"@/{self.hub.zid()}/ros2/dds/{participant}/reader/{participant}04/rt/cmd_vel"
-        told = {"topic_name": "rt/cmd_vel", "type_name": "geometry_msgs::msg::dds_::Twist_"}
-        self.listed[key] = json.dumps({**told, "qos": {}}).encode()
+        return self._list_end(participant, "reader", "cmd_vel", "geometry_msgs::msg::dds_::Twist_")
+
+    def list_writer(self, participant: str) -> str:
+        """List a writer of scans in DDS; its key."""
+        kind = "sensor_msgs::msg::dds_::LaserScan_"
+        return self._list_end(participant, "writer", "scan", kind)
+
+    def _list_end(self, participant: str, end: str, topic: str, kind: str) -> str:
+        key = f"@/{self.hub.zid()}/ros2/dds/{participant}/{end}/{participant}04/rt/{topic}"
+        told = {"topic_name": f"rt/{topic}", "type_name": kind, "qos": {}}
+        self.listed[key] = json.dumps(told).encode()
         return key
 
     def token(self, what: str, topic: str, kind: str, domain: int, zid: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import threading
+import time
 from collections.abc import Callable
 
 import pytest
@@ -13,6 +15,7 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
+from swarmd.network.carriers.session import has_subscriber
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.harness import check, drive, reported
@@ -105,6 +108,71 @@ def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
     robot.announce("MS", "bot1/cmd_vel", TWIST)
     words = "no node subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
     play(robot, lambda harness: stays_lost(harness, words), connected=False)
+
+
+@pytest.mark.parametrize("has_old_base", [False, True], ids=["an old lidar", "an old base"])
+def test_check_names_the_distribution_of_a_node_that_the_bridge_cannot_read(
+    has_old_base: bool,
+) -> None:
+    """Up to Humble nodes announce their ends in another form: the bridge lists no node of them."""
+    robot = BridgedRobot()
+    robot.list_nodes()
+    robot.announce("MP", "odom", "nav_msgs/msg/Odometry")
+    published = {"/odom": "nav_msgs/msg/Odometry"}
+    if has_old_base:
+        robot.announce("MP", "scan", LASER)
+        robot.list_node("aa", "lidar", {**published, "/scan": LASER})
+        robot.list_writer("aa")
+        robot.list_reader("bb")
+    else:
+        robot.announce("MS", "cmd_vel", TWIST)
+        robot.list_node("aa", "base", published, {"/cmd_vel": TWIST})
+        robot.list_reader("aa")
+        robot.list_writer("bb")
+    publish = robot.publish if has_old_base else robot.publish_odometry
+    found = check(robot, publish, seconds=1.5, cmd_vel_type="twist")
+    old, other = ("cmd_vel", "scan") if has_old_base else ("scan", "cmd_vel")
+    assert not found[old].is_well
+    assert "ROS_DISTRO" in found[old].text
+    assert "correct driver_options" not in found[old].text
+    assert found[other].is_well
+
+
+class Sleeper:
+    """A lidar that spins up once a node has subscribed for so many seconds, on either side."""
+
+    def __init__(self, robot: Robot, seconds: float) -> None:
+        self._robot, self._seconds = robot, seconds
+        self._woken_at = math.inf
+        self._scans = robot.hub.declare_publisher(
+            robot.key("scan", "LaserScan") if isinstance(robot, ZenohRobot) else "scan"
+        )
+
+    def publish(self) -> None:
+        now = time.monotonic()
+        if math.isinf(self._woken_at) and self._is_subscribed():
+            self._woken_at = now + self._seconds
+        if now >= self._woken_at:
+            self._robot.publish()
+        else:
+            self._robot.publish_odometry()
+
+    def _is_subscribed(self) -> bool:
+        """A node of rmw_zenoh counts tokens; a bridge reads DDS for a Zenoh subscriber."""
+        if not isinstance(self._robot, ZenohRobot):
+            return has_subscriber(self._scans)
+        replies = self._robot.hub.liveliness().get("@ros2_lv/*/*/*/*/MS/*/*/*/%scan/**")
+        return any(reply.ok is not None for reply in replies)
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_check_wakes_a_lidar_that_sleeps_and_waits_for_it(make: Callable[[], Robot]) -> None:
+    robot = make()
+    robot.announce("MP", "scan", LASER)
+    robot.announce("MS", "cmd_vel", TWIST)
+    lidar = Sleeper(robot, seconds=1.0)
+    found = check(robot, lidar.publish, seconds=0.5)
+    assert found["scan"].is_well, found["scan"].text
 
 
 def test_check_does_not_count_its_own_subscription() -> None:

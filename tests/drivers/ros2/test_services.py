@@ -115,6 +115,18 @@ async def test_a_refusal_is_no_success_and_a_long_text_is_cut(
     assert len(answer.message) == MAX_MESSAGE
 
 
+@story(BridgedRobot, services=SERVICES)
+async def test_a_run_of_a_robot_whose_base_is_lost_is_no_success(
+    harness: DriverHarness, robot: Robot
+) -> None:
+    Door(harness, text="runs drive; held: driver_lost: no scan and no odometry")
+    await harness.until(lambda: not harness.sink.is_up)  # the base is silent
+    call = Call(robot, "swarmd/run/go")
+    await harness.until(lambda: call.has_ended)
+    (answer,) = call.answers
+    assert (answer.success, "driver_lost" in answer.message) == (False, True)
+
+
 @story(ZenohRobot, services=SERVICES)
 async def test_the_node_announces_its_services(harness: DriverHarness, robot: ZenohRobot) -> None:
     def tokens() -> list[list[str]]:
