@@ -98,6 +98,11 @@ class _Trail:
         return self.followers >= CONFIRMATIONS and self.newest.at - self._first.at >= seconds
 
 
+def _fresh(trail: _Trail | None, now: float) -> _Trail | None:
+    """The trail; None after FORGET_TIME without a further pose."""
+    return None if trail is None or now - trail.newest.at > FORGET_TIME else trail
+
+
 class FencePose:
     """The pose of one robot in the frame of its fence."""
 
@@ -167,9 +172,8 @@ class FencePose:
 
     def _take(self, fix: _Fix) -> None:
         """Use `fix`, or keep `fix` until enough poses of its place agree (rules 2 to 5)."""
-        if self._used is not None and fix.at - self._used.newest.at > FORGET_TIME:
-            self._used = None
-        used, new = self._used, self._new
+        used = self._used = _fresh(self._used, fix.at)
+        new = self._new = _fresh(self._new, fix.at)
         if used is not None and used.contradicted(fix) is None:
             used.add(fix)
             self._use(used)

@@ -92,11 +92,11 @@ def step(gap: float, name: str, **args: Any) -> HistoryStep:
 class History:
     """A swarm of robots `r1` to `r<count>` and two operators, to which steps happen.
 
-    It is secured with each second seed.
+    It is secured with each second seed, and fenced if a pose is to stand still.
     """
 
-    def __init__(self, count: int, seed: int = 1) -> None:
-        self.swarm = VirtualSwarm(seed, is_secured=seed % 2 == 0)
+    def __init__(self, count: int, seed: int = 1, *, is_fenced: bool = False) -> None:
+        self.swarm = VirtualSwarm(seed, is_secured=seed % 2 == 0, is_fenced=is_fenced)
         self.judge = Invariants(self.swarm)
         self.swarm.judge = self.judge
         self.operators = {
@@ -119,7 +119,7 @@ class History:
         self.heal()
         with _no_exception():
             for robot in self.swarm.robots.values():
-                robot.disk_time = DISK_TIME
+                robot.disk_time, robot.told_x = DISK_TIME, None
                 robot.thaw() if robot.is_frozen else None
                 robot.start() if not robot.is_up else None
             self.await_commands()
@@ -209,6 +209,13 @@ class History:
         if daemon is not None and daemon.is_up:
             daemon.ram()
 
+    def freeze_pose(self, robot: str, seconds: float) -> None:
+        """The tracker tells the robot its present pose for this time, with new stamps."""
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None:
+            daemon.told_x, daemon.told_way = daemon.x, 0.0
+            self.swarm.at(self.swarm.now + seconds, lambda: setattr(daemon, "told_x", None))
+
     def start(self, robot: str, disk: str = "kept", age: float = 10.0) -> None:
         """A daemon starts, after a kill if it is up; `disk`: kept, empty, or `age` s old."""
         daemon = self.swarm.robots.get(robot)
@@ -257,7 +264,8 @@ class History:
 
 def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
     """Let a history happen. BrokenRuleError if it breaks a rule."""
-    history = History(count, seed)
+    is_fenced = any(one.name == "freeze_pose" for one in steps)
+    history = History(count, seed, is_fenced=is_fenced)
     for one in steps:
         history.carry_out(one)
     history.end()
@@ -470,6 +478,11 @@ def _freeze(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
     return step(0.0, "freeze", robot=chance.choice(robots), seconds=seconds)
 
 
+def _freeze_pose(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    seconds = chance.choice((2.0, 8.0, 60.0))
+    return step(0.0, "freeze_pose", robot=chance.choice(robots), seconds=seconds)
+
+
 _Made = HistoryStep | Steps
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], ...] = (
     (_run, 5.0),
@@ -497,6 +510,7 @@ _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], _Made], float], .
     (_wall, 0.2),
     (_slow_disk, 0.5),
     (_freeze, 0.8),
+    (_freeze_pose, 0.6),
     (_withdrawn, 0.6),
     (_burst, 1.0),
     (_undo_chain, 0.4),

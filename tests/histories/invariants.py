@@ -30,6 +30,8 @@
 11. *No exception*: no code of a robot, a peer or an operator raises one, or logs one as an error.
 12. *A message of a program is none of a robot*: no robot takes one in the name of a robot that it
    knows, or more of a sender on a channel within a second than the limits allow.
+13. *A pose that stands still moves no robot far*: while the tracker of a fenced robot tells one
+   place, the robot drives at most STANDING_WAY by one request of an operator.
 
 The time that a stop is on its way adds nothing to its age: no clocks are compared. So it may seem
 later than it was, by the delay of each of its hops, and never earlier: in doubt it acts. So does
@@ -66,6 +68,7 @@ from tests.histories.swarm import MOST_DELAY, Cause, VirtualDaemon, VirtualSwarm
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
+STANDING_WAY = 0.25  # m
 MAX_SENT = 300  # datagrams of one robot within a second
 
 
@@ -138,9 +141,12 @@ class Invariants:
         known.was_running, known.state = is_running, robot.state
 
     def on_twist(self, daemon: VirtualDaemon) -> None:
-        """Rule 10."""
+        """Rules 10 and 13."""
         if not daemon.robot.is_running:
             raise BrokenRuleError(10, f"{daemon.name} is {daemon.robot.state} and moves its base")
+        if daemon.told_x is not None and daemon.told_way > STANDING_WAY:
+            text = f"{daemon.name} drives {daemon.told_way:.2f} m by a pose that stands still"
+            raise BrokenRuleError(13, text)
 
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """Rules 1 and 2."""

@@ -41,6 +41,7 @@ from swarmd.core.events import (
     MessageInput,
     NoteInput,
     OdometryInput,
+    PoseInput,
     RequestInput,
     ScanInput,
 )
@@ -61,7 +62,17 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.keys import MESSAGE, build
 from swarmd.core.messages import Code, PeerView, Refusal, Reply
-from swarmd.core.values import ZERO, Array, Odometry, Outputs, Platform, Pose, Scan, Twist
+from swarmd.core.values import (
+    ZERO,
+    Array,
+    Odometry,
+    Outputs,
+    Platform,
+    Pose,
+    Scan,
+    SharedPose,
+    Twist,
+)
 from swarmd.core.verbs import (
     ForgetRequest,
     PushRequest,
@@ -81,6 +92,7 @@ from swarmd.network.peer import Peer, PeerActions, PeerSettings, Summary
 from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
+from swarmd.protection.fence_settings import FenceSettings
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -95,6 +107,9 @@ MOST_DELAY = 1.2  # of a datagram, as a share of the delay
 JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
 SCAN_PERIOD = 0.5
+POSE_PERIOD = 0.2
+COMMAND_TIME = 0.5  # s after which a base without commands stands
+FENCE = FenceSettings(frame="lab", polygon=[(-1e3, -1e3), (1e3, -1e3), (0.0, 1e3)])
 RAM_SPEED, RAM_DISTANCE, RAM_PERIOD, RAM_AGAIN = 1.0, 1.2, 0.1, 6.0  # m/s, m, s and s
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
@@ -200,12 +215,13 @@ class VirtualSwarm:
     """Robots and operators on one network, which `cuts`, `loss` and `delay` disturb.
 
     `cuts`: pairs of names, (sender, receiver), that nothing passes. In a swarm that `is_secured`
-    robots know the authors of datagrams, as if these were signed, and admit what counts.
+    robots know the authors of datagrams, as if these were signed, and admit what counts. In one
+    that `is_fenced` a tracker tells robots their poses while they run.
     """
 
-    def __init__(self, seed: int, *, is_secured: bool = False) -> None:
+    def __init__(self, seed: int, *, is_secured: bool = False, is_fenced: bool = False) -> None:
         self.now = 1000.0
-        self.is_secured = is_secured
+        self.is_secured, self.is_fenced = is_secured, is_fenced
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
         self.loss, self.delay = 0.0, DELAY
@@ -331,6 +347,9 @@ class VirtualDaemon(Node):
         self.join_tick = JOIN_TICK  # s; a busy computer has a longer one
         self.disk_time = DISK_TIME  # s that a write takes
         self.twist = ZERO
+        self.x = 0.0  # m, the true place; robots drive along x
+        self.told_x: float | None = None  # where the tracker tells the robot to stand, in error
+        self.told_way = 0.0  # m driven since then, or since an operator wanted the run
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
         self.hops: dict[str, int] = {}  # of the stops that were carried out, the greatest
@@ -365,14 +384,19 @@ class VirtualDaemon(Node):
         self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
         self.hops, self.waits = {}, {}
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
-        self._moved_at = -math.inf
+        self._moved_at = self._posed_at = -math.inf
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
         self._pattern = ""
         self.robot = Robot(
             self.name,
             platform(),
-            RobotSettings(driver="virtual", layers=lambda pattern: (), profile="field"),
+            RobotSettings(
+                driver="virtual",
+                layers=lambda pattern: (),
+                profile="field",
+                fence=FENCE if swarm.is_fenced else None,
+            ),
             seed=1,
             instance=instance.hex(),
             now=now,
@@ -643,6 +667,8 @@ class VirtualDaemon(Node):
         if not self.is_settled:
             return now + self.join_tick
         wanted = min(max(self.peer.wake_at(), now + TICK), now + LONGEST_TICK)
+        if self.swarm.is_fenced and self.is_active:
+            wanted = min(wanted, now + POSE_PERIOD)
         wake_at = self.robot.wake_at(now)
         return wanted if wake_at is None else min(wanted, max(wake_at, now + 1e-3))
 
@@ -656,6 +682,11 @@ class VirtualDaemon(Node):
         is_read = self.is_active or self._scan_at < self._moved_at + SCAN_PERIOD
         if is_read and now - self._scan_at >= SCAN_PERIOD:
             self._measure()
+        if self.swarm.is_fenced and is_read and now - self._posed_at >= POSE_PERIOD:
+            self._posed_at = now
+            self._step(OdometryInput(Odometry(now, Pose(self.x), self.twist)))
+            told = Pose(self.x if self.told_x is None else self.told_x)
+            self._step(PoseInput(SharedPose(now, told, 0.05, 0.05, FENCE.frame)))
         self._step(TICK_INPUT)
         self._apply(self.peer.advance(now, self._summary()))
         for message in self._programs.take(now):
@@ -676,7 +707,7 @@ class VirtualDaemon(Node):
     def _measure(self, ranges: Array = NO_DATA) -> None:
         now, spec = self.swarm.now, platform().scan
         self._scan_at, self._scan_seq = now, self._scan_seq + 1
-        self._step(OdometryInput(Odometry(now, Pose(), ZERO)))
+        self._step(OdometryInput(Odometry(now, Pose(self.x), ZERO)))
         scan = Scan(self._scan_seq, now, ranges, spec.bearings, spec.range_min, spec.range_max)
         self._step(ScanInput(scan))
 
@@ -688,6 +719,7 @@ class VirtualDaemon(Node):
 
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
+        self._move()
         self.twist = actions.twist
         if not self.twist.is_zero:
             self._moved_at = self.swarm.now
@@ -749,11 +781,24 @@ class VirtualDaemon(Node):
         again = partial(self._reply_once_stored, reply, until, life)
         self.swarm.at(self.swarm.now + DISK_TIME, again)
 
+    def _move(self) -> None:
+        """Move as the last command says, which counts for COMMAND_TIME at most."""
+        seconds, self._moved_to = self.swarm.now - self._moved_to, self.swarm.now
+        way = self.twist.linear * min(seconds, COMMAND_TIME)
+        if self.swarm.is_fenced:
+            self.x += way
+            self.told_way += abs(way)
+
+    _moved_to = 0.0
+
     def _observe(self) -> None:
         """Find the cause of the pattern that runs, and let the judge look."""
         generation = self.robot.running_generation
         if self.robot.is_running and generation in self._causes:
+            is_new = self.cause is not self._causes[generation]
             self.cause = self._causes[generation]
+            if is_new and self.cause.request is not None:
+                self.told_way = 0.0
         if self.swarm.judge is not None:
             self.swarm.judge.on_event(self)
 

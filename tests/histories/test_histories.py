@@ -18,6 +18,7 @@ from swarmd.core.goal import HeldGoal
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.message_limits import SenderLimits
 from swarmd.core.values import Twist
+from swarmd.robot import fence_pose
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from tests.histories import swarm
@@ -131,6 +132,21 @@ def test_a_fault_breaks_its_rule(
     monkeypatch.setattr(FaultyRobot, "broken", broken)
     monkeypatch.setattr(swarm, "Robot", FaultyRobot)
     fault = fault_of(2, [step(0.0, "run", by="anna"), step(2.0, "stop", by="bob")])
+    assert (None if fault is None else fault.rule) == rule
+
+
+@pytest.mark.parametrize(("believes", "rule"), [(False, None), (True, 13)])
+def test_a_fence_that_believes_a_pose_that_stands_still_breaks_a_rule(
+    monkeypatch: pytest.MonkeyPatch, *, believes: bool, rule: int | None
+) -> None:
+    if believes:
+        monkeypatch.setattr(fence_pose, "_agree", lambda *_: True)
+    steps = (
+        step(0.0, "run", by="anna"),
+        step(2.0, "freeze_pose", robot="r1", seconds=60.0),
+        step(6.0, "heal"),
+    )
+    fault = fault_of(1, steps)
     assert (None if fault is None else fault.rule) == rule
 
 

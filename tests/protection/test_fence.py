@@ -532,6 +532,17 @@ def test_a_second_jump_holds_longer_than_a_run_lasts() -> None:
     assert "waits until poses agree for 5 s" in told.known.text(told.now)
 
 
+@pytest.mark.parametrize("times", [1, 2, 3, 6])
+def test_poses_that_stop_for_long_count_anew(times: int) -> None:
+    told = Told()
+    told.tell(0.0, times=times)
+    told.now += 30.0
+    told.tell(0.0, times=CONFIRMATIONS)
+    assert told.holds
+    told.tell(0.0)
+    assert not told.holds
+
+
 def test_a_false_pose_within_the_bounds_is_no_drift() -> None:
     told = Told()
     told.tell(0.0, times=20)
