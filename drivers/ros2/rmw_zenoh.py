@@ -20,7 +20,7 @@ from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros.cdr import known_hashes, name_of, type_hash
 from swarmd.drivers.ros.endpoints import Endpoint
-from swarmd.drivers.ros.messages import dds_name, ros_name
+from swarmd.drivers.ros.messages import Odometry, dds_name, ros_name
 from swarmd.drivers.ros.options import RmwOptions, RosOptions, of_commands, read_options
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
@@ -106,6 +106,7 @@ class RmwZenoh(Ros2Middleware):
         self._cmd_vel = cmd_vel
         self._node, self._index = f"%/{_mangled(namespace)}/{node}", index
         self._is_humble = False
+        self._has_odometry = False  # heard: it decides `_is_humble` from then on
         self._sent: Counter[str] = Counter()
 
     def subscription_key(self, topic: str) -> str:
@@ -125,9 +126,12 @@ class RmwZenoh(Ros2Middleware):
             return f"it carries {ros_name(type_name)}; expected {wanted}"
         if hashed != NO_HASH and hashed not in known_hashes(message_type):
             return f"its {wanted} has the type hash {hashed[:19]}, which no distribution has"
-        # On the topic of commands other nodes publish, such as a watchdog that uses every key.
-        if topic != self._cmd_vel:
+        # On the topic of commands other nodes publish, such as a watchdog that uses every key. The
+        # node that takes the commands publishes odometry; a lidar may be of another distribution.
+        is_odometry = message_type is Odometry
+        if topic != self._cmd_vel and (is_odometry or not self._has_odometry):
             self._is_humble = hashed == NO_HASH
+        self._has_odometry = self._has_odometry or is_odometry
         return ""
 
     def topic_of(self, key: str, message_type: type) -> str | None:

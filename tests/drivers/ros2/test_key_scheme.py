@@ -161,3 +161,23 @@ def test_the_announcements_of_a_bridge_are_read() -> None:
 
 def test_a_topic_is_received_in_its_domain_with_any_type_and_hash() -> None:
     assert scheme(3).subscription_key("/bot/scan") == "3/bot/scan/*/*"
+
+
+@pytest.mark.parametrize("is_base_old", [False, True])
+def test_commands_have_the_form_of_the_base_beside_a_lidar_of_another_distribution(
+    is_base_old: bool,
+) -> None:
+    """The node of the odometry takes the commands; Humble's keys have no hash."""
+    made = scheme()
+    odometry, laser = (
+        f"0/{topic}/{package}::msg::dds_::{kind}_/{HASHES[kind] if has_hash else NO_HASH}"
+        for topic, package, kind, has_hash in (
+            ("odom", "nav_msgs", "Odometry", not is_base_old),
+            ("scan", "sensor_msgs", "LaserScan", is_base_old),
+        )
+    )
+    wanted = NO_HASH if is_base_old else HASHES["Twist"]
+    for _ in range(2):
+        assert not made.key_fault(odometry, "/odom", messages.Odometry)
+        assert not made.key_fault(laser, "/scan", messages.LaserScan)
+        assert made.key("/cmd_vel", messages.Twist).rpartition("/")[2] == wanted
