@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.protection.footprint import Footprint
 from swarmd.sensing.scan_pipeline import COMPARED_SCANS, MAX_REPEATS, MIN_DISTINCT_RETURNS
+from swarmd.sensing.sector_history import SECTORS
 
 ENOUGH_SCANS = MAX_REPEATS + 1
 """Scans after which a frozen sensor shows."""
 
+_WIDE_SECTOR = 30.0  # deg without a return that a note names
 # A sensor with less range in m, or with fewer rays, often has no return in an ordinary room.
 _FAR_SENSOR, _MANY_RAYS = 1.0, 8
 _DEGREES = 360
@@ -71,6 +73,7 @@ class ScanContent:
             nearest = float(distances.min(initial=np.inf))
             place = f"at {nearest:.2f} m" if nearest < np.inf else "too close to measure"
             parts.append(f"the nearest {place}")
+            parts += self._empty_sector(scan)
         if self.count > 1:
             are_identical = self._repeats >= min(MAX_REPEATS, self.count - 1)
             parts.append("scans are identical" if are_identical else "scans differ")
@@ -123,9 +126,7 @@ class ScanContent:
         in an ordinary room gives none: it may stand at the rim of the robot.
         """
         degrees = np.zeros(_DEGREES, np.bool_)
-        is_measured = (scan.ranges > 0.0) & (scan.ranges <= self.spec.range_max)
-        is_return = is_measured | self._is_too_close(scan)
-        is_return &= ~self.spec.masked(scan.bearings)
+        is_return = self._is_return(scan) & ~self.spec.masked(scan.bearings)
         if self._outline is not None and self._expects_return(scan) and is_return.any():
             bearings = scan.bearings[is_return]
             directions = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
@@ -145,6 +146,18 @@ class ScanContent:
         """True if the sensor has range and rays enough to have a return in an ordinary room."""
         return self.spec.range_max >= _FAR_SENSOR and len(scan.ranges) >= _MANY_RAYS
 
+    def _empty_sector(self, scan: Scan) -> list[str]:
+        """The widest sector between two returns; nothing if it is narrow, or of a coarse sensor.
+
+        A covered sensor and an open field look alike, so this is no fault.
+        """
+        degrees = np.sort(np.degrees(scan.bearings[self._is_return(scan)]) % 360.0)
+        widths = np.diff(degrees, append=degrees[0] + 360.0)
+        k = int(widths.argmax())
+        if len(scan.ranges) < SECTORS or widths[k] < _WIDE_SECTOR:
+            return []
+        return [f"no return between {degrees[k]:.0f} and {(degrees[k] + widths[k]) % 360:.0f} deg"]
+
     def _distances(self, scan: Scan) -> Array:
         """(k,) m of the returns that have a distance."""
         ranges: Array = scan.ranges
@@ -152,7 +165,12 @@ class ScanContent:
 
     def _returns(self, scan: Scan) -> int:
         """The number of rays with a return, measured or too close to measure."""
-        return len(self._distances(scan)) + int(np.count_nonzero(self._is_too_close(scan)))
+        return int(np.count_nonzero(self._is_return(scan)))
+
+    def _is_return(self, scan: Scan) -> NDArray[np.bool_]:
+        """(n,) True for each ray with a return, measured or too close to measure."""
+        is_measured: NDArray[np.bool_] = (scan.ranges > 0.0) & (scan.ranges <= self.spec.range_max)
+        return is_measured | self._is_too_close(scan)
 
 
 def _widened(degrees: NDArray[np.bool_]) -> NDArray[np.bool_]:

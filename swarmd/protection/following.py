@@ -5,9 +5,14 @@ command of the last WINDOW s. A slow base responds DELAY s late, with a quarter 
 braking. A base does not follow its commands if its speed is outside these bounds for MIN_DURATION
 s, by more than SLIP times the commanded speed.
 
-The result is a text and changes no motion, since a reflex of the base, a stuck wheel and another
-node that drives look alike. A kernel (see `core/kernels.py`), since each reading of odometry and
-each command pass it.
+This result is a text and changes no motion, since a reflex of the base, a stuck wheel and another
+node that drives look alike.
+
+A base is blocked if it stands, and has moved less than half of the way that is demanded. The way is
+summed over some BLOCKED_TIME s, so that commands that come and go count, too. The demanded speed is
+that of the slow base, or the command if it is slower.
+
+A kernel (see `core/kernels.py`), since each reading of odometry and each command pass it.
 """
 
 from __future__ import annotations
@@ -26,9 +31,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import cos, fabs, remainder, sin, sqrt
+    from cython.cimports.libc.math import NAN, copysign, cos, fabs, remainder, sin, sqrt
 else:
-    from swarmd.core.cython_shadow import cos, fabs, remainder, sin, sqrt
+    from swarmd.core.cython_shadow import NAN, copysign, cos, fabs, remainder, sin, sqrt
 
 MIN_DURATION = 0.7
 """Seconds for which the speed must be outside the bounds."""
@@ -38,6 +43,11 @@ DELAY = cython.declare(cython.double, 0.3)
 """Seconds after a command at which the slow base begins to respond."""
 SLIP = 0.5
 """Share of the commanded speed by which the speed may be outside the bounds."""
+
+BLOCKED_TIME = cython.declare(cython.double, 1.0)
+"""Seconds in which a way fades from the sums by which a base is blocked."""
+_BLOCKED_SHARE = cython.declare(cython.double, 0.5)  # of the demanded way: less is blocked
+_LEAST_WAY = cython.declare(cython.double, 0.08)  # m (or rad) demanded in BLOCKED_TIME
 
 # m/s, rad/s and m/s to the left: slower commands may not overcome the friction of a base.
 _LEAST = 0.05, 0.25, 0.05
@@ -66,6 +76,10 @@ class _Axis:
     """Compares the commands and the motion of one axis; times are stamps of odometry in s."""
 
     text = cython.declare(object, visibility="readonly")  # empty while the base follows
+    # The sign of the demanded motion if the base is blocked; else 0.
+    blocked = cython.declare(cython.double, visibility="readonly")
+    _demanded_way: cython.double
+    _moved_way: cython.double
     _least: cython.double  # the slowest command that counts
     _acceleration: cython.double  # of the slow base
     _unit: object
@@ -102,6 +116,7 @@ class _Axis:
         self._slow_speed = self._command = command
         self._add(command, stamp)
         self._begun_at = stamp
+        self._demanded_way = self._moved_way = self.blocked = 0.0
         self._follow()
 
     @cython.ccall
@@ -163,6 +178,28 @@ class _Axis:
         """Note that the speed is within the bounds: `text` becomes empty."""
         self._outside_since, self._outside_readings, self.text = _inf, 0, ""
 
+    @cython.cfunc
+    def _sum_ways(
+        self, period: cython.double, by_twist: cython.double, by_pose: cython.double
+    ) -> cython.int:
+        """Add a period to the demanded and the moved way, and set `blocked`; see `on_reading`."""
+        demanded: cython.double = self._slow_speed
+        if fabs(self._command) < fabs(demanded):
+            demanded = self._command
+        # Of the two measured speeds, the one that is further in the demanded direction.
+        sign: cython.double = copysign(1.0, demanded)
+        moved: cython.double = sign * max(sign * by_twist, sign * by_pose)
+        kept: cython.double = 1.0 - period / BLOCKED_TIME
+        self._demanded_way = kept * self._demanded_way + period * demanded
+        self._moved_way = kept * self._moved_way + period * moved
+        sign = copysign(1.0, self._demanded_way)
+        needed: cython.double = _BLOCKED_SHARE * fabs(self._demanded_way)
+        is_demanded: cython.bint = needed >= _BLOCKED_SHARE * _LEAST_WAY
+        # A base that is pushed back is not blocked: it does not stand.
+        stands: cython.bint = fabs(moved) < self._least and fabs(self._moved_way) < needed
+        self.blocked = sign if is_demanded and stands else 0.0
+        return 0
+
     @cython.ccall
     def on_reading(
         self,
@@ -189,6 +226,8 @@ class _Axis:
 
         # 1. The usual case, decided fast: the speed is between the last command and the slow base.
         self._move_slow_base(period, stamp)
+        if stamp - self._begun_at >= WINDOW:
+            self._sum_ways(period, by_twist, by_pose)
         low: cython.double = self._slow_speed
         high: cython.double = self._command
         least: cython.double = self._least
@@ -232,10 +271,12 @@ class FollowingMonitor:
 
     Watched are the forward speed, the turn, and the sideways speed of a base that can slide
     (`limits.lateral`). `text`: how the base differs from its commands; empty while the base
-    follows.
+    follows. `blocked_bearing`: the direction in rad in which the base is blocked, ahead before
+    sideways; NaN: none.
     """
 
     text = cython.declare(object, visibility="readonly")
+    blocked_bearing = cython.declare(cython.double, visibility="readonly")
     _linear: _Axis
     _angular: _Axis
     _lateral: _Axis
@@ -259,11 +300,13 @@ class FollowingMonitor:
         self._lateral = _Axis(_LEAST[2], linear, _UNITS[2])
         self._is_lateral = platform.limits.lateral > 0.0
         self._command, self.text = ZERO, ""
+        self.blocked_bearing = NAN
 
     def reset(self) -> None:
         """Drop the last command and reading, as when the robot stops running."""
         if self._has_last:
             self._has_last, self._command, self.text = False, ZERO, ""
+            self.blocked_bearing = NAN
 
     def on_command(self, command: Twist) -> None:
         """Take in the safe command that the driver gets."""
@@ -309,6 +352,7 @@ class FollowingMonitor:
             if self._is_lateral:
                 self._lateral.reset(self._command.lateral, stamp)
             self.text = ""
+            self.blocked_bearing = NAN
             return
 
         # 2. Compares each axis. Speeds by the pose are in the direction of the mean yaw.
@@ -321,3 +365,8 @@ class FollowingMonitor:
             lateral_m: cython.double = cos_yaw * dy - sin_yaw * dx
             self._lateral.on_reading(period, stamp, twist.lateral, lateral_m / period)
             self.text = self.text or self._lateral.text
+        self.blocked_bearing = NAN
+        if self._linear.blocked:
+            self.blocked_bearing = 0.0 if self._linear.blocked > 0.0 else 0.5 * _turn
+        elif self._lateral.blocked:
+            self.blocked_bearing = 0.25 * _turn * self._lateral.blocked

@@ -283,7 +283,7 @@ class Robot(Ticker):
         else:
             self._lifecycle.on_host(one.event, effects)
         if effects.is_new_run:
-            self._sensors.forget_messages()
+            self._sensors.on_new_run(now)
             self._duty = DutyCycle()
         return self._settle(effects)
 

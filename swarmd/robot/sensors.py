@@ -165,6 +165,15 @@ class Sensors(InputAges):
         """The blind sectors of the lidar as text; empty without a blind sector."""
         return self._conditioner.blind_text
 
+    def on_blocked(self, bearing: float, now: float) -> None:
+        """Doubt rays without a return in a direction (rad) into which the base does not move."""
+        self._conditioner.on_blocked(bearing, now)
+
+    def on_new_run(self, now: float) -> None:
+        """Drop what belongs to the run before: messages, and doubts about blocked directions."""
+        self.forget_messages()
+        self._conditioner.on_new_run(now)
+
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """Take in all robots that are sensed or heard; the robots in reach are the neighbours."""
         if neighbors is not self._given:
@@ -213,9 +222,11 @@ class Sensors(InputAges):
         self._hazards_until, self._ends_run = self.hazards.until, self.hazards.ends_run
 
     def hold_text(self, hold: Reason | None, now: float) -> str:
-        """The detail of a hold: hazards with their ages, or why the fence has no usable pose."""
+        """The detail of a hold: hazards with ages, blind sectors, or the pose for the fence."""
         if hold is Reason.HAZARD:
             return self.hazards.text(now)
+        if hold is Reason.INVALID_SCAN:
+            return self.blind_text
         return self.fence_text(now) if hold is Reason.NO_POSE else ""
 
     def on_message(

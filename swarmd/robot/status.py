@@ -110,7 +110,7 @@ def _detail(lifecycle: Lifecycle, sensors: Sensors, reason: Reason | None, now: 
     loading = lifecycle.pattern_run.loading
     if loading is not None:
         return _loading_text(loading, now)
-    if reason in (Reason.NO_POSE, Reason.HAZARD) and lifecycle.is_running:
+    if reason in (Reason.NO_POSE, Reason.HAZARD, Reason.INVALID_SCAN) and lifecycle.is_running:
         return sensors.hold_text(reason, now)[:MAX_VALUE]
     return lifecycle.state_machine.detail
 

@@ -26,9 +26,9 @@ if TYPE_CHECKING:  # Cython reads this import, CPython the other
 else:
     from swarmd.core import cython_shadow as cython
 if cython.compiled:
-    from cython.cimports.libc.math import INFINITY
+    from cython.cimports.libc.math import INFINITY, isnan
 else:
-    from swarmd.core.cython_shadow import INFINITY
+    from swarmd.core.cython_shadow import INFINITY, isnan
 
 _MAX_HOLD_TIME = cython.declare(cython.double, timeouts.MAX_HOLD_TIME)
 _STATUS_PERIOD = cython.declare(cython.double, timeouts.STATUS_PERIOD)
@@ -313,6 +313,9 @@ class Ticker:
             text = protection.not_following
             if bool(text) != self._is_off_command:
                 self._log_following(text, now)
+            blocked_bearing: cython.double = protection.following.blocked_bearing
+            if not isnan(blocked_bearing):
+                sensors.on_blocked(blocked_bearing, now)
 
     @cython.ccall
     def _on_message(self, one: MessageInput, now: cython.double):

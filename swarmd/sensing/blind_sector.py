@@ -1,13 +1,24 @@
-"""Blind sectors: rays without returns in directions in which other rays have returns.
+"""Blind sectors: rays of a range sensor that show open space, or old ranges, in place of obstacles.
 
-A covered or broken part of a range sensor looks like open space. While the robot turns, different
-rays pass over the same static object. If other rays return the object before and after, a ray
-without a return has missed it. A sector of the sensor is blind once its rays have missed objects in
-many directions, without any return meanwhile.
+A covered or broken part of a sensor looks like open space. A sector of the sensor is blind if
+
+- MISSED: its rays have missed static objects in many directions, without any return meanwhile.
+  While the robot turns, different rays pass over the same object. If other rays return the object
+  before and after, a ray without a return has missed it.
+- LOST: its rays lose all returns from one scan to the next, and these returns were of a longer
+  surface than any object that leaves between two scans.
+- BLOCKED: its rays return nothing, and the base does not move into their direction although it is
+  commanded to.
+- FROZEN: its ranges stay equal while the robot moves, although static objects would have changed
+  them, and although the ranges of other sectors change as those of static objects.
 
 Why there are no false alarms: in an open field, at a door and at a surface that reflects no ray,
-the other rays have no return either. An object that moves is not the same before and after. A
-return in a sector of the sensor clears the misses of the sector.
+the other rays have no return either (MISSED), and the returns end one after the other (LOST). An
+object that moves is not the same before and after (MISSED), and is shorter than 1 m (LOST,
+FROZEN). The range of a wall beside the robot stays equal, as that of a static object does (FROZEN).
+
+Three scans in a row with a return end a blind sector. A frozen sector needs other returns than the
+frozen ones. A new run ends BLOCKED, since a base that is stuck in the open looks the same.
 """
 
 from __future__ import annotations
@@ -20,6 +31,13 @@ from numpy.typing import NDArray
 from swarmd.core.values import Array, Odometry, ScanSpec
 from swarmd.sensing.angles import TURN
 from swarmd.sensing.buffers import new_flags, new_indices, view_of
+from swarmd.sensing.sector_history import (
+    EQUAL,
+    LEAST_SECTORS,
+    SECTORS,
+    frozen_sectors,
+    lost_sectors,
+)
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -30,9 +48,7 @@ if cython.compiled:
 else:
     from swarmd.core.cython_shadow import INFINITY, NAN, fabs, floor, hypot, isnan, remainder
 
-SECTORS = 90
-"""Sectors of 4 degrees, of the sensor and of the directions around it."""
-
+# Sectors of 4 degrees, of the sensor and of the directions around it.
 _SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
 _COMPARE_PERIOD = cython.declare(cython.double, 0.95)  # s between two looks, at least
 # Directions, each a sector wide, in which a blind sector must have missed an object.
@@ -48,6 +64,28 @@ _STREAK = cython.declare(cython.int, 3)
 # Scans in a row with a return, after which a blind sector is trusted again.
 _CLEARING_SCANS = cython.declare(cython.int, 3)
 
+# Why a sector is blind.
+_MISSED = cython.declare(cython.uchar, 1)
+_LOST = cython.declare(cython.uchar, 2)
+_BLOCKED = cython.declare(cython.uchar, 3)
+_FROZEN = cython.declare(cython.uchar, 4)
+_REASONS = {
+    1: "have not returned anything for {since:.0f} s while others did",
+    2: "have lost their returns at once",
+    3: "return nothing, and the base does not move into their direction",
+    4: "return equal ranges while the robot moves and others change",
+}
+_least_sectors = cython.declare(cython.Py_ssize_t, LEAST_SECTORS)
+# Share of range_max within which a surface certainly returns something again.
+_SURE_SHARE = cython.declare(cython.double, 0.8)
+_OTHERS_SPEED = cython.declare(cython.double, 0.5)  # m/s at which an edge of a surface may move
+_LOOK_WAY = cython.declare(cython.double, 0.3)  # m between two looks for frozen sectors
+_LOOK_TURN = cython.declare(cython.double, 0.5)  # rad, the same
+_STEADY_TURN = cython.declare(cython.double, 0.1)  # rad in a scan: its rays fit one pose
+_BLOCKED_WIDTH = 2  # sectors without a return on each side of the direction of the command
+_SILENCE = 2.0  # s without a return in these sectors
+_BLOCKED_REACH = SECTORS // 4  # sectors on each side that are blind then
+
 
 @cython.cclass
 class BlindSectors:
@@ -60,7 +98,8 @@ class BlindSectors:
     _is_used: cython.bint
     _compared_at: cython.double
     _compared_yaw: cython.double
-    _is_blind: object
+    _spec: object
+    _kinds: object  # the array of `_kind`
     _range_min: cython.double
     _range_max: cython.double
     _is_zero_near: cython.bint
@@ -69,7 +108,7 @@ class BlindSectors:
     _sector: cython.longlong[::1]  # of each ray
     _direction: cython.longlong[::1]
     _is_return: cython.uchar[::1]
-    _blind_flags: cython.uchar[::1]
+    _kind: cython.uchar[::1]  # by sector: why it is blind; 0: it is not
     _returned_array: object  # the array of `_returned_at`
     _returned_at: cython.double[::1]  # by sector
     _return_streak: cython.longlong[90]  # scans in a row with a return
@@ -88,15 +127,33 @@ class BlindSectors:
     _hits: cython.int[90]
     _sums: cython.double[90]
     _is_known: cython.short[90]
+    # By sector: whether it has rays; arrays of the mean ranges of its returns (NaN: none) in this
+    # scan, in the scan before, and in the last look for frozen sectors; the frozen range.
+    _has_rays: object
+    _means: object
+    _mean: cython.double[::1]  # of `_means`
+    _mean_before: cython.double[90]
+    _look_means: object
+    _frozen: object
+    # The poses of the robot at the scan before and at the last look; None before the first.
+    _scan_pose: object
+    _look_pose: object
+    _scan_at: cython.double  # s, time of the scan before
 
     def __init__(self, spec: ScanSpec) -> None:
         k: cython.Py_ssize_t
+        self._spec = spec
         self._is_used, self.text = len(spec.bearings) >= _SECTORS, ""
         self._compared_at, self._compared_yaw = -INFINITY, NAN
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._is_zero_near = spec.zero == "too_close"
-        self._is_blind = np.zeros(_SECTORS, np.bool_)
-        self._blind_flags = memoryview(self._is_blind.view(np.uint8))
+        self._kinds = np.zeros(_SECTORS, np.uint8)
+        self._kind = memoryview(self._kinds)
+        self._means = np.full(_SECTORS, NAN)
+        self._mean = memoryview(self._means)
+        self._look_means = np.full(_SECTORS, NAN)
+        self._frozen = np.full(_SECTORS, NAN)
+        self._has_rays = np.zeros(_SECTORS, np.bool_)
         self._returned_array = np.full(_SECTORS, NAN)
         self._returned_at = memoryview(self._returned_array)
         for k in range(_SECTORS):
@@ -121,28 +178,108 @@ class BlindSectors:
     @cython.cfunc
     def mark(self, given: cython.double[::1], bearings, odometry, now: cython.double):
         """Set NaN for rays of blind sectors without a return."""
-        is_due: cython.bint = self._is_used and odometry is not None
-        if is_due:
-            pose = odometry.pose
-            is_due = self._is_due(pose.yaw, now)
-        if not (is_due or self.text):
+        if not self._is_used:
             return
         if bearings is not self._bearings_of_scan:
             self._set_bearings(bearings)
         self._find_returns(given)
         has_changed: cython.bint = self._count_returns(now)
-        if is_due and self._compare_scan(given, pose.x, pose.y, pose.yaw, now):
-            has_changed = True
+        if odometry is not None:
+            if self._scan_pose is None:
+                self._keep_scan(odometry.pose, now)
+                self._look_pose = odometry.pose
+            if self._look_from(given, odometry.pose, now):
+                has_changed = True
+        if has_changed:
+            self.text = blind_text(self._kinds, self._returned_array, now)
+        if not self.text:
+            return
         i: cython.Py_ssize_t
         for i in range(given.shape[0]):
-            if self._blind_flags[self._sector[i]] and not self._is_return[i]:
+            kind: cython.uchar = self._kind[self._sector[i]]
+            if kind and (kind == _FROZEN or not self._is_return[i]):
                 given[i] = NAN
-        if has_changed:
-            self.text = blind_text(self._is_blind, self._returned_array, now)
+
+    @cython.cfunc
+    def _keep_scan(self, pose, now: cython.double) -> cython.int:
+        """Keep the scan for the next: pose, time, and means at which a return is certain."""
+        k: cython.Py_ssize_t
+        for k in range(_SECTORS):
+            is_sure: cython.bint = self._mean[k] <= _SURE_SHARE * self._range_max
+            self._mean_before[k] = self._mean[k] if is_sure else NAN
+        self._scan_pose = pose
+        self._scan_at = now
+        return 0
+
+    @cython.cfunc
+    def _look_from(self, ranges: cython.double[::1], pose, now: cython.double) -> cython.bint:
+        """Look for blind sectors in a scan from a pose of the robot; true if one is new."""
+        before, look = self._scan_pose, self._look_pose
+        yaw: cython.double = pose.yaw
+        turned: cython.double = remainder(yaw - before.yaw, TURN)
+        is_new: cython.bint = False
+        # 1. Sectors that have lost their returns. Mostly there are no fewer than before.
+        gone: cython.Py_ssize_t = 0
+        k: cython.Py_ssize_t
+        for k in range(_SECTORS):
+            gone += isnan(self._mean[k]) and not isnan(self._mean_before[k])
+        if gone >= _least_sectors:
+            motion: cython.double = hypot(pose.x - before.x, pose.y - before.y)
+            motion += _OTHERS_SPEED * (now - self._scan_at)
+            shown = np.array([self._mean_before[k] for k in range(_SECTORS)])
+            lost = lost_sectors(self._means, shown, turned, motion, self._range_min)
+            is_new = self._mark(lost & self._has_rays, _LOST)
+        self._keep_scan(pose, now)
+        # 2. Sectors that have frozen since the last look.
+        way: cython.double = hypot(pose.x - look.x, pose.y - look.y)
+        has_turned: cython.bint = fabs(remainder(yaw - look.yaw, TURN)) >= _LOOK_TURN
+        if fabs(turned) <= _STEADY_TURN and (way >= _LOOK_WAY or has_turned):
+            if way < self._range_max:
+                frozen = frozen_sectors(self._means, self._look_means, pose, look)
+                is_new = self._mark(frozen, _FROZEN) or is_new
+            self._look_means[:] = self._means
+            self._look_pose = pose
+        # 3. Sectors that miss what others return. This counts `_hits` and `_sums` by direction.
+        if self._is_due(yaw, now) and self._compare_scan(ranges, pose.x, pose.y, yaw, now):
+            is_new = True
+        return is_new
+
+    @cython.cfunc
+    def _mark(self, is_blind, kind: cython.uchar) -> cython.bint:
+        """Mark sectors (90,) as blind, except those that are so already; true if any is new."""
+        is_new = is_blind & (self._kinds == 0)
+        self._kinds[is_new] = kind
+        self._frozen[is_new] = self._means[is_new]
+        return is_new.any()
+
+    def on_blocked(self, bearing: float, now: float) -> None:
+        """Doubt the sectors without a return in a direction into which the base does not move.
+
+        `bearing`: rad, of the command that the base does not follow. Nothing changes if a ray in
+        this direction had a return in the last _SILENCE s, since a pusher may have come into the
+        blind zone, or if hardly a ray of the sensor has one: a base that is stuck in the open says
+        nothing of its sensor. Else all sectors within a quarter of a turn that return nothing are
+        blind.
+        """
+        if np.isnan(self._means).sum() > SECTORS - LEAST_SECTORS:
+            return
+        beside = np.arange(-_BLOCKED_REACH, _BLOCKED_REACH + 1)
+        sectors = (_sector_of(bearing) + beside) % SECTORS
+        is_silent = self._returned_array <= now - _SILENCE
+        is_empty = (np.isnan(self._means) & self._has_rays & is_silent)[sectors]
+        doubted = np.zeros(SECTORS, np.bool_)
+        doubted[sectors] = is_empty & is_empty[np.abs(beside) <= _BLOCKED_WIDTH].all()
+        if self._mark(doubted, _BLOCKED):
+            self.text = blind_text(self._kinds, self._returned_array, now)
+
+    def on_new_run(self, now: float) -> None:
+        """End what `on_blocked` doubts: whoever starts a run has freed the base."""
+        self._kinds[self._kinds == _BLOCKED] = 0
+        self.text = blind_text(self._kinds, self._returned_array, now)
 
     @cython.cfunc
     def _set_bearings(self, bearings):
-        """Set the sector of each ray."""
+        """Set the sector of each ray, and which sectors have rays that are not masked."""
         i: cython.Py_ssize_t
         n: cython.Py_ssize_t = len(bearings)
         self._bearings_of_scan, self._bearings = bearings, view_of(bearings)
@@ -150,32 +287,50 @@ class BlindSectors:
         self._is_return = new_flags(n)
         for i in range(n):
             self._sector[i] = _sector_of(self._bearings[i])
+        free = np.asarray(self._sector)[~self._spec.masked(bearings)]
+        self._has_rays[:] = np.bincount(free, minlength=_SECTORS) > 0
 
     @cython.cfunc
     def _find_returns(self, ranges: cython.double[::1]) -> cython.int:
-        """Set which rays are returns, and `_hits`: the returns in each sector of the sensor."""
+        """Set which rays are returns; by sector of the sensor, `_hits` and `_mean` of the returns.
+
+        A return that is too close to measure counts as one at `range_min`.
+        """
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for k in range(_SECTORS):
             self._hits[k] = 0
+            self._sums[k] = 0.0
         for i in range(ranges.shape[0]):
             self._is_return[i] = (0.0 < ranges[i] <= self._range_max) or ranges[i] == -INFINITY
             if self._is_zero_near and ranges[i] == 0.0:
                 self._is_return[i] = True
-            self._hits[self._sector[i]] += self._is_return[i]
+            if self._is_return[i]:
+                k = self._sector[i]
+                self._hits[k] += 1
+                self._sums[k] += max(ranges[i], self._range_min)
+        for k in range(_SECTORS):
+            self._mean[k] = self._sums[k] / self._hits[k] if self._hits[k] else NAN
         return 0
 
     @cython.cfunc
     def _count_returns(self, now: cython.double) -> cython.bint:
-        """Count scans in a row with a return in each sector; true if a sector is blind no more."""
+        """Count scans in a row with a return in each sector; true if a sector is blind no more.
+
+        The ranges in which a sector is frozen are no returns.
+        """
         k: cython.Py_ssize_t
         has_cleared: cython.bint = False
         for k in range(_SECTORS):
-            self._return_streak[k] = self._return_streak[k] + 1 if self._hits[k] else 0
-            if self._hits[k] or isnan(self._returned_at[k]):
+            has_return: cython.bint = self._hits[k] > 0
+            if self._kind[k] == _FROZEN and fabs(self._mean[k] - self._frozen[k]) <= EQUAL:
+                has_return = False
+            self._return_streak[k] = self._return_streak[k] + 1 if has_return else 0
+            if has_return or isnan(self._returned_at[k]):
                 self._returned_at[k] = now
-            if self._blind_flags[k] and self._return_streak[k] >= _CLEARING_SCANS:
-                self._blind_flags[k], has_cleared = False, True
+            if self._kind[k] and self._return_streak[k] >= _CLEARING_SCANS:
+                self._kind[k] = 0
+                has_cleared = True
         return has_cleared
 
     @cython.cfunc
@@ -300,8 +455,9 @@ class BlindSectors:
             count = 0
             for d in range(_SECTORS):
                 count += self._missed[_SECTORS * k + d]
-            if count >= _MIN_MISSED and not self._blind_flags[k]:
-                self._blind_flags[k] = is_new = True
+            if count >= _MIN_MISSED and not self._kind[k]:
+                self._kind[k] = _MISSED
+                is_new = True
         return is_new
 
 
@@ -316,10 +472,21 @@ def _sector_of(angle: cython.double) -> cython.longlong:
     return sector + _SECTORS if sector < 0 else sector
 
 
-def blind_text(is_blind: NDArray[np.bool_], returned_at: Array, now: float) -> str:
-    """The blind sectors in degrees, and since when; both arrays (90,) by sector."""
-    if not is_blind.any():
+def blind_text(kinds: NDArray[np.uint8], returned_at: Array, now: float) -> str:
+    """The blind sectors in degrees, and why each is blind; both arrays (90,) by sector."""
+    parts = []
+    for kind, reason in _REASONS.items():
+        is_blind = kinds == kind
+        if is_blind.any():
+            since = now - float(returned_at[is_blind].max())
+            parts.append(f"rays {_degrees(is_blind)} deg {reason.format(since=since)}")
+    if not parts:
         return ""
+    return f"{'; '.join(parts)}: they count as unknown; clean or uncover the sensor"
+
+
+def _degrees(is_blind: NDArray[np.bool_]) -> str:
+    """The runs of blind sectors, such as `24..28, 336..16`."""
     start = int(is_blind.argmin())  # not blind, so that no blind run wraps around
     blind = np.roll(is_blind, -start)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], blind, [False])).astype(np.int8)))
@@ -328,8 +495,4 @@ def blind_text(is_blind: NDArray[np.bool_], returned_at: Array, now: float) -> s
         f"{(first + start) * width % 360}..{(end + start) * width % 360}"
         for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
     ]
-    since = now - float(returned_at[is_blind].max())
-    return (
-        f"rays {', '.join(names)} deg have not returned anything for {since:.0f} s while others"
-        " did: they count as unknown; clean or uncover the sensor"
-    )
+    return ", ".join(names)

@@ -102,6 +102,14 @@ class ScanConditioner:
         """The blind sectors of the sensor, whose rays count as unknown; empty without one."""
         return self._blind.text
 
+    def on_blocked(self, bearing: float, now: float) -> None:
+        """Doubt rays without a return in a direction (rad) into which the base does not move."""
+        self._blind.on_blocked(bearing, now)
+
+    def on_new_run(self, now: float) -> None:
+        """End the doubts of `on_blocked`."""
+        self._blind.on_new_run(now)
+
     def take(self, scan: Scan, odometry: Odometry | None, now: cython.double) -> Scan | Reason:
         """Condition a scan; return the conditioned scan, or the reason to reject the scan.
 

@@ -66,6 +66,28 @@ def test_rays_that_end_inside_the_outline_propose_a_mask(near: float, zero: str)
 
 
 @pytest.mark.parametrize(
+    ("first", "last", "note"),
+    [
+        (-72, 72, "no return between 287 and 73 deg"),
+        (100, 260, "no return between 99 and 261 deg"),
+        (10, 30, ""),  # narrow
+    ],
+)
+def test_a_wide_sector_without_a_return_is_a_note_and_no_fault(
+    first: int, last: int, note: str
+) -> None:
+    made = ScanContent(SPEC)
+    degrees = np.rint(np.degrees(SPEC.bearings))
+    is_dead = (degrees - first) % 360 <= last - first
+    for seq in range(ENOUGH_SCANS):
+        ranges = np.where(is_dead, math.inf, 1.0 + 0.01 * seq)
+        made.take(Scan(seq, 0.2 * seq, ranges, SPEC.bearings, SPEC.range_min, SPEC.range_max))
+    assert made.fault == ""
+    assert note in made.text
+    assert ("no return" in made.text) == bool(note)
+
+
+@pytest.mark.parametrize(
     ("ranges", "changes", "fault"),
     [
         ([0.0] * RAYS, {}, "are 0"),

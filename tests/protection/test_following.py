@@ -23,6 +23,7 @@ from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
 
 KERNEL = "swarmd.protection.following"
+TICK = 0.05
 if TYPE_CHECKING:
     from swarmd.protection.following import FollowingMonitor
 else:
@@ -230,6 +231,59 @@ def test_every_platform_is_watched(name: str) -> None:
     assert found[0][0] >= 8.0
 
 
+def blocked_bearings(
+    command: Motion, share: Callable[[float], float], *, seconds: float = 8.0, lateral: float = 0.0
+) -> list[tuple[float, float]]:
+    """Times at which the base is blocked, with the direction; it moves a share of each command.
+
+    The base has the acceleration of the slow base, a quarter of the declared braking.
+    """
+    platform = replace(BURGER, limits=replace(BURGER.limits, lateral=lateral))
+    monitor, found, x, y, v, u = FollowingMonitor(platform), [], 0.0, 0.0, 0.0, 0.0
+    for step in range(round(seconds / TICK)):
+        now = TICK * step
+        v += min(max(command(now).linear - v, -0.0125), 0.0125)
+        u += min(max(command(now).lateral - u, -0.0125), 0.0125)
+        monitor.on_command(command(now))
+        x += TICK * v * share(now)
+        y += TICK * u * share(now)
+        monitor.on_odometry(Odometry(now, Pose(x, y), Twist(v * share(now), 0.0, u * share(now))))
+        if not math.isnan(monitor.blocked_bearing):
+            found.append((now, monitor.blocked_bearing))
+    return found
+
+
+def comes_and_goes(time: float) -> Twist:
+    return Twist(0.22 if time % 0.9 < 0.6 else 0.02)
+
+
+@pytest.mark.parametrize(
+    ("command", "bearing", "within"),
+    [
+        (ahead, 0.0, 1.1),
+        (comes_and_goes, 0.0, 1.1),
+        (lambda time: Twist(-0.15), math.pi, 1.1),
+        (lambda time: Twist(0.0, 0.0, -0.15), -0.5 * math.pi, 1.1),
+    ],
+)
+def test_a_base_that_stands_is_blocked_in_the_direction_of_its_command(
+    command: Motion, bearing: float, within: float
+) -> None:
+    found = blocked_bearings(command, lambda time: float(time < 4.0), lateral=0.2)
+    assert {direction for _, direction in found} == {bearing}
+    assert 4.2 < found[0][0] < 4.0 + within
+
+
+@pytest.mark.parametrize(
+    ("command", "share"),
+    [(ahead, 1.0), (ahead, 0.6), (comes_and_goes, 1.0), (lambda time: Twist(0.02), 0.0)],
+)
+def test_a_slow_base_that_moves_and_one_that_may_creep_are_not_blocked(
+    command: Motion, share: float
+) -> None:
+    assert blocked_bearings(command, lambda time: share) == []
+
+
 def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_change() -> None:
     kernel = interpreted(KERNEL, because="methods and fields of C are used")
     axis, draw = kernel._Axis(0.05, 0.25, "m/s"), Random(1)
@@ -263,5 +317,7 @@ def test_compiled_and_interpreted_code_say_the_same() -> None:
                 one.on_command(twist)
             one.on_odometry(Odometry(stamp, pose, Twist()))
         texts.append([one.text for one in ones])
+        bearings = [one.blocked_bearing for one in ones]
+        assert bearings[0] == bearings[1] or all(map(math.isnan, bearings))
     assert all(one == other for one, other in texts)
     assert {bool(one) for one, _ in texts} == {True, False}

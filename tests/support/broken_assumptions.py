@@ -25,6 +25,20 @@ def lose_rays(lab: Lockstep, share: float, half: float, seed: int) -> None:
     noise.measured = lossy  # type: ignore[method-assign]
 
 
+def freeze_rays(lab: Lockstep, half: float) -> None:
+    """All rays within `half` rad of ahead repeat their next ranges from then on."""
+    noise, kept = lab.world._noise, dict[int, Array]()
+    measured = noise.measured
+
+    def frozen(row: int, ranges: Array) -> Array:
+        seen = measured(row, ranges)
+        is_ahead = np.cos(lab.world.platforms[row].scan.bearings) >= math.cos(half)
+        seen[is_ahead] = kept.setdefault(row, seen[is_ahead])
+        return seen
+
+    noise.measured = frozen  # type: ignore[method-assign]
+
+
 def scale_odometry(lab: Lockstep, share: float) -> None:
     """Odometry shows this share of each way that the bases drive."""
     odometers = lab.world._odometers
