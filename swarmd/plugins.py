@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, cast
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, unknown
-from swarmd.core.files import cache_folder, write_whole
+from swarmd.core.files import cache_folder, read_regular, write_whole
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
 def is_same_file(first: str, second: str) -> bool:
     """True if both are files with equal content, such as a copy of a mission."""
     with suppress(OSError):
-        return Path(first).read_bytes() == Path(second).read_bytes()
+        return read_regular(first) == read_regular(second)
     return False
 
 
@@ -229,11 +229,7 @@ def command_summaries() -> Mapping[str, str]:
 def _cached_summaries() -> Mapping[str, str] | None:
     """The lines of help in the cache; None without a valid cache, also if its file is damaged."""
     try:
-        # The file may be a named pipe without a writer, for which O_NONBLOCK does not wait, or a
-        # device, whose content may never end: MAX_SUMMARIES.
-        handle = os.open(_summaries_file(), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(handle, "rb") as stored:
-            cache = json.loads(stored.read(MAX_SUMMARIES))
+        cache = json.loads(read_regular(_summaries_file(), MAX_SUMMARIES))
         if cache["times"] == {path: _time(path) for path in (*sys.path, *cache["sources"])}:
             return {str(name): str(text) for name, text in cache["lines"].items()}
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, AttributeError):
@@ -319,6 +315,19 @@ def _installed() -> Iterator[tuple[str, Origin]]:
         yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
 
+def pattern_files(folder: Path) -> Iterator[Path]:
+    """The files of a `plugin_dir` that are imported by the name of a pattern, and the missions.
+
+    `pattern_names` finds patterns in these files alone. `exp rerun` compares each of them before it
+    imports any. A file may be a link; it is imported from the link's target.
+    """
+    for path in sorted((*folder.glob("*.py"), *folder.glob(f"*/{PATTERN_FILE}"))):
+        name = pattern_name(path)
+        if is_id(name) and path.is_file() and not name.startswith("test_"):
+            yield path
+    yield from mission_files(folder)
+
+
 def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
     if plugin_dir is None:
         return
@@ -326,12 +335,8 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
         raise PluginError(
             f"plugin_dir is {plugin_dir}, which is no folder; make it or leave the option out"
         )
-    for path in sorted((*plugin_dir.glob("*.py"), *plugin_dir.glob(f"*/{PATTERN_FILE}"))):
-        name = pattern_name(path)
-        if is_id(name) and path.is_file() and not name.startswith("test_"):
-            yield name, Origin(str(path.resolve()), str(path), is_file=True)
-    for path in mission_files(plugin_dir):
-        yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+    for path in pattern_files(plugin_dir):
+        yield pattern_name(path), Origin(str(path.resolve()), str(path), is_file=True)
 
 
 def mission_files(folder: Path) -> Iterator[Path]:

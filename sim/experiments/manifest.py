@@ -13,7 +13,7 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import as_text, whole_file
+from swarmd.core.files import as_text, read_regular, user_path, whole_file
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
@@ -168,7 +168,7 @@ def read_manifest(folder: Path) -> Manifest:
     """The manifest of an experiment's folder; ConfigError if it is missing or damaged."""
     path = folder / NAME
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
         version = msgspec.json.decode(data, type=_Format).format
         if version == FORMAT:
             manifest = msgspec.json.decode(data, type=Manifest)
@@ -229,7 +229,7 @@ def _report_units(plan: Plan) -> dict[str, str]:
     units: dict[str, set[str]] = {}
     for folder, name in running:
         with suppress(SwarmError):  # a folder that is no longer there
-            origin = pattern_names(None if folder is None else Path(folder))[name]
+            origin = pattern_names(None if folder is None else user_path(folder))[name]
             kind = PatternLoader({name: (origin.value, origin.is_file)})(name)
             for key, unit in kind.report_units.items():
                 units.setdefault(key, set()).add(unit)

@@ -6,7 +6,8 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Set
+from importlib.machinery import all_suffixes
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,13 +15,16 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import SwarmError
-from swarmd.core.files import user_path
+from swarmd.core.files import read_regular, user_path
 from swarmd.core.kernels import describe_kernels
-from swarmd.plugins import mission_files
+from swarmd.plugins import mission_files, pattern_files
 
-NOT_IN_RUNS = frozenset({"__pycache__", "cli", "film", "live", "plots", "report", "testing"})
-"""Folders of swarmd that no run imports; a change there changes no result."""
+NOT_IN_RUNS = frozenset({"cli", "film", "live", "plots", "report", "testing"})
+"""Folders of swarmd that no run imports; a change there changes no result.
 
+The folders of others may have these names, too, and are then imported: they are never left out."""
+
+_SUFFIXES = tuple(all_suffixes())  # of source, compiled code and extension modules
 _GIT_SECONDS = 10.0
 
 
@@ -63,18 +67,25 @@ def digest_of_code(folder: Path) -> str:
     Folders that no run imports (NOT_IN_RUNS) are left out. Symbolic links are followed.
     """
     digest = hashlib.sha256()
-    for path in (*_python_files(folder), *mission_files(folder / "config" / "missions")):
+    # Without compiled kernels, which differ between machines: `made_with` names their form.
+    sources = [path for path in _python_files(folder, NOT_IN_RUNS) if path.suffix == ".py"]
+    for path in (*sources, *mission_files(folder / "config" / "missions")):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+        digest.update(hashlib.sha256(read_regular(path)).digest())
     return digest.hexdigest()
 
 
 def digests_of_plugins(folder: Path) -> dict[str, str]:
-    """The SHA-256 of each Python file and mission of a plugin folder, by name."""
+    """The SHA-256 of each file of a plugin folder that may be imported, and of missions, by name.
+
+    These are all files from which a pattern is found (`pattern_files`), and the Python files beside
+    and below them, which a pattern may import. SwarmError if one is not a regular file.
+    """
+    files = {*pattern_files(folder), *_python_files(folder)}
     try:
         return {
-            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in (*_python_files(folder), *mission_files(folder))
+            path.relative_to(folder).as_posix(): hashlib.sha256(read_regular(path)).hexdigest()
+            for path in sorted(files)
         }
     except OSError as error:
         raise SwarmError(f"{error.filename}: cannot be read: {error.strerror}") from error
@@ -150,8 +161,18 @@ def _git(
     return completed.stdout.strip()
 
 
-def _python_files(folder: Path) -> Iterator[Path]:
-    """The Python files below a folder in the order of their names, without NOT_IN_RUNS."""
+def _python_files(folder: Path, left_out: Set[str] = frozenset()) -> Iterator[Path]:
+    """The files below a folder that Python imports, in the order of their names.
+
+    Without folders of the names `left_out`, and without caches of compiled code. A folder to which
+    several links lead is visited once.
+    """
+    visited: set[tuple[int, int]] = set()
     for name, folders, files in os.walk(folder, followlinks=True):
-        folders[:] = sorted(f for f in folders if f not in NOT_IN_RUNS)
-        yield from (Path(name) / file for file in sorted(files) if file.endswith(".py"))
+        about = os.stat(name)
+        if (place := (about.st_dev, about.st_ino)) in visited:
+            folders.clear()
+            continue
+        visited.add(place)
+        folders[:] = sorted(f for f in folders if f not in (*left_out, "__pycache__"))
+        yield from (Path(name) / file for file in sorted(files) if file.endswith(_SUFFIXES))

@@ -1,13 +1,19 @@
-"""Writes files whole or not at all, also across a power cut; reads paths from text."""
+"""Writes files whole or not at all, also across a power cut; reads paths, and files of others."""
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from swarmd.core.errors import ConfigError
+
+MAX_FILE = 1 << 28
+"""The most bytes that `read_regular` reads, unless the caller names another number."""
 
 
 def as_text(path: str | Path) -> str:
@@ -24,6 +30,31 @@ def as_text(path: str | Path) -> str:
 def user_path(text: str) -> Path:
     """The path of a text with `~` expanded; the `~name` of an unknown user is not expanded."""
     return Path(os.path.expanduser(text))  # Path.expanduser raises RuntimeError
+
+
+def open_regular(path: str | Path, flags: int = 0) -> BinaryIO:
+    """Open a regular file to read. OSError for a device, a pipe, a socket or a folder.
+
+    A file of others may be a device, whose content may never end, a named pipe, for whose writer
+    `open` would wait, or a link to one of these. `flags`: further flags of open(2).
+    """
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)
+    if stat.S_ISREG(os.fstat(handle).st_mode):
+        return open(handle, "rb")
+    os.close(handle)
+    raise OSError(errno.EINVAL, "is not a regular file", str(path))
+
+
+def read_regular(path: str | Path, limit: int = MAX_FILE, flags: int = 0) -> bytes:
+    """The content of a regular file of `limit` bytes at most; OSError for any other file.
+
+    Reads as many bytes as the file has when it is opened: a file that grows meanwhile ends there.
+    """
+    with open_regular(path, flags) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > limit:
+            raise OSError(errno.EFBIG, f"has {size} bytes, more than {limit}", str(path))
+        return file.read(size)
 
 
 def cache_folder() -> Path:

@@ -148,6 +148,33 @@ def hostile_results(scene: Scene, which: str) -> None:
     path.write_text(json.dumps(manifest))
 
 
+def test_a_folder_of_the_name_of_the_home_sign_is_not_imported(scene: Scene) -> None:
+    """`~/p` is the home's for what is compared: a folder `~` of the others holds the code."""
+    hostile_results(scene, "pattern")
+    shutil.rmtree(scene.folder / "home" / "p")
+    scene.write("~/p/moody.py", scene.code + MOODY)
+    scene.run("exp", "rerun", "x", "-j", "1")
+
+
+@pytest.mark.parametrize("name", ["plots", "testing"])
+def test_a_pattern_in_a_folder_that_runs_of_ours_do_not_import(scene: Scene, name: str) -> None:
+    hostile_results(scene, "pattern")
+    path = scene.folder / "x" / "manifest.json"
+    manifest = json.loads(path.read_text())
+    for variant in manifest["variants"]:
+        variant["effective"]["plugin_dir"] = "home/q"
+        for group in variant["effective"]["groups"].values():
+            group["pattern"] = name
+    path.write_text(json.dumps(manifest))
+    scene.write(f"home/q/{name}/pattern.py", scene.code + MOODY)
+    done = scene.run("exp", "rerun", "x", "-j", "1")
+    assert (done.code, "--trust" in done.err) == (2, True)
+    assert f"home/q/{name}/pattern.py" in done.err
+    scene.assert_armed(lambda: swarmctl("exp", "rerun", "x", "-j", "1", "--trust", "--out", "y"))
+    again = json.loads((scene.folder / "y" / "manifest.json").read_text())
+    assert f"home/q/{name}/pattern.py" in again["plugins"]
+
+
 ASKED = ("--metrics", "warm.py:warm")
 RESULTS: dict[str, list[tuple[str, ...]]] = {
     "metric": [

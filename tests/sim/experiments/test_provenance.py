@@ -13,6 +13,7 @@ import pytest
 
 import swarmd
 from swarmd.core.errors import SwarmError
+from swarmd.plugins import pattern_folders, pattern_names
 from swarmd.sim.experiments.provenance import (
     NOT_IN_RUNS,
     GitState,
@@ -59,6 +60,7 @@ def test_no_run_reads_what_the_digest_leaves_out() -> None:
     loaded = [name for name in done.stdout.split() if name.partition(".")[0] == "swarmd"]
     assert not [name for name in loaded if NOT_IN_RUNS & set(name.split("."))]
     assert "swarmd.sim.lockstep.lockstep" in loaded
+    assert not NOT_IN_RUNS & pattern_folders().keys()
 
 
 def test_plugins_are_listed_with_their_digests(tmp_path: Path) -> None:
@@ -69,6 +71,59 @@ def test_plugins_are_listed_with_their_digests(tmp_path: Path) -> None:
     (tmp_path / "c.py").symlink_to("nowhere")
     with pytest.raises(SwarmError, match=r"c\.py"):
         digests_of_plugins(tmp_path)
+
+
+CODE = "import pathlib; pathlib.Path('canary').touch()"
+TREES: dict[str, tuple[str, str]] = {
+    **{f"folder {name}": (f"{name}/pattern.py", name) for name in ("plots", "cli", "film", "live")},
+    **{f"folder {name}": (f"{name}/pattern.py", name) for name in ("report", "testing", "x")},
+    "file": ("x.py", "x"),
+    "file of a skipped name": ("plots.py", "plots"),
+    "link to a file of another name": ("x.py -> code.txt", "x"),
+    "link out of a cache": ("__pycache__/pattern.py -> ../deep/evil/pattern.py", "evil"),
+    "link out of a hidden folder": (".git/pattern.py -> ../deep/evil/pattern.py", "evil"),
+    "link to a folder": ("plots -> deep/evil", "evil"),
+    "upper case": ("PLOTS/pattern.py", ""),
+    "upper suffix": ("x.PY", ""),
+    "no UTF-8": ("\udcff/pattern.py", ""),
+    "a test": ("test_x.py", ""),
+    "compiled": ("x/__pycache__/pattern.pyc", ""),
+    "a loop": ("x/pattern.py -> pattern.py", ""),
+}
+"""A file, or a link and its target; and the name of the pattern that is imported, or nothing."""
+
+
+@pytest.mark.parametrize(("place", "pattern"), TREES.values(), ids=TREES)
+def test_what_a_pattern_is_imported_from_is_compared(
+    tmp_path: Path, place: str, pattern: str
+) -> None:
+    folder = tmp_path / "pd"
+    path, _, target = place.partition(" -> ")
+    (folder / path).parent.mkdir(parents=True)
+    for real in ("code.txt", "deep/evil/pattern.py", *([] if target else [path])):
+        (folder / real).parent.mkdir(parents=True, exist_ok=True)
+        (folder / real).write_text(CODE)
+    if target:
+        (folder / path).symlink_to(target)
+    found = pattern_names(folder, {})
+    assert list(found) == ([pattern] if pattern else [])
+    digest = hashlib.sha256(CODE.encode()).hexdigest()
+    if pattern:
+        assert (
+            digests_of_plugins(folder)[Path(found[pattern].source).relative_to(folder).as_posix()]
+            == digest
+        )
+
+
+def test_links_that_multiply_folders_end(tmp_path: Path) -> None:
+    """Forty folders, each with two links to the next: 2 to the power of 40 paths."""
+    for number in range(40):
+        folder = tmp_path / f"f{number}"
+        folder.mkdir()
+        for name in "ab":
+            (folder / name).symlink_to(tmp_path / f"f{number + 1}")
+    (tmp_path / "f39" / "own.py").write_text("")
+    assert any(name.endswith("own.py") for name in digests_of_plugins(tmp_path))
 
 
 def test_git_gives_the_commit_and_whether_files_have_changed(tmp_path: Path) -> None:
