@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import whole_file
+from swarmd.core.files import open_regular, whole_file
 from swarmd.core.messages import DecisionSummary, Status
 from swarmd.core.values import Array, Platform, Scalar
 from swarmd.protection.decision import Decision
@@ -193,7 +193,7 @@ def _most_unpacked(path: Path) -> int:
 
 def _unpacked_size(path: Path) -> int:
     """The bytes of all members of an archive; zipfile reads no more of any than its head states."""
-    with ZipFile(path) as archive:
+    with open_regular(path) as file, ZipFile(file) as archive:
         return sum(member.file_size for member in archive.infolist())
 
 
@@ -220,7 +220,7 @@ def _unpacked(path: Path) -> Trace:
             f"{path}: unpacks to {size} bytes; expected {most} or less, {MAX_RATIO} times its"
             " size plus 64 MiB"
         )
-    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+    with open_regular(path) as raw, np.load(raw, allow_pickle=False) as file:
         arrays = {name: file[name] for name in file.files}
     # The head, as JSON, has the fields of a trace that are no arrays.
     head = json.loads(str(arrays.pop("head")))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -15,6 +15,7 @@ import click
 from swarmd.cli.options import FOLDER, VerbGroup
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError, unknown
+from swarmd.core.files import read_regular
 from swarmd.sim.cli.options import need, output_option
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
@@ -156,11 +157,15 @@ def check(
         warn(f"{len(works)} of {len(pupil_paths)}: {work.pupil} {_verdict(work)}")
 
     # 3. The table of all pupils.
+    same_files = _same_files(pupil_paths, chosen_lesson)
     if is_json:
         pupils = [work.document() for work in works]
-        print_json("Class", {"lesson": lesson, "targets": chosen_lesson.targets, "pupils": pupils})
+        about = {"lesson": lesson, "targets": chosen_lesson.targets, "same_files": same_files}
+        print_json("Class", {**about, "pupils": pupils})
     else:
         _print(chosen_lesson, works)
+    for names in same_files:
+        warn(f"the same file: {', '.join(names)}")
     ctx.exit(0 if all(work.is_passed for work in works) else FAILED)
 
 
@@ -178,11 +183,29 @@ def _handed_in(folder: Path, lesson: Lesson) -> list[Path]:
     )
 
 
+def _same_files(paths: Sequence[Path], lesson: Lesson) -> list[list[str]]:
+    """The names of pupils who handed in files with equal bytes, one list for each such file.
+
+    Only patterns are compared: equal results may come from two runs of the same experiment.
+    """
+    names_by_digest: dict[bytes, list[str]] = {}
+    for path in paths if lesson.pattern else ():
+        file = path / f"{lesson.pattern}.py" if path.is_dir() else path
+        with suppress(OSError):  # the verdict names the fault
+            digest = sha256(read_regular(file)).digest()
+            names_by_digest.setdefault(digest, []).append(_pupil(path))
+    return [names for names in names_by_digest.values() if len(names) > 1]
+
+
+def _pupil(path: Path) -> str:
+    return path.name if path.is_dir() else path.stem
+
+
 def _marked(path: Path, lesson: Lesson, plan: Plan | None, processes: int, timeout: float) -> Work:
     """Check and mark the work of one pupil; a fault of the work is returned, not raised."""
     from swarmd.sim.experiments.lessons import mark_pattern, mark_results
 
-    pupil = path.name if path.is_dir() else path.stem
+    pupil = _pupil(path)
     checks: list[Point] = []
     try:
         if plan is None:  # a lesson without a pattern
@@ -205,7 +228,7 @@ def _folder_of(path: Path, lesson: Lesson) -> Iterator[Path]:
         yield path.absolute()
         return
     with TemporaryDirectory(prefix="swarmd-class-") as name:
-        shutil.copyfile(path, Path(name) / f"{lesson.pattern}.py")
+        (Path(name) / f"{lesson.pattern}.py").write_bytes(read_regular(path))
         yield Path(name)
 
 

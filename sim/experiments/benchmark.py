@@ -13,6 +13,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from io import TextIOWrapper
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +24,7 @@ from msgspec import Meta, Struct
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.files import user_path
+from swarmd.core.files import open_regular, user_path
 from swarmd.core.numbers import finite_number, read_number
 from swarmd.plugins import find_pattern
 from swarmd.settings.layered import Layered
@@ -411,7 +412,7 @@ def read_results(
     task_names = tuple(tasks)
     values: dict[tuple[str, str], dict[int, float]] = {}
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
+        with TextIOWrapper(open_regular(path), encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
             missing_columns = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
             if missing_columns:

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from shutil import copyfileobj
 
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.files import whole_file
+from swarmd.core.files import open_regular, read_regular, whole_file
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run, parts_of
 from swarmd.sim.experiments.results import Results, load_results
@@ -25,6 +25,7 @@ from swarmd.sim.experiments.store import (
 )
 
 _NAMED = 10  # runs that a message lists
+_MAX_TRACE = 1 << 32  # bytes
 
 
 def merge(
@@ -125,9 +126,10 @@ def _check_same(
         is_same = first_row.metrics == row.metrics
         if has_traces:
             first_trace, trace = (trace_path(part, row.run) for part in (first_folder, folder))
-            trace.stat()
+            open_regular(trace).close()
             is_same = is_same and (
-                first_folder == folder or first_trace.read_bytes() == trace.read_bytes()
+                first_folder == folder
+                or read_regular(first_trace, _MAX_TRACE) == read_regular(trace, _MAX_TRACE)
             )
     except OSError as error:
         text = f"{error.filename}: the trace of a finished run cannot be read: {error.strerror}"
@@ -140,8 +142,12 @@ def _check_same(
 def _copy(source: Path, target: Path) -> None:
     """Copy a trace atomically; SwarmError if the copy cannot be written."""
     try:
-        with whole_file(target) as partial:
-            shutil.copyfile(source, partial)
+        with (
+            whole_file(target) as partial,
+            open_regular(source) as file,
+            partial.open("wb") as copy,
+        ):
+            copyfileobj(file, copy)
     except OSError as error:
         text = f"{target.parent}: {error.strerror or error}; merged runs are kept"
         raise SwarmError(f"{text}: mend it and give the same command again") from error

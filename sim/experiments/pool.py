@@ -13,7 +13,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
@@ -25,7 +25,13 @@ import msgspec
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.files import partial_path
-from swarmd.core.processes import die_with_parent, how_it_ended, limit_growth
+from swarmd.core.processes import (
+    MAX_OUTPUT,
+    die_with_parent,
+    how_it_ended,
+    limit_files,
+    limit_growth,
+)
 from swarmd.pattern_host.sandbox import confine
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
@@ -45,6 +51,8 @@ OWN_METRICS = 0.999
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
 _MAX_REPORT = 1 << 24  # bytes of one report of a worker; the metrics of a run take some kB
+_SIZE_BYTES = 4  # before each report: its size, as multiprocessing's Connection sends it
+_PIECE = 1 << 16  # bytes that are read at once
 _MODULE = "swarmd.sim.experiments.pool"
 _GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth of that
 _ONE_THREAD = {
@@ -72,7 +80,8 @@ class Job:
     guest: Path | None = None
     """A folder with a stranger's patterns.
 
-    The run may read none of the user's other files, write nothing, and grow by 1 GB."""
+    The run may read none of the user's other files, write nothing, grow by 1 GB, and print
+    MAX_OUTPUT bytes."""
 
 
 Shares: TypeAlias = Mapping[str, float]
@@ -189,8 +198,9 @@ def run_jobs(
             silence = min(now - last_poll, 2.0 * _POLL_PERIOD)
             last_poll = now
             for pipe, worker in list(workers.items()):
+                worker.trim_log()
                 if pipe in readable_pipes:
-                    result = worker.receive()  # None for a report of progress
+                    result = worker.receive(silence, timeout)  # None without the result of a run
                 else:
                     result = worker.add_silence(silence, timeout)  # None before the time-out
                 if result is None:
@@ -214,11 +224,15 @@ class _Worker:
     """A worker process, its pipe and its job."""
 
     def __init__(self) -> None:
+        import fcntl  # not on Windows, where lockstep runs without workers
+
         self.is_alive = True  # can take another job
         self.share = 0.0  # simulated share of the job, as last reported
         self._has_started = False
         self.pipe, theirs = Pipe()
+        self._received = bytearray()  # a part of a report
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
+        fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)  # also behind `trim_log`
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", _MODULE, str(theirs.fileno()), str(os.getpid())],
@@ -244,17 +258,19 @@ class _Worker:
         with suppress(OSError):
             self.pipe.send(job)
 
-    def receive(self) -> JobResult | None:
-        """Read one report from the pipe, which must be readable.
+    def receive(self, silence: float, timeout: float) -> JobResult | None:
+        """Read what the pipe holds, which must be readable.
 
-        Returns the result of the job, or None for a report of progress. If the worker has ended,
-        the result is a failure.
+        Returns the result of the job, or None without it. A guest's pattern may write a part of a
+        report, for whose rest this process does not wait: without a whole report, `silence` s count
+        as of `add_silence`. If the worker has ended, the result is a failure.
         """
         try:
-            # Values alone: a guest's pattern could write a pickle, which would run in this process.
-            received = _report.decode(self.pipe.recv_bytes(_MAX_REPORT))
-            if isinstance(received, JobResult) and received.run != self.run:
-                raise ValueError(received.run)
+            piece = os.read(self.pipe.fileno(), _PIECE)
+            if not piece:
+                raise EOFError
+            self._received += piece
+            reports = [*self._reports()]
         except Exception:  # the worker's end, or bytes that a pattern wrote into the pipe
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(_EXIT_TIMEOUT)
@@ -262,12 +278,29 @@ class _Worker:
             code = self._process.returncode
             hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
             return self._failed(f"its process {how_it_ended(code)}{hint}")
-        if isinstance(received, JobResult):
-            return received
-        self._has_started = True
-        self.share = received
-        self._silence = 0.0 if received < 1.0 else None  # from here on only our own code runs
-        return None
+        for report in reports:
+            if isinstance(report, JobResult):
+                return report
+            self._has_started = True
+            self.share = report
+            self._silence = 0.0 if report < 1.0 else None  # from here on only our own code runs
+        return None if reports else self.add_silence(silence, timeout)
+
+    def _reports(self) -> Iterator[JobResult | float]:
+        """The whole reports that are received; ValueError for bytes that are no report."""
+        while len(self._received) >= _SIZE_BYTES:
+            size = int.from_bytes(self._received[:_SIZE_BYTES])
+            end = _SIZE_BYTES + size
+            if size > _MAX_REPORT:
+                raise ValueError(size)
+            if len(self._received) < end:
+                return
+            # Values alone: a guest's pattern could write a pickle, which would run in this process.
+            report = _report.decode(self._received[_SIZE_BYTES:end])
+            if isinstance(report, JobResult) and report.run != self.run:
+                raise ValueError(report.run)
+            del self._received[:end]
+            yield report
 
     def add_silence(self, seconds: float, timeout: float) -> JobResult | None:
         """Add seconds without a report; at the limit, end the worker and return the failure."""
@@ -278,6 +311,12 @@ class _Worker:
             return None
         self._end_group()
         return self._failed(f"no progress in {timeout:g} s; a pattern or metric may not return")
+
+    def trim_log(self) -> None:
+        """Empty the log if it is long: a pattern may print in each step."""
+        if os.fstat(self._log.fileno()).st_size > MAX_OUTPUT:
+            os.truncate(self._log.fileno(), 0)
+            self._begin = 0
 
     def end(self) -> None:
         """Close the pipe, which ends an idle worker, and wait for the end of the process."""
@@ -402,6 +441,7 @@ def _do(job: Job, connection: Connection) -> None:
 
     if job.guest is not None:
         limit_growth(_GUEST_GROWTH)
+        limit_files()
         confine([job.guest])
     _send(connection, run_job(job, report))
 

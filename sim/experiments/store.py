@@ -27,6 +27,7 @@ from typing import Any
 import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.files import read_regular
 from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.manifest import Manifest, read_manifest, write_json, write_whole
 from swarmd.sim.experiments.plan import Plan, Run, shown
@@ -80,7 +81,7 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     """
     path = folder / TABLE
     try:
-        text = path.read_bytes().decode(errors="replace")
+        text = read_regular(path).decode(errors="replace")
     except OSError as error:
         fault = f"{path}: {error.strerror}"
         raise ConfigError(f"{fault}; restore it, or run the experiment again") from error
@@ -231,7 +232,7 @@ def _listed(folder: Path, key: str) -> list[tuple[str, str, str]]:
     try:
         return [
             (str(entry["run"]), str(entry.get("metric", "")), str(entry["reason"]))
-            for entry in json.loads(path.read_bytes())[key]
+            for entry in json.loads(read_regular(path))[key]
         ]
     except FileNotFoundError:
         return []
@@ -269,7 +270,7 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
         traces.mkdir(exist_ok=True)
     for partial in traces.glob(".*.partial"):
         partial.unlink()
-    os.truncate(table, table.read_bytes().rfind(b"\n") + 1)
+    os.truncate(table, read_regular(table).rfind(b"\n") + 1)
     return Store(folder, manifest, rows)
 
 

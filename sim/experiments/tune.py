@@ -43,6 +43,7 @@ import msgspec
 import numpy as np
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
+from swarmd.core.files import read_regular
 from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.compare import Difference, Side
 from swarmd.sim.experiments.compare import compare as compare_sides
@@ -718,7 +719,7 @@ class _Tuner:
                     )
                 write_json(path, {**head, "races": []})
                 return []
-            contents = path.read_bytes()
+            contents = read_regular(path)
         except OSError as error:
             raise ConfigError(f"{error.filename or self.folder}: {error.strerror}") from error
         return self._recorded_races(path, contents, head)

@@ -31,6 +31,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, named, unknown
+from swarmd.core.files import read_regular
 from swarmd.core.values import Array
 from swarmd.pattern_host.loader import import_file
 from swarmd.plugins import entry_points_of
@@ -66,7 +67,7 @@ def digest_of_file(text: str) -> str:
     """The SHA-256 of the file of `FILE.py:FUNCTION`; ConfigError if it cannot be read."""
     file = text.rpartition(":")[0]
     try:
-        return hashlib.sha256(Path(file).resolve().read_bytes()).hexdigest()
+        return hashlib.sha256(read_regular(Path(file).resolve())).hexdigest()
     except OSError as error:
         raise ConfigError(f"metric {text!r}: {file} cannot be read: {error.strerror}") from error
 

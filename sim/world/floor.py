@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.files import open_regular
 from swarmd.core.values import Array
 from swarmd.sim.world.field_kind import Coordinate, Degrees, Extent, FieldKind, Point
 
@@ -183,7 +184,7 @@ def picture(path: str) -> Array:
     except ImportError as error:
         raise PluginError("a floor with a picture needs pillow; install swarmd[film]") from error
     try:
-        with Image.open(path, formats=FORMATS) as image:
+        with open_regular(path) as file, Image.open(file, formats=FORMATS) as image:
             width, height = image.size
             if width * height > MAX_PIXELS:
                 text = f"has {width} x {height} pixels; expected {MAX_PIXELS} at most"

@@ -27,6 +27,7 @@ from swarmd.cli.send import send_to
 from swarmd.cli.targets import takes_targets
 from swarmd.client.targets import Targets
 from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.files import read_regular
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import PATTERN_FILE, check_module_name, class_name, installed_patterns
@@ -220,7 +221,7 @@ def _network_text(policy: Path) -> str:
     from swarmd.kit.policy_onnx import network_from_onnx
 
     try:
-        data = policy.read_bytes()
+        data = read_regular(policy)
         is_onnx = policy.suffix == ".onnx"
         return to_text(network_from_onnx(data) if is_onnx else network_from_bytes(data))
     except (ConfigError, OSError) as error:

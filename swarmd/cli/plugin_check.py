@@ -22,7 +22,7 @@ from tempfile import TemporaryFile
 from typing import IO, Any, Literal, NamedTuple
 
 from swarmd.core.errors import ConfigError, PluginError, unknown
-from swarmd.core.processes import how_it_ended
+from swarmd.core.processes import MAX_OUTPUT, how_it_ended
 from swarmd.plugins import pattern_names
 from swarmd.security.identity import SYSTEM_FOLDER, user_folder
 
@@ -36,6 +36,9 @@ MISSION_TIMEOUT = 30.0
 STACK_TIMEOUT = 3.0
 """Seconds that a child that hangs may take to write its stack, also on a busy machine."""
 
+_MAX_POINTS = 64
+"""The most points of a check, and items of an inspection beyond those that were asked for."""
+_MAX_ANSWER = 1 << 24  # bytes of a child's standard output
 WORK_PERIOD = 0.5  # s between two looks at the processor time of a child that is late
 
 NO_OUTPUT = "it prints nothing"
@@ -163,6 +166,9 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
     2. No further point is checked if the child ends in the first point (the import of the file), if
        a further child ends in a point that is checked already, or if a point hangs.
     3. Raises PluginError if the child fails before the first point.
+
+    What the plugin's code writes into the answers of the child neither prolongs the time of a point
+    nor the check: at most _MAX_POINTS points are checked.
     """
     checked_names: list[str] = []  # the names of the points that were checked so far
     known_faults: set[str] = set()  # a fault that an earlier point has shown counts as repeated
@@ -187,9 +193,12 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                 yield _point(check.name, check.fields, known_faults)
                 if check.hangs or is_repeated:
                     yield Point(SKIPPED, "skipped", "correct the failed point first")
-                needs_child = check.has_ended_child and not is_import and not is_repeated
+                has_further_points = len(checked_names) < _MAX_POINTS
+                is_last = is_import or is_repeated or not has_further_points
+                needs_child = check.has_ended_child and not is_last
         log.seek(0)
-        printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
+        text = log.read(MAX_OUTPUT).decode(errors="replace")
+        printed = [line for line in text.splitlines() if line]
     # Two points about the whole check.
     for name, faults in ((NO_OUTPUT, printed), (NO_SIDE_EFFECTS, side_effects)):
         yield Point(name, "fault" if faults else "ok", _first_of(faults))
@@ -251,7 +260,7 @@ def _inspect(
     - `how`: how the child ended, in words, with the line of code,
     - `hangs`: True if the child hangs.
 
-    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each row.
+    `words`: the arguments of `swarmd.pattern_host.plugin_inspector`. `timeout`: s for each item.
     `folder`: the folder of the plugin's code. `log` takes the child's standard error. PluginError
     if the child reports an error outside an item, or ends or hangs before its first item.
     """
@@ -259,9 +268,9 @@ def _inspect(
         assert child.stdout is not None
         open_item: Record | None = None
         code_place = ""
-        hangs = False
+        hangs = ""  # how, in words
         try:
-            for line in _lines(child.stdout, timeout, child.pid):
+            for line in _lines(child.stdout, timeout, child.pid, _MAX_POINTS + len(words)):
                 row = _record_of(line)
                 if "end" in row:  # all items are done
                     return
@@ -275,16 +284,18 @@ def _inspect(
                     yield row
                 else:  # a line of a stack, which the child prints before it ends
                     code_place = code_place or _place_of(line, folder)
-            hangs = _is_running(child)  # plugin code may have closed the child's standard output
-        except TimeoutError:
-            hangs = True
-        how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
+            if _is_running(child):  # plugin code may have closed the child's standard output
+                hangs = _late(timeout)
+        except TimeoutError as error:
+            hangs = str(error)
+        how = hangs or how_it_ended(child.returncode)
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
         if hangs:
             # From its first item on, the child prints its stack on SIGUSR1.
             code_place = code_place or _place_of_hang(child, folder)
-        yield {**open_item, "lost": open_item["begin"], "how": how + code_place, "hangs": hangs}
+        lost = {"lost": open_item["begin"], "how": how + code_place, "hangs": bool(hangs)}
+        yield {**open_item, **lost}
 
 
 def _place_of_hang(child: subprocess.Popen[bytes], folder: Path | None) -> str:
@@ -323,30 +334,48 @@ def _started(words: Sequence[str], log: IO[bytes] | None) -> Iterator[subprocess
             child.kill()
 
 
-def _lines(stream: IO[bytes], timeout: float, pid: int) -> Iterator[bytes]:
-    """Yields whole lines until the end of the stream; TimeoutError without a line for `timeout` s.
+def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Iterator[bytes]:
+    """Yields whole lines until the end of the stream, for `timeout` s and for each begun item.
+
+    A row `begin` of an item that has not begun before starts the time anew, `items` times at most.
+    Other lines do not: plugin code may write them without end. TimeoutError, with how the process
+    hangs, at the end of the time, or beyond _MAX_ANSWER bytes.
 
     A busy machine or a cold disk may delay a process. So a process that works, and has used less
-    than `timeout` s of processor time since its last line, gets more time.
+    than `timeout` s of processor time since the item began, gets more time.
     """
     buffer = b""
+    size = 0
+    begun: set[str] = set()
     deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
     with selectors.DefaultSelector() as selector:
         selector.register(stream, selectors.EVENT_READ)
         while True:
-            if not selector.select(max(0.0, deadline - time.monotonic())):
+            now = time.monotonic()
+            if now >= deadline:
                 used, is_at_work = used_by(pid)
                 if not is_at_work or used >= until:
-                    raise TimeoutError
-                deadline += min(WORK_PERIOD, timeout)
+                    raise TimeoutError(_late(timeout))
+                deadline = now + min(WORK_PERIOD, timeout)
+            if not selector.select(deadline - now):
                 continue
             piece = os.read(stream.fileno(), 65536)
             if not piece:
                 return
+            size += len(piece)
+            if size > _MAX_ANSWER:
+                raise TimeoutError(f"has printed more than {_MAX_ANSWER} bytes")
             *whole, buffer = (buffer + piece).split(b"\n")
-            if whole:
-                deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
-            yield from whole
+            for line in whole:
+                item = str(_record_of(line).get("begin", ""))
+                if item and item not in begun and len(begun) < items:
+                    begun.add(item)
+                    deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
+                yield line
+
+
+def _late(timeout: float) -> str:
+    return f"is not done after {timeout:g} s"
 
 
 def used_by(pid: int) -> tuple[float, bool]:

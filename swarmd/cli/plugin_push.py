@@ -24,6 +24,7 @@ from swarmd.client.runs import goal_targets
 from swarmd.client.session import gap
 from swarmd.client.targets import Targets, targets_of
 from swarmd.core.errors import CodecError, ConfigError, PluginError
+from swarmd.core.files import read_regular
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
 from swarmd.core.pattern_manifest import (
@@ -228,7 +229,7 @@ def _print_list_json(
 
 def read_source(file: Path) -> Source:
     """The content of FILE; PluginError or ConfigError if it cannot be pushed."""
-    code = file.read_bytes()
+    code = read_regular(file)
     if len(code) > MAX_CODE:
         raise PluginError(f"{file} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
     if file.suffix == ".whl":

@@ -1,4 +1,4 @@
-"""Settings of the own process (Linux): end with the parent, memory limit, tracing, time slices."""
+"""Settings of the own process (Linux): end with the parent, limits, tracing, time slices."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ _PR_SET_DUMPABLE = 4
 
 OUT_OF_MEMORY = 77
 """Exit code of a pattern host that needs more memory than it may have."""
+MAX_OUTPUT = 1 << 24
+"""Bytes that code of others may print into a file."""
 LOAD_GROWTH, STEP_GROWTH = 1 << 30, 1 << 28
 """Bytes by which a pattern host may grow while it loads a pattern, and after that."""
 
@@ -74,6 +76,18 @@ def limit_growth(growth: int, pid: int | None = None) -> None:
         limit = min(limit, hard)
     pair = (limit, limit if pid is None else hard)
     resource.prlimit(pid or 0, resource.RLIMIT_AS, pair)
+
+
+def limit_files(size: int = MAX_OUTPUT) -> None:
+    """Limit each file that this process and its children write to `size` bytes, for ever.
+
+    A write beyond the limit raises OSError, since Python ignores SIGXFSZ.
+    """
+    import resource
+
+    _, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    limit = size if hard == resource.RLIM_INFINITY else min(size, hard)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
 
 def keep_limits() -> None:

@@ -19,6 +19,7 @@ from types import CodeType, ModuleType
 from typing import Any, get_args
 
 from swarmd.core.errors import ChangedCodeError, PluginError, UnknownPatternError, unknown
+from swarmd.core.files import read_regular
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
 from swarmd.plugins import IN_WHEEL, MISSION, pattern_name
@@ -129,7 +130,7 @@ def _sealed_copy(name: str, content: bytes) -> str:
 def _checked(path: Path, digest: bytes) -> bytes:
     """The content of a file; ChangedCodeError if it is unreadable or has another SHA-256."""
     try:
-        content = path.read_bytes()
+        content = read_regular(path)
     except OSError as error:
         raise ChangedCodeError(
             f"{path.name} cannot be read ({error.strerror}); push it again"
@@ -230,5 +231,5 @@ class _UncachedLoader(SourceFileLoader):
     def get_code(self, fullname: str) -> CodeType:
         """The code of the present file. ChangedCodeError if the SHA-256 differs."""
         path = Path(self.path)
-        source = _checked(path, self._digest) if self._digest else self.get_data(self.path)
+        source = _checked(path, self._digest) if self._digest else read_regular(path)
         return self.source_to_code(source, self.path)

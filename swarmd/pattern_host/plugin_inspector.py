@@ -29,9 +29,10 @@ import numpy as np
 
 from swarmd import api
 from swarmd.core.errors import PluginError, SwarmError
+from swarmd.core.files import read_regular
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import is_id
-from swarmd.core.processes import die_with_parent, limit_growth
+from swarmd.core.processes import die_with_parent, limit_files, limit_growth
 from swarmd.core.values import Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
@@ -106,12 +107,13 @@ def main() -> None:
     die_with_parent(args.parent)
     output = InspectionOutput()
     try:
-        # Memory is bounded and the sandbox entered before any plugin code is imported.
+        # Memory and output are bounded and the sandbox entered before plugin code is imported.
         platform = load_platform(args.platform)
         readable = [] if args.plugin_dir is None else [args.plugin_dir]
         if args.verb in ("check", "mission"):
             readable.append(readable_beside(args.file.resolve()))
         limit_growth(MAX_GROWTH)
+        limit_files()
         confine(readable, args.secret)
         if args.verb == "check":
             _check_plugin(args.file.resolve(), frozenset(args.done), output)
@@ -323,7 +325,7 @@ def _check_source(path: Path, output: InspectionOutput) -> None:
     """Check the points that the source code shows: IMPORTS and DROPPED."""
     from swarmd.testing.no_side_effects import forbidden_imports
 
-    source = path.read_bytes()
+    source = read_regular(path)
     imports = [(line, f"imports {name}") for line, name in forbidden_imports(source)]
     unused = [(line, f"makes {name}(...) {_UNUSED}") for line, name in dropped(source)]
     for point, places in ((IMPORTS, imports), (DROPPED, unused)):

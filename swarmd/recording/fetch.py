@@ -15,6 +15,7 @@ from swarmd.core import verbs
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
+from swarmd.core.files import read_regular
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.reader import crc_of
 
@@ -71,7 +72,7 @@ def read_exchanges(path: Path) -> list[Exchange]:
     """The exchanges in a file of `note_clock`; damaged lines are left out."""
     exchanges = []
     with suppress(OSError):
-        for line in path.read_bytes().splitlines():
+        for line in read_regular(path).splitlines():
             with suppress(msgspec.MsgspecError):
                 exchanges.append(msgspec.json.decode(line, type=Exchange))
     return exchanges

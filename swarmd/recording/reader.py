@@ -16,8 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import open_regular, read_regular
 
 MAGIC = b"\x89MCAP0\r\n"
+MAX_RECORDING = 1 << 32
+"""Bytes of the largest file that is read; a robot writes 64 MiB unless told otherwise."""
 MAX_RATIO = 50
 """Bytes of a file's records, and of the objects made of them, to those of the file. A recording has
 a ratio of 9 to 20, the highest at rest."""
@@ -70,7 +73,7 @@ def read_file(path: Path) -> RecordedFile:
     ConfigError if the file is no recording, or unpacks to more than MAX_RATIO times its size.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path, MAX_RECORDING)
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be read: {error.strerror}; expected a recording (.mcap)"
@@ -322,7 +325,7 @@ def clock_of(about: Mapping[str, str], at: int) -> float:
 def crc_of(path: Path) -> int:
     """The CRC-32 of a file; OSError if it cannot be read."""
     crc = 0
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while part := file.read(2**20):
             crc = zlib.crc32(part, crc)
     return crc

@@ -16,6 +16,7 @@ from msgspec import field
 
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.files import read_regular
 from swarmd.core.keys import is_id
 from swarmd.security.identity import Issued, write_private
 from swarmd.security.roster import Roster, read_roster
@@ -89,8 +90,7 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
 def read_bundle(path: Path) -> OpenedBundle:
     """The bundle in a file. ConfigError in one line with the path."""
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BUNDLE + 1)
+        data = read_regular(path, MAX_BUNDLE)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     try:

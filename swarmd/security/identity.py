@@ -6,7 +6,6 @@ The files, readable only by the owner, are `identity.json`, `certificate.pem`, `
 
 from __future__ import annotations
 
-import errno
 import os
 import stat
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.files import write_whole
+from swarmd.core.files import read_regular, write_whole
 from swarmd.security.datagram_keys import DatagramKeys
 from swarmd.security.roster import Id, PublicKey, Role, Roster, read_roster, stored_roster
 
@@ -200,11 +199,7 @@ def _read(path: Path) -> bytes:
     another account could make a link to any file.
     """
     is_foreign = os.geteuid() == 0 and path.parent.stat().st_uid != 0
-    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (os.O_NOFOLLOW if is_foreign else 0)
-    with open(os.open(path, flags), "rb") as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "is not a regular file", str(path))
-        return file.read()
+    return read_regular(path, flags=os.O_NOFOLLOW if is_foreign else 0)
 
 
 def as_of(identity: Identity, file: RosterFile) -> Identity:

@@ -18,7 +18,7 @@ from yaml.constructor import SafeConstructor
 from yaml.resolver import Resolver
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.files import as_text
+from swarmd.core.files import as_text, read_regular
 from swarmd.core.numbers import FLOAT, INTEGER, read_number
 
 Data = dict[str, Any]
@@ -28,7 +28,7 @@ def read(path: Path) -> Data:
     """The mapping in a file, {} for an empty one; ConfigError with file and line otherwise."""
     name = shown(path)
     try:
-        text = path.read_bytes()
+        text = read_regular(path)
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}; check the path") from error
     try:
@@ -96,7 +96,7 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
                 walk(value, (*keys, index))
 
     try:
-        walk(yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader), ())
+        walk(yaml.compose(read_regular(path), Loader=yaml.SafeLoader), ())
     except (OSError, yaml.YAMLError, ValueError, RecursionError):
         return {}
     return lines

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -39,6 +40,7 @@ from swarmd.settings.platforms import platform_names
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.testing.pattern_contract import PatternContract
+from tests.support.examples import part
 from tests.support.processes import wait_until
 
 pytestmark = [pytest.mark.integration, pytest.mark.usefixtures("forked_starts")]
@@ -482,6 +484,46 @@ def test_a_file_that_writes_into_the_answer_is_still_checked(tmp_path: Path) -> 
     assert set(checked(tmp_path, top=WRITES_ALL_OVER)) >= set(POINTS)
     (row,) = describe_patterns(("own",), tmp_path, "burger")
     assert (row["kind"], row["group"], row["report_units"]) == ("movement", "yours", {})
+
+
+FLOODS = """
+import os, threading, time
+def flood():
+    while True:
+        for number in range(3, 9):
+            try:
+                os.write(number, {line})
+            except OSError:
+                pass
+        {pause}
+threading.Thread(target=flood, daemon=True).start()
+"""
+BLANK = 'b"{}\\n"'
+FORGED_ROW = "b'{\"begin\": \"' + str(time.monotonic()).encode() + b'\"}\\n'"
+FLOODING = {
+    "a line at a time": (BLANK, "time.sleep(0.02)"),
+    "begins of items": (FORGED_ROW, "time.sleep(0.02)"),
+    "as fast as it can": (f"{BLANK} * 9999", ""),
+}
+
+
+@pytest.mark.parametrize(("line", "pause"), part([*FLOODING.values()][:2], [*FLOODING.values()]))
+def test_a_file_that_floods_the_answer_ends_with_the_time(
+    tmp_path: Path, line: str, pause: str
+) -> None:
+    """If the flood covers the row of the first item, the whole check is an error."""
+    top = FLOODS.format(line=line, pause=pause)
+    try:
+        points = checked(tmp_path, 2.0, top=top, made="threading.Event().wait()")
+        found = " ".join(faults(points).values())
+    except PluginError as error:
+        found = str(error)
+    assert re.search("is not done after 2 s|has printed more than", found)
+
+
+def test_what_a_file_prints_is_bounded(tmp_path: Path) -> None:
+    points = checked(tmp_path, top="while True: print('x' * (1 << 20))")
+    assert "File too large" in faults(points)[LOADING]
 
 
 def test_a_description_has_the_units_of_reports() -> None:

@@ -19,6 +19,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from html.parser import HTMLParser
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ from tests.pattern_host.test_wheel import ABOUT, GOOD
 from tests.pattern_host.test_wheel import made as wheel_of
 from tests.security.test_bundle import bundle_of
 from tests.sim.conftest import MAIN, MOODY, write_duo
+from tests.support.examples import part
 from tests.support.processes import has_landlock
 from tests.support.recorded_stories import Story
 from tests.support.swarmctl import Finished, swarmctl
@@ -327,6 +329,40 @@ def test_recordings_make_values_alone(scene: Scene) -> None:
     ):
         scene.run(*words)
     scene.assert_armed(lambda: pickle.loads(data))
+
+
+ENDLESS: dict[str, tuple[object, ...]] = {
+    "x/manifest.json": ("exp", "show", "x"),
+    "x/runs.csv": ("exp", "report", "x"),
+    "x/failures.json": ("exp", "show", "x"),
+    "x/traces/s0000.npz": ("exp", "merge", "x", "--out", "y"),
+    "trace.npz": ("exp", "measure", "trace.npz"),
+    "t/tune.json": ("exp", "tune", "drive", "--metric", "path_length:max", "--out", "t"),
+    "warm.py": ("exp", "show", "x", "--metrics", "./warm.py:warm"),
+    "policy.npz": ("plugin", "new", "own", "--policy", "policy.npz"),
+    "m.yaml": ("exp", "run", "m.yaml", "--seeds", 1),
+    "a.mcap": ("record", "merge", "a.mcap", "-o", "b.mcap"),
+    "a.bundle": ("keys", "install", "a.bundle"),
+    "class/anna.py": ("class", "check", "class", "--lesson", 2),
+}
+"""Files of others, and a verb that reads each."""
+
+
+@pytest.mark.parametrize(
+    ("place", "target"),
+    part(
+        [*zip(ENDLESS, cycle(["/dev/zero", "pipe"]))],
+        [*zip(ENDLESS, cycle(["pipe", "/dev/zero"]))],
+    ),
+)
+def test_a_file_that_never_ends_is_not_read(scene: Scene, place: str, target: str) -> None:
+    shutil.copytree(scene.results, scene.folder / "x")
+    scene.write(place, "").unlink()
+    os.mkfifo(scene.folder / "pipe")
+    (scene.folder / place).symlink_to(scene.folder / target)
+    done = scene.run(*ENDLESS[place])
+    assert done.code != 0
+    assert "is not a regular file" in done.err + done.out
 
 
 def test_the_state_of_a_tuning_names_no_code_that_runs(scene: Scene) -> None:

@@ -66,11 +66,15 @@ def pupils(result: Result) -> Mapping[str, dict[str, Any]]:
 def test_a_broken_file_fails_its_pupil_alone(tmp_path: Path, short: Lesson) -> None:
     for name, text in {**MISTAKES, "anna": BOLD}.items():
         (tmp_path / f"{name}.py").write_text(text)
-    (tmp_path / "zoe").mkdir()
+    for name in ("yan", "zoe"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "yan" / "bold.py").write_text(MISTAKES["nothing"])
     result = checked(tmp_path, "5", "-o", "json")
     assert result.exit_code == 1
     found = pupils(result)
-    assert list(found) == [*sorted([*MISTAKES, "anna"]), "zoe"]
+    assert list(found) == [*sorted([*MISTAKES, "anna"]), "yan", "zoe"]
+    assert json.loads(result.stdout)["same_files"] == [["nothing", "yan"]]
+    assert "the same file: nothing, yan" in result.stderr
     assert [name for name, one in found.items() if one["passed"]] == ["anna"]
     assert [one["met"] for one in found["anna"]["requirements"]] == [True, True]
     assert all(found[name]["why"] and not found[name]["requirements"] for name in MISTAKES)

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from swarmd.core.processes import MAX_OUTPUT
 from swarmd.sim.experiments.pool import (
     STEP_TIMEOUT,
     Job,
@@ -139,7 +140,7 @@ def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
     try:
         worker.assign(job(duo, 0))
         assert worker.add_silence(5.0, timeout=3.0) is None
-        assert worker.receive() is None  # started
+        assert worker.receive(0.0, timeout=3.0) is None  # started
         assert worker.add_silence(5.0, timeout=3.0) is not None
     finally:
         worker.kill()
@@ -206,13 +207,54 @@ for number in os.listdir("/proc/self/fd"):
 """
 
 
-def test_what_a_guest_writes_into_the_pipe_runs_nothing(duo: Path, tmp_path: Path) -> None:
+def of_guest(duo: Path, tmp_path: Path, code: str) -> Job:
+    """The job of a guest whose pattern is imported behind `code`."""
     plain = job(duo, 0).effective
     guest = tmp_path / "guest"
     guest.mkdir()
+    (guest / "moody.py").write_text(code + MOODY)
+    return Job("s0", {**plain, "plugin_dir": str(guest)}, 0, None, guest=guest)
+
+
+def test_what_a_guest_writes_into_the_pipe_runs_nothing(duo: Path, tmp_path: Path) -> None:
     canary = tmp_path / "canary"
-    (guest / "moody.py").write_text(FORGED.replace("{canary}", str(canary)) + MOODY)
-    forged = Job("s0", {**plain, "plugin_dir": str(guest)}, 0, None, guest=guest)
+    forged = of_guest(duo, tmp_path, FORGED.replace("{canary}", str(canary)))
     (result,) = done([forged], 1).values()
     assert not canary.exists()
     assert result.metrics is None
+
+
+def test_a_guest_that_writes_a_part_of_a_report_ends_with_the_time(
+    duo: Path, tmp_path: Path
+) -> None:
+    """It announces more bytes than follow, and waits."""
+    part = FORGED.replace("len(data)) + data", "1 << 20)") + "import time\ntime.sleep(600)\n"
+    (result,) = done([of_guest(duo, tmp_path, part)], 1, timeout=1.5).values()
+    assert result.reason.startswith("no progress in 1.5 s")
+
+
+PRINTS = """
+while True:
+    print("x" * (1 << 20))
+"""
+
+
+def test_what_a_guest_prints_is_bounded(duo: Path, tmp_path: Path) -> None:
+    (result,) = done([of_guest(duo, tmp_path, PRINTS)], 1).values()
+    assert "File too large" in result.reason
+
+
+def test_a_log_that_is_cut_goes_on_at_its_end(duo: Path) -> None:
+    worker = _Worker()
+    try:
+        worker.assign(job(duo, 0))
+        os.write(worker._log.fileno(), bytes(MAX_OUTPUT))
+        worker.trim_log()
+        assert worker._log.seek(0, os.SEEK_END) == MAX_OUTPUT
+        os.write(worker._log.fileno(), b"one more\n")
+        worker.trim_log()
+        os.write(worker._log.fileno(), b"last words\n")
+        assert worker._log.seek(0, os.SEEK_END) == len("last words\n")
+        assert worker._last_line() == ": last words"
+    finally:
+        worker.kill()
