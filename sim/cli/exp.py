@@ -129,14 +129,16 @@ def run(
 ) -> None:
     """Run SCENARIO, a name of `exp list` or a YAML file, once for each seed.
 
-    Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
+    Exit code 0 if every run finished, 3 if some failed, 1 if all failed. A run in which a pattern
+    raised an error counts as failed here, and its results are kept. Before several runs with a
+    pattern of a file, the first second of the first run is tried.
     """
     # 1. Options that contradict each other, and libraries.
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
-    from swarmd.sim.experiments.manifest import manifest_of
+    from swarmd.sim.experiments.manifest import manifest_of, plugin_folders
     from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
-    from swarmd.sim.experiments.simulate import plan_of, run_experiment
+    from swarmd.sim.experiments.simulate import check_first_second, plan_of, run_experiment
     from swarmd.sim.metrics.catalog import beyond_catalog
 
     if scheduler is not None and cores is not None:
@@ -197,6 +199,8 @@ def run(
             workers(scheduler, jobs, timeout, manifest, cores=cores or 1) as (runner, run_manifest),
             progress() as on_progress,
         ):
+            if plan.runs[1:] and plugin_folders(plan):
+                check_first_second(plan, runner)
             # `run_manifest` names the software and processors of the workers.
             results = run_experiment(run_manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
@@ -209,7 +213,9 @@ def run(
     duration = time_span(time.monotonic() - start_time)
     warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
-    ctx.exit(_exit_code(len(results.runs), is_complete=not results.failures))
+    faulty = results.pattern_faults.keys()
+    is_complete = not results.failures and not faulty
+    ctx.exit(_exit_code(len(results.runs) - len(faulty), is_complete=is_complete))
 
 
 def _exit_code(finished: int, *, is_complete: bool) -> int:
@@ -555,15 +561,14 @@ def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
 
 
 def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bool) -> None:
+    for run, fault in list(results.pattern_faults.items())[:1]:
+        count = f"{len(results.pattern_faults)} of {len(results.runs)} runs"
+        warn(f"{fault} of run {run}: a pattern failed in {count}, see failures.json")
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:
         click.echo(results.text(names))
     warn_of_few(len(results.seeds(variant)) for variant in results.variants)
-    if "failed_patterns" in results.metrics:
-        count = int((results.metric("failed_patterns") > 0.0).sum())
-        if count:
-            warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
     for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
         warn(f"failed: {name}: {reason}")
     if len(results.failures) > _FAILURES_SHOWN:
@@ -573,8 +578,12 @@ def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bo
 
 def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
     """Warn of each metric that failed in runs, with the first fault, or that no robot reports."""
+    from swarmd.sim.metrics.protection import FAILED_PATTERNS
+
     runs = len(results.runs)
     for name in names:
+        if name == FAILED_PATTERNS:  # counts what `_print_results` tells
+            continue
         faults = {run: errors[name] for run, errors in results.errors.items() if name in errors}
         for run, fault in list(faults.items())[:1]:
             warn(f"metric {name} failed in {len(faults)} of {runs} runs; {run}: {fault}")

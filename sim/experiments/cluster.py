@@ -5,7 +5,8 @@ time-outs of a run on one machine. The worker returns metrics and trace, and sto
 runs of a worker that ends or falls silent are repeated on other workers.
 
 Scheduler and workers need the same software as the client. So each worker sends the versions and
-digests of its software before its first run.
+digests of its software before its first run. A worker without swarmd, as other users of the cluster
+may have, gets no run and lives on.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def connect(
     silence in s of a worker and of a run. `note` is called with a line when a worker is lost or not
     used. `at_a_time`: the most runs in progress; None: one for each thread of the workers.
     ConfigError if no scheduler answers, or if a worker's software differs from the manifest's.
-    SwarmError if no worker answers.
+    SwarmError if no worker answers that has swarmd.
     """
     import dask
 
@@ -134,7 +135,7 @@ class Cluster:
         self._shares: dict[str, float] = {}  # simulated share 0..1 of a run, by run
         # s, monotonic: when the scheduler was last asked for its workers.
         self._last_update = -math.inf
-        self._refusal = ""  # why the last refused worker is not used
+        self._refusal = ""  # why a worker with other software is not used
         self._is_open = False  # whether `await_workers` has ended
         self._software: list[Manifest] = []  # of the workers that are fit
         # An event is (time, shares): `_perform` logs the shares on the worker.
@@ -143,21 +144,21 @@ class Cluster:
     def await_workers(self) -> None:
         """Wait for the answers of all workers about their software, for `timeout` s at most.
 
-        ConfigError if a worker's software differs. SwarmError if no worker answered.
+        ConfigError if a worker's software differs. SwarmError if no worker with swarmd answered.
         """
         deadline = time.monotonic() + self._timeout
         while time.monotonic() < deadline:
             self._update_workers()
-            if self._workers and all(worker.is_fit for worker in self._workers.values()):
+            if self._software and all(w.is_fit is not None for w in self._workers.values()):
                 break
             self._receive()
             if self._refusal:
                 raise ConfigError(f"{self._refusal}; install the same software there")
         # Workers that answer after the deadline are used later, if their software fits.
         if not self._software:
-            text = (
-                f"{len(self._workers)} workers, and none answers" if self._workers else "no worker"
-            )
+            has_open_query = any(worker.is_fit is None for worker in self._workers.values())
+            fault = "none answers" if has_open_query else "none has swarmd"
+            text = f"{len(self._workers)} workers, and {fault}" if self._workers else "no worker"
             raise SwarmError(f"the cluster at {self._address} has {text}; start some: dask worker")
         # This machine does no runs, so the manifest names the processors of the workers alone.
         manifest = reduce(joined, self._software)
@@ -255,8 +256,7 @@ class Cluster:
             worker = self._workers.get(name)
             if worker is None:
                 self._workers[name] = _Worker(description["nthreads"], description["last_seen"])
-                query = partial(_software, self._folders, self._metric_origins)
-                key, _ = self._submit(query, name)
+                key, _ = self._submit(software_query(self._folders, self._metric_origins), name)
                 self._worker_by_query[key] = name
             else:
                 is_silent = worker.seen == description["last_seen"]
@@ -351,15 +351,17 @@ class Cluster:
         difference = self._difference(answer)
         worker.is_fit = difference is None
         if difference is not None:
-            self._refusal = f"worker {name} is not used: {difference}"
-            if self._is_open:
-                self._note(self._refusal)
+            refusal = f"worker {name} is not used: {difference}"
+            if self._is_open or isinstance(answer, ModuleNotFoundError):
+                self._note(refusal)
+            else:
+                self._refusal = refusal
         return "", None
 
     def _difference(self, answer: Any) -> str | None:
         """Why a worker's software excludes the worker; None for a usable worker.
 
-        `answer`: the result of `_software` on the worker, or an exception. Adds the software of a
+        `answer`: the result of `software` on the worker, or an exception. Adds the software of a
         usable worker to `self._software`.
         """
         if isinstance(answer, BaseException):
@@ -374,7 +376,19 @@ class Cluster:
         return difference
 
 
-def _software(
+_QUERY = f"__import__('{__name__}', fromlist=['software']).software(folders, metrics)"
+
+
+def software_query(folders: Sequence[str], metrics: Sequence[str]) -> Callable[[], Any]:
+    """A call of `software` that any Python can unpickle; ModuleNotFoundError without swarmd.
+
+    A worker that cannot unpickle a call closes. So the call is a text, and the import in it fails
+    as a run does, which leaves the worker alive.
+    """
+    return partial(eval, _QUERY, {"folders": list(folders), "metrics": list(metrics)})
+
+
+def software(
     folders: Sequence[str], metrics: Sequence[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
     """A worker's software: versions by name, and digests of its plugins and custom metrics."""

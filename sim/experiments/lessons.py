@@ -34,6 +34,7 @@ from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
 from swarmd.sim.experiments.store import Row
 from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 _STAND_IN = "drive"  # in place of the pupil's pattern, while this process checks the scenario
@@ -121,8 +122,8 @@ def mark_pattern(
         if result.metrics is None:
             reason = result.reason.rstrip(": ")  # an error without a text ends in a colon
             return LessonMark(why=f"{run.title}: {reason}")
-        if result.metrics["failed_patterns"]:
-            return LessonMark(why=f"{run.title}: the pattern raised an error in a step")
+        if FAILED_PATTERNS in result.errors:
+            return LessonMark(why=f"{run.title}: {result.errors[FAILED_PATTERNS]}")
         row_by_id[run.id] = Row(run, result.metrics, result.wall)
     if len(row_by_id) < len(jobs):
         done = f"{len(row_by_id)} of {len(jobs)} runs"

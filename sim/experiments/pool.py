@@ -6,6 +6,7 @@ progress and result through a pipe. The parent process ends a worker whose run m
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import subprocess
@@ -36,6 +37,7 @@ from swarmd.pattern_host.sandbox import confine
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
 from swarmd.sim.metrics.own import MetricError
+from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
 
@@ -77,6 +79,8 @@ class Job:
     """The time in s without progress of a process after which the run fails."""
     metrics: Mapping[str, str] = field(default_factory=dict)
     """Metrics beyond the catalog: the digest of the code (or "") by origin."""
+    seconds: float = math.inf
+    """The simulated time in s, if shorter than the scenario's duration."""
     guest: Path | None = None
     """A folder with a stranger's patterns.
 
@@ -102,7 +106,8 @@ class JobResult:
     write_error: str = ""
     """Why the trace could not be written; the experiment then ends."""
     errors: Mapping[str, str] = field(default_factory=dict)
-    """Why custom metrics have no value, by name."""
+    """Why custom metrics have no value, by name; under FAILED_PATTERNS the first error of a
+    pattern, with its line of code."""
 
 
 _report = msgspec.msgpack.Decoder(JobResult | float)
@@ -115,12 +120,21 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
     exception. `on_progress` is called with the simulated share 0..1 after each step.
     """
     start_time = time.perf_counter()
+    failures: list[str] = []
     try:
         # Less than the pool's time-out: the error of `simulate_run`, which names the process of the
         # run that hangs, then comes before the error of the pool.
         timeout = _SHARE_OF_TIMEOUT * job.timeout
         scenario = scenario_of(job.effective)
-        trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=timeout)
+        trace = simulate_run(
+            scenario,
+            job.seed,
+            on_progress,
+            cores=job.cores,
+            timeout=timeout,
+            seconds=job.seconds,
+            on_failure=failures.append,
+        )
         metrics = measure(trace)
         if job.metrics and on_progress is not None:
             on_progress(OWN_METRICS)  # from here on the time-out also limits custom metrics
@@ -136,6 +150,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         except OSError as error:
             remove_partial(job.trace)
             return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
+    errors.update((FAILED_PATTERNS, one_line(failure)) for failure in failures)
     wall = time.perf_counter() - start_time
     return JobResult(job.run, {**metrics, **custom_metrics}, wall, errors=errors)
 

@@ -27,6 +27,7 @@ from swarmd.sim.metrics.catalog import (
     names_file,
 )
 from swarmd.sim.metrics.own import MetricError, digest_of_file
+from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.trace import Trace, load_trace, pandas
 
 YES_OR_NO = "0 or 1"
@@ -78,7 +79,7 @@ class Results:
     """The finished runs of an experiment, in the order of its plan.
 
     - `failures`: the reason of each failed run, by run.
-    - `errors`: why custom metrics have no value, by run and metric.
+    - `errors`: why custom metrics have no value, by run and metric; and `pattern_faults`.
     - `metrics`: the metrics in the columns of the table.
     - `variants`: the names of the variants, a variant for each combination of swept values; one
       empty name without a sweep.
@@ -185,6 +186,12 @@ class Results:
             measured = self._from_traces(metric)
             values = [measured[row.run.id] for row in rows]
         return np.array(values, dtype=np.float64)  # None gives NaN
+
+    @property
+    def pattern_faults(self) -> dict[str, str]:
+        """The first error of a pattern in each run with one, by run; such a run has its row."""
+        faults = {run: why.get(FAILED_PATTERNS, "") for run, why in self.errors.items()}
+        return {run: fault for run, fault in faults.items() if fault}
 
     def unreported(self) -> dict[str, str]:
         """A line for each metric `report:KEY` or `reading:KEY` whose value no robot ever gave."""

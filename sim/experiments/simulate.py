@@ -28,11 +28,19 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.plugins import MISSION
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
-from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
+from swarmd.sim.experiments.pool import (
+    STEP_TIMEOUT,
+    Job,
+    JobResult,
+    Shares,
+    run_job,
+    run_jobs,
+)
 from swarmd.sim.experiments.results import CustomMetrics, Results, known_metrics
 from swarmd.sim.experiments.store import Store, open_store
 from swarmd.sim.experiments.trust import remember_code
 from swarmd.sim.metrics.catalog import METRICS, Metric, beyond_catalog, metric_of
+from swarmd.sim.metrics.protection import FAILED_PATTERNS
 from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
@@ -52,6 +60,8 @@ class Progress:
     At least the longest running run's rest, times the number of running runs: workers may wait for
     the longest run."""
 
+
+_TRIAL = 1.0  # simulated s
 
 OnProgress: TypeAlias = Callable[[Progress], None]
 """Called after each run, and several times a second while runs report progress."""
@@ -202,6 +212,20 @@ def run_experiment(
         results = _results(store)
         store.close(results.document(summarized))
         return results
+
+
+def check_first_second(plan: Plan, runner: Runner) -> None:
+    """Simulate the first second of the first run; SwarmError if a pattern raises an error in it.
+
+    `runner` does the run. If the run fails for another reason, it fails again when its turn comes.
+    """
+    run = plan.runs[0]
+    trial = Job(run.id, run.variant.effective, run.seed, None, seconds=_TRIAL)
+    with closing(runner([trial])) as reports:
+        for result in reports:
+            if isinstance(result, JobResult) and FAILED_PATTERNS in result.errors:
+                text = f"{result.errors[FAILED_PATTERNS]} of run {run.id}"
+                raise SwarmError(f"{text}; no run was begun: correct the pattern")
 
 
 class _Work:

@@ -5,7 +5,8 @@
     manifest.json   the planned runs, and the software that makes them
     runs.csv        a row for each finished run, appended when the run ends
     traces/ID.npz   the trace of a run
-    failures.json   the reasons of runs that failed, and of custom metrics that failed in a run
+    failures.json   the reasons of runs that failed, and in finished runs of custom metrics that
+                    failed and of patterns that raised an error (metric failed_patterns)
     summary.json    means, medians and intervals by variant and metric
 
 A killed process may leave the last line of runs.csv incomplete. Readers skip such a line.

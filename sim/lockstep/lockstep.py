@@ -17,6 +17,7 @@ any robot acts on the event.
 from __future__ import annotations
 
 import gc
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -74,18 +75,21 @@ def simulate_run(
     *,
     cores: int = 1,
     timeout: float = TIMEOUT,
+    seconds: float = math.inf,
+    on_failure: Callable[[str], None] | None = None,
 ) -> Trace:
-    """Simulate a whole run.
+    """Simulate a whole run, or its first `seconds`.
 
     `on_progress` is called after every step with the simulated share 0..0.99, and with 1 at the
-    end. `cores`: the number of processes that share the robots; the trace does not depend on it.
-    SwarmError for an impossible start, for a refused request, and for a process that ends or makes
-    no progress for `timeout` s.
+    end. `on_failure` is called at the end with `Lockstep.failure`, if a pattern failed. `cores`:
+    the number of processes that share the robots; the trace does not depend on it. SwarmError for
+    an impossible start, for a refused request, and for a process that ends or makes no progress for
+    `timeout` s.
     """
 
     def simulate(process: RunProcess) -> Trace:
         run = Lockstep(scenario, seed, process)
-        duration = scenario.duration
+        duration = min(scenario.duration, seconds)
 
         def report(share: float) -> None:
             if process.index == 0 and on_progress is not None:
@@ -99,6 +103,9 @@ def simulate_run(
                 lambda now: report(min(now / duration, 0.99)),
             )
         report(1.0)
+        failure = run.failure()
+        if failure and on_failure is not None:
+            on_failure(failure)
         return run.trace()
 
     return run_processes(simulate, min(cores, len(scenario.robots)), timeout)
@@ -146,6 +153,8 @@ class Lockstep:
         # The messages and the latches that this process's robots sent since the last exchange.
         self._flights: list[Flight] = []
         self._published: list[tuple[int, dict[str, Latch]]] = []
+        # Time, row and text of each failure of a pattern of this process's robots.
+        self._failures: list[tuple[float, int, str]] = []
         ids = self.world.ids
         present_rows = [row for row, robot in enumerate(ids) if robot not in scenario.absent]
         self.start(present_rows)
@@ -344,6 +353,21 @@ class Lockstep:
         if latches or row in self._latched:
             self._published.append((row, dict(latches)))
             (self._latched.add if latches else self._latched.discard)(row)
+
+    def note_failure(self, row: int, text: str, now: float) -> None:
+        """Note that the pattern of a robot raised an error, which the robot bears."""
+        self._failures.append((now, row, text))
+
+    def failure(self) -> str:
+        """The first error of a pattern, with its line of code, robot and time; empty without one.
+
+        Complete in the first process; all processes must call this.
+        """
+        failures = [one for part in self._process.collect(self._failures) for one in part]
+        if not failures:
+            return ""
+        at, row, text = min(failures)
+        return f"{text}, of {self.world.ids[row]} at {at:.2f} s"
 
     # Time
 

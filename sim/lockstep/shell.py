@@ -18,7 +18,7 @@ from swarmd.core.events import (
     SensorInput,
     tag_of,
 )
-from swarmd.core.host_messages import HostCommand
+from swarmd.core.host_messages import HostCommand, PatternFailed
 from swarmd.core.messages import Reply
 from swarmd.core.values import OPTION_INPUTS
 from swarmd.core.verbs import Request
@@ -128,6 +128,8 @@ class RobotShell:
 
     def _drive(self, command: HostCommand, now: float) -> None:
         event = self._runner.send(command)
+        if isinstance(event, PatternFailed):
+            self._outputs.note_failure(self.row, event.text, now)
         if event is not None:
             actions = self.robot.step(HostInput(event), now)
             assert actions is not None

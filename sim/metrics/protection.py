@@ -139,6 +139,9 @@ def travel_extent(trace: Trace) -> float | None:
     return float(np.mean(extents)) if extents else None
 
 
+FAILED_PATTERNS = "failed_patterns"
+
+
 def failed_patterns(trace: Trace) -> int | None:
     """The number of robots whose pattern failed at least once and was restarted or set aside.
 
@@ -181,7 +184,7 @@ METRICS = (
     Metric("travel_extent", "m",
            "mean extent of the area that a robot covers in 60 s while it requests motion; small in"
            " a deadlock, even if it wanders", "ours", travel_extent, better="more"),
-    Metric("failed_patterns", "robots",
+    Metric(FAILED_PATTERNS, "robots",
            "robots whose pattern failed: it was restarted, or set aside", "ours", failed_patterns,
            better="less"),
 )  # fmt: skip

@@ -21,6 +21,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.cli.options import new_folder
+from swarmd.sim.experiments.results import load_results
 from swarmd.sim.trace import TraceBuilder
 from tests.sim.conftest import MAIN, Refusal, Swarmctl, swarmctl_in, write_duo
 from tests.support.processes import children, wait_until
@@ -158,15 +159,49 @@ def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     assert [run for run, is_identical in found.items() if not is_identical] == ["speed=0.2_s0007"]
 
 
-@pytest.mark.evidence
+def first_words(done: subprocess.CompletedProcess[str]) -> str:
+    """The first line on stderr that is not about the progress."""
+    lines = done.stderr.splitlines()
+    return next(line for line in lines if not re.fullmatch("[0-9]+ of [0-9]+ runs", line))
+
+
+LATER = "if inputs.now > 1.2 and 1 / self.params.speed:"
+
+
 @pytest.mark.integration
-def test_patterns_that_fail_are_counted(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+def test_a_pattern_that_raises_is_told_first_with_its_line(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    moody = duo.parent / "plugins" / "moody.py"
+    moody.write_text(moody.read_text().replace("if inputs.now > 0.5:", LATER))
+    line = moody.read_text()[: moody.read_text().index(LATER)].count("\n") + 1
+    fault = f"ZeroDivisionError: float division by zero (moody.py:{line}), of r-"
+    words = ("exp", "run", duo, "--no-traces", "--out", "x", "-j", 1)
+    done = swarmctl(*words, "--seeds", 1, "--sweep", "groups.all.parameters.speed=0.1,0")
+    assert done.returncode == 3, done.stderr
+    assert first_words(done).startswith(fault)
+    assert "speed=0_s0000" in first_words(done)
+    [entry] = json.loads((tmp_path / "x" / "failures.json").read_text())["metrics"]
+    assert (entry["run"], entry["metric"]) == ("speed=0_s0000", "failed_patterns")
+    assert entry["reason"].startswith(fault)
+    assert len(load_results(tmp_path / "x").rows) == 2  # what the robots did is kept
+
+
+@pytest.mark.integration
+def test_a_pattern_that_raises_in_the_first_second_begins_no_run(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
     moody = duo.parent / "plugins" / "moody.py"
     moody.write_text(moody.read_text().replace("if inputs.now > 0.5:", "if 1 / 0:"))
-    done = swarmctl("exp", "run", duo, "--seeds", 2, "--no-traces")
-    assert done.returncode == 0, done.stderr
-    assert "patterns failed in 2 runs" in done.stderr
-    assert "only 2 runs" in done.stderr
+    words = ("exp", "run", duo, "--no-traces", "--out", "x", "-j", 1)
+    done = swarmctl(*words, "--seeds", 2)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr.startswith("error: ZeroDivisionError: division by zero (moody.py:")
+    assert not (tmp_path / "x").exists()
+    alone = swarmctl(*words, "--seeds", 1, "--cores", 2)  # is its own trial
+    assert alone.returncode == 1, alone.stderr
+    fault = done.stderr.partition(" of run")[0].removeprefix("error: ")
+    assert first_words(alone).startswith(f"{fault} of run s0000")
 
 
 @pytest.mark.integration

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.sim.experiments.cluster import software_query
 from swarmd.sim.experiments.simulate import simulate
 from tests.sim.conftest import MAIN, Swarmctl
 from tests.support.processes import children, wait_until
@@ -30,7 +33,7 @@ def process(*words: object, log: Path, **environ: str) -> Iterator[subprocess.Po
     """A process of a cluster; it and its children are gone at the end."""
     with log.open("wb") as file:
         started = subprocess.Popen(
-            [sys.executable, "-m", *map(str, words)],
+            [sys.executable, *map(str, words)],
             stdout=file,
             stderr=file,
             cwd=log.parent,
@@ -51,15 +54,25 @@ class Cluster:
         self.folder, self._stack = folder, stack
         self.about = folder / "scheduler.json"
         self.workers: list[subprocess.Popen[bytes]] = []
-        words = ("dask", "scheduler", "--host", "tcp://127.0.0.1", "--port", 0, "--no-dashboard")
+        words = (
+            "-m",
+            "dask",
+            "scheduler",
+            "--host",
+            "tcp://127.0.0.1",
+            "--port",
+            0,
+            "--no-dashboard",
+        )
         self.scheduler = self._start(*words, "--scheduler-file", self.about, name="scheduler")
         wait_until(self._has_address, "the scheduler has an address")
         self.address = json.loads(self.about.read_text())["address"]
 
-    def add_worker(self, **environ: str) -> subprocess.Popen[bytes]:
-        """A worker that has joined."""
+    def add_worker(self, code: str = "", **environ: str) -> subprocess.Popen[bytes]:
+        """A worker that has joined. `code`: Python that starts it, in place of Dask's program."""
         name = f"worker-{len(self.workers)}"
-        words = ("dask", "worker", self.address, "--host", "127.0.0.1", "--no-nanny")
+        start = ("-c", code) if code else ("-m", "dask", "worker")
+        words = (*start, self.address, "--host", "127.0.0.1", "--no-nanny")
         more = ("--nthreads", 1, "--no-dashboard", "--local-directory", self.folder / name)
         worker = self._start(*words, *more, "--name", name, name=name, **environ)
         log = self.folder / f"{name}.log"
@@ -207,6 +220,39 @@ def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
     assert running.returncode == 1, told
     assert told.splitlines()[-1].startswith(f"error: the scheduler at {cluster.address} {words}")
     assert len(table(far)) == 2
+
+
+LACKS = "import sys; sys.modules['swarmd'] = None"
+
+
+def test_the_first_question_to_a_worker_needs_no_swarmd(tmp_path: Path) -> None:
+    code = (
+        "import pickle, sys\ncall = pickle.load(sys.stdin.buffer)\n"
+        "try:\n    call()\nexcept ModuleNotFoundError as error:\n    print(error.name)"
+    )
+    words = [sys.executable, "-S", "-c", code]  # -S: without installed packages
+    question = pickle.dumps(software_query(["p"], []))
+    done = subprocess.run(words, input=question, capture_output=True, cwd=tmp_path, check=False)
+    assert (done.stdout, done.stderr) == (b"swarmd\n", b"")
+
+
+@pytest.mark.evidence
+@pytest.mark.timeout(300)
+def test_a_worker_without_swarmd_is_named_and_lives_on(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    bare = cluster.add_worker(code=f"{LACKS}\nfrom distributed.cli.dask_worker import main; main()")
+    command = ("exp", "run", duo, "--seeds", 1, "--set", "duration=0.6", "--out", "far")
+    where = ("--scheduler", cluster.address, "--timeout")
+    done = swarmctl(*command, *where, 10)
+    assert done.returncode == 1
+    assert "none has swarmd" in done.stderr
+    cluster.add_worker()
+    done = swarmctl(*command, *where, 90)
+    assert done.returncode == 0, done.stderr
+    assert re.search("worker tcp://127.0.0.1:[0-9]+ is not used: .*swarmd", done.stderr)
+    assert bare.poll() is None
+    assert "Registered to" in (cluster.folder / "worker-0.log").read_text()
 
 
 @pytest.mark.evidence
