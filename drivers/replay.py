@@ -1,6 +1,7 @@
 """Driver `replay`: plays the inputs of a recording, in their order and at their pace.
 
-Commands are counted and move nothing.
+Of a recording of other programs, such as rosbag2, it plays the scans and the odometry. Commands are
+counted and move nothing.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -22,6 +23,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import (
     DriverInput,
     NeighborsInput,
+    OdometryInput,
     RangesInput,
     ScanInput,
     SensorInput,
@@ -204,7 +206,7 @@ def _named(name: str) -> Path:
 def _read(path: Path) -> _Recording:
     """The inputs of a recording; ConfigError if there are none, before the playback begins."""
     recorded = read_file(path)
-    timed = list(_inputs(path, recorded))
+    timed = list(_inputs(path, recorded)) or list(_inputs_of_ros(recorded))
     if not timed:
         raise ConfigError(
             f"{path}: no inputs of a driver are in it ({recorded.fault or 'whole'});"
@@ -247,6 +249,28 @@ def _inputs(path: Path, recorded: RecordedFile) -> Iterator[tuple[int, _Played]]
             raise ConfigError(f"{path}: {message.topic}: {error}; record it again") from error
         if isinstance(input, _Played):
             yield message.at, input
+
+
+def _inputs_of_ros(recorded: RecordedFile) -> Iterator[tuple[int, _Played]]:
+    """The time in ns and the input of each scan and each odometry; CodecError if malformed.
+
+    For a recording without inputs of swarmd. If several topics have a type, the first is played.
+    Scans are numbered anew, since rosbag2 may number no message.
+    """
+    topics: dict[str, str] = {}
+    for number, message in enumerate(recorded.messages):
+        convert = _OF_ROS.get(message.kind)
+        if convert and topics.setdefault(message.kind, message.topic) == message.topic:
+            decoded = messages.deserialize(message.kind, message.payload)
+            yield message.at, convert(decoded, number)
+
+
+_OF_ROS: Mapping[str, Callable[[Any, int], SensorInput]] = MappingProxyType(
+    {
+        messages.LASER_SCAN: lambda scan, seq: ScanInput(messages.scan_of(scan, seq, None)),
+        messages.ODOMETRY: lambda odometry, _: OdometryInput(messages.odometry_of(odometry)),
+    }
+)
 
 
 def _extent(recording: _Recording) -> tuple[int, float]:

@@ -213,9 +213,8 @@ def run(
     duration = time_span(time.monotonic() - start_time)
     warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {duration}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
-    faulty = results.pattern_faults.keys()
-    is_complete = not results.failures and not faulty
-    ctx.exit(_exit_code(len(results.runs) - len(faulty), is_complete=is_complete))
+    faultless = len(results.runs) - len(results.pattern_faults)
+    ctx.exit(_exit_code(faultless, is_complete=faultless == len(plan.runs)))
 
 
 def _exit_code(finished: int, *, is_complete: bool) -> int:
@@ -562,8 +561,10 @@ def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
 
 def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bool) -> None:
     for run, fault in list(results.pattern_faults.items())[:1]:
-        count = f"{len(results.pattern_faults)} of {len(results.runs)} runs"
-        warn(f"{fault} of run {run}: a pattern failed in {count}, see failures.json")
+        warn(
+            f"{fault} of run {run}: a pattern failed in {len(results.pattern_faults)} of"
+            f" {len(results.runs)} runs, see failures.json"
+        )
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:

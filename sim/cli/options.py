@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -204,6 +206,16 @@ def need(*modules: str, extra: str = "sim,plot") -> None:
                 f"this verb needs {module}, which is not installed;"
                 f" run: pip install 'swarmd[{extra}]'"
             )
+    if "mujoco" in modules and (backend := os.environ.get("MUJOCO_GL")):
+        try:
+            import_module("mujoco")
+        except Exception as error:  # PyOpenGL raises what it likes
+            text = (
+                f"MUJOCO_GL is {backend}, and MuJoCo cannot load it: {' '.join(str(error).split())}"
+            )
+            raise PluginError(
+                f"{text}; unset it, or install Mesa: apt install libosmesa6"
+            ) from error
 
 
 def chosen_metrics(

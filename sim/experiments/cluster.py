@@ -156,8 +156,8 @@ class Cluster:
                 raise ConfigError(f"{self._refusal}; install the same software there")
         # Workers that answer after the deadline are used later, if their software fits.
         if not self._software:
-            has_open_query = any(worker.is_fit is None for worker in self._workers.values())
-            fault = "none answers" if has_open_query else "none has swarmd"
+            answers = {worker.is_fit for worker in self._workers.values()}
+            fault = "none answers" if None in answers else "none has swarmd"
             text = f"{len(self._workers)} workers, and {fault}" if self._workers else "no worker"
             raise SwarmError(f"the cluster at {self._address} has {text}; start some: dask worker")
         # This machine does no runs, so the manifest names the processors of the workers alone.

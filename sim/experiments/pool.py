@@ -54,7 +54,6 @@ _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its las
 _MAX_REASON = 300  # characters
 _MAX_REPORT = 1 << 24  # bytes of one report of a worker; the metrics of a run take some kB
 _SIZE_BYTES = 4  # before each report: its size, as multiprocessing's Connection sends it
-_PIECE = 1 << 16  # bytes that are read at once
 _MODULE = "swarmd.sim.experiments.pool"
 _GUEST_GROWTH = 1 << 30  # bytes; a run of twelve robots takes less than a tenth of that
 _ONE_THREAD = {
@@ -281,7 +280,7 @@ class _Worker:
         as of `add_silence`. If the worker has ended, the result is a failure.
         """
         try:
-            piece = os.read(self.pipe.fileno(), _PIECE)
+            piece = os.read(self.pipe.fileno(), _MAX_REPORT)
             if not piece:
                 raise EOFError
             self._received += piece

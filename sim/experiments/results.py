@@ -190,8 +190,9 @@ class Results:
     @property
     def pattern_faults(self) -> dict[str, str]:
         """The first error of a pattern in each run with one, by run; such a run has its row."""
-        faults = {run: why.get(FAILED_PATTERNS, "") for run, why in self.errors.items()}
-        return {run: fault for run, fault in faults.items() if fault}
+        return {
+            run: why[FAILED_PATTERNS] for run, why in self.errors.items() if FAILED_PATTERNS in why
+        }
 
     def unreported(self) -> dict[str, str]:
         """A line for each metric `report:KEY` or `reading:KEY` whose value no robot ever gave."""

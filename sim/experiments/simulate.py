@@ -224,8 +224,10 @@ def check_first_second(plan: Plan, runner: Runner) -> None:
     with closing(runner([trial])) as reports:
         for result in reports:
             if isinstance(result, JobResult) and FAILED_PATTERNS in result.errors:
-                text = f"{result.errors[FAILED_PATTERNS]} of run {run.id}"
-                raise SwarmError(f"{text}; no run was begun: correct the pattern")
+                raise SwarmError(
+                    f"{result.errors[FAILED_PATTERNS]} of run {run.id}; no run was begun: correct"
+                    " the pattern"
+                )
 
 
 class _Work:

@@ -193,8 +193,7 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                 yield _point(check.name, check.fields, known_faults)
                 if check.hangs or is_repeated:
                     yield Point(SKIPPED, "skipped", "correct the failed point first")
-                has_further_points = len(checked_names) < _MAX_POINTS
-                is_last = is_import or is_repeated or not has_further_points
+                is_last = is_import or is_repeated or len(checked_names) >= _MAX_POINTS
                 needs_child = check.has_ended_child and not is_last
         log.seek(0)
         text = log.read(MAX_OUTPUT).decode(errors="replace")
@@ -268,6 +267,7 @@ def _inspect(
         assert child.stdout is not None
         open_item: Record | None = None
         code_place = ""
+        late = f"is not done after {timeout:g} s"
         hangs = ""  # how, in words
         try:
             for line in _lines(child.stdout, timeout, child.pid, _MAX_POINTS + len(words)):
@@ -284,18 +284,22 @@ def _inspect(
                     yield row
                 else:  # a line of a stack, which the child prints before it ends
                     code_place = code_place or _place_of(line, folder)
-            if _is_running(child):  # plugin code may have closed the child's standard output
-                hangs = _late(timeout)
+            # Plugin code may have closed the child's standard output.
+            hangs = late if _is_running(child) else ""
         except TimeoutError as error:
-            hangs = str(error)
+            hangs = str(error) or late
         how = hangs or how_it_ended(child.returncode)
         if open_item is None:
             raise PluginError(f"the process that inspects patterns {how}")
         if hangs:
             # From its first item on, the child prints its stack on SIGUSR1.
             code_place = code_place or _place_of_hang(child, folder)
-        lost = {"lost": open_item["begin"], "how": how + code_place, "hangs": bool(hangs)}
-        yield {**open_item, **lost}
+        yield {
+            **open_item,
+            "lost": open_item["begin"],
+            "how": how + code_place,
+            "hangs": bool(hangs),
+        }
 
 
 def _place_of_hang(child: subprocess.Popen[bytes], folder: Path | None) -> str:
@@ -338,8 +342,8 @@ def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Itera
     """Yields whole lines until the end of the stream, for `timeout` s and for each begun item.
 
     A row `begin` of an item that has not begun before starts the time anew, `items` times at most.
-    Other lines do not: plugin code may write them without end. TimeoutError, with how the process
-    hangs, at the end of the time, or beyond _MAX_ANSWER bytes.
+    Other lines do not: plugin code may write them without end. TimeoutError at the end of the time,
+    and with a text beyond _MAX_ANSWER bytes.
 
     A busy machine or a cold disk may delay a process. So a process that works, and has used less
     than `timeout` s of processor time since the item began, gets more time.
@@ -355,7 +359,7 @@ def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Itera
             if now >= deadline:
                 used, is_at_work = used_by(pid)
                 if not is_at_work or used >= until:
-                    raise TimeoutError(_late(timeout))
+                    raise TimeoutError
                 deadline = now + min(WORK_PERIOD, timeout)
             if not selector.select(deadline - now):
                 continue
@@ -372,10 +376,6 @@ def _lines(stream: IO[bytes], timeout: float, pid: int, items: int = 0) -> Itera
                     begun.add(item)
                     deadline, until = time.monotonic() + timeout, used_by(pid)[0] + timeout
                 yield line
-
-
-def _late(timeout: float) -> str:
-    return f"is not done after {timeout:g} s"
 
 
 def used_by(pid: int) -> tuple[float, bool]:

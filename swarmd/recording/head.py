@@ -67,10 +67,15 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
 
 def head_of(about: Mapping[str, str], where: str) -> RecordingHead:
     """Decode the head in the texts of a file; ConfigError without a head of this version."""
+    if "head" not in about:
+        raise ConfigError(
+            f"{where}: it is not a recording of swarmd; expected one, or play the scans and the"
+            " odometry of any other with the driver replay"
+        )
     try:
         payload = base64.b64decode(about["head"])
         return msgspec.msgpack.decode(payload, type=RecordingHead, dec_hook=_decoded)
-    except (KeyError, ValueError, msgspec.MsgspecError) as error:
+    except (ValueError, msgspec.MsgspecError) as error:
         raise ConfigError(
             f"{where}: it does not tell its robot's settings ({error!r}); expected a recording of"
             " this version of swarmd"

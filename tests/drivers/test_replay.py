@@ -10,6 +10,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from mcap.writer import Writer
 from msgspec.structs import astuple
 
 from swarmd.core.errors import ConfigError
@@ -42,9 +43,12 @@ from swarmd.core.values import (
 )
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
+from swarmd.recording import messages
 from swarmd.recording.frames import Begin, InputEntry, input_entry, without_geometry
+from swarmd.recording.head import head_of
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
+from swarmd.recording.reader import read_file
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock
@@ -288,6 +292,42 @@ def test_scans_whose_exact_directions_are_damaged_have_rounded_ones(tmp_path: Pa
     assert "damaged" in asyncio.run(make(whole).check(1.0))[0].text
     assert [one.seq for one in replayed.scans] == [3, 6, 9]
     assert all(np.allclose(one.bearings, scan(0).bearings, atol=1e-4) for one in replayed.scans)
+
+
+@pytest.mark.parametrize("space", ["", "/tb3_01"])
+def test_a_recording_of_ros_is_played(tmp_path: Path, space: str) -> None:
+    """Scans and odometry as rosbag2 leaves them: without numbers, and without texts of swarmd."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2", library="libmcap 1.3.0")
+        topics = {messages.LASER_SCAN: f"{space}/scan", messages.ODOMETRY: f"{space}/odom"}
+        channels = {
+            kind: writer.register_channel(
+                topic, "cdr", writer.register_schema(kind, "ros2msg", messages.definition(kind))
+            )
+            for kind, topic in topics.items()
+        }
+        for seq in range(3):
+            for kind, payload in (
+                messages.scan_message(scan(seq)),
+                messages.odometry_message(odometry(seq)),
+            ):
+                writer.add_message(channels[kind], 200_000_000 * seq, payload, 0)
+        writer.finish()  # type: ignore[no-untyped-call]
+    replayed = played(path, 3)
+    assert [one.stamp for one in replayed.scans] == pytest.approx([0.0, 0.2, 0.4])
+    assert all(
+        np.array_equal(one.ranges, scan(i).ranges, equal_nan=True)
+        for i, one in enumerate(replayed.scans)
+    )
+    numbers = [one.seq for one in replayed.scans]
+    assert numbers == sorted(set(numbers))
+    assert [one.pose.x for one in replayed.odometries] == pytest.approx([0.0, 0.1, 0.2])
+    assert all(finding.is_well for finding in asyncio.run(make(path).check(1.0)))
+    about = read_file(path).about
+    with pytest.raises(ConfigError, match="not a recording of swarmd"):
+        head_of(about, str(path))
 
 
 def test_a_file_without_inputs_is_one_clear_line(tmp_path: Path) -> None:

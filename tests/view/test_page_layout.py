@@ -190,6 +190,14 @@ def test_parameters_are_a_form_of_the_pattern(
         page.until(f"{LINE}.startsWith('run: 2 targeted, 2 applied')", "sent")
 
 
+COMMANDS_GO = (
+    "[document.getElementById('targets').textContent.startsWith('Commands go to'),"
+    " ['run', 'reset', 'param', 'set-labels'].map("
+    " (id) => document.getElementById(id).getAttribute('aria-disabled'))]"
+)
+"""Whether the page says that commands go to robots, and whether buttons look unusable."""
+
+
 def test_a_page_looks_back_and_starts_nothing_from_there(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -205,6 +213,7 @@ def test_a_page_looks_back_and_starts_nothing_from_there(
         page.evaluate("swarm.plots.to(window.moment)")
         page.until("swarm.model.robots.get('tb3-001').row.state === 'running'", "the past")
         assert page.evaluate("document.getElementById('past-note').hidden") is False
+        assert page.evaluate(COMMANDS_GO) == [False, ["true"] * 4]
         assert page.evaluate("swarm.model.plots.values.speed.length") > 2
         page.evaluate("swarm.actions.act('run', {targets: ['tb3-002'], pattern: 'dispersion'})")
         page.until(f"{LINE}.includes('not sent')", "refused by the page")
@@ -220,6 +229,7 @@ def test_a_page_looks_back_and_starts_nothing_from_there(
         wait_until(lambda: swarm.states["tb3-002"] is State.STOPPED, "a stop is sent")
         page.click("#past-now")
         page.until("swarm.model.robots.get('tb3-002').row.state === 'stopped'", "the present")
+        assert page.evaluate(COMMANDS_GO) == [True, ["false"] * 4]
 
 
 NOTICES = ("banner", "estop-state", "lost")

@@ -35,7 +35,7 @@ export class Actions {
       if (labels) this.act('label', { targets: this.named(), labels });
       else element('labels').focus();
     });
-    for (const news of ['selection', 'hello']) model.addEventListener(news, () => this.show());
+    for (const news of ['selection', 'hello', 'past']) model.addEventListener(news, () => this.show());
     model.addEventListener('hello', () => this.returned());
     this.show();
   }
@@ -50,7 +50,10 @@ export class Actions {
     const targets = count === 1 ? this.chosen()[0] : count ? `the ${count} selected robots` : `all ${all} robots`;
     const short = count > 1 ? `${count} robots` : !count ? `all ${all}` : targets.length > MAX_SHORT ? '1 robot' : targets;
     document.querySelector('.targets').textContent = targets;
-    element('targets').textContent = `Commands go to ${targets}.`;
+    const isPast = this.model.past !== null;
+    element('targets').textContent = isPast ? `The map shows the past: only stops are sent, to ${targets}.` : `Commands go to ${targets}.`;
+    // A click still says why nothing is sent.
+    for (const id of ['reset', 'detail-reset', 'run', 'param', 'set-labels']) element(id).setAttribute('aria-disabled', isPast);
     for (const [id, verb] of [['stop', 'Stop'], ['reset', 'Reset']]) element(id).textContent = `${verb} ${short}`;
   }
 
