@@ -38,7 +38,9 @@ def open_regular(path: str | Path, flags: int = 0) -> BinaryIO:
     A file of others may be a device, whose content may never end, a named pipe, for whose writer
     `open` would wait, or a link to one of these. `flags`: further flags of open(2).
     """
-    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | flags)
+    # By name: Windows, where results can be read, lacks O_NONBLOCK, and other systems O_BINARY.
+    flags |= os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    handle = os.open(path, flags)
     if stat.S_ISREG(os.fstat(handle).st_mode):
         return open(handle, "rb")
     os.close(handle)
