@@ -1,9 +1,14 @@
 """The firmware's side of CRTP (the drones' radio protocol) for one emulated drone. Pure.
 
 Ports, commands and encodings follow cflib 0.1.34 (crtp/crtpstack.py, crazyflie/log.py, toc.py,
-commander.py, supervisor.py, platformservice.py). The time-outs of the commander are those of
-src/modules/src/commander.c (bitcraze/crazyflie-firmware), which was not run here: without a
-set-point the drone levels after 0.5 s, and its motors stop after 2 s.
+commander.py, high_level_commander.py, supervisor.py, platformservice.py). Times are those of
+src/modules/src/supervisor.c (bitcraze/crazyflie-firmware, August 2026), which was not run here:
+without a set-point the drone levels after 0.5 s, and its motors stop after 2 s; it counts as flying
+until 2 s after its motors had thrust.
+
+One difference is on purpose: that supervisor locks a drone whose motors stopped so in flight, until
+the drone is switched off and on. The emulated drone obeys the next set-point at once, which asks
+more of a driver.
 """
 
 from __future__ import annotations
@@ -24,8 +29,8 @@ NO_RETURN = 32767
 PROTOCOL_VERSION = 12
 CLIMB_SPEED = 1.0
 """m/s: the emulated drone follows the set-point of its height this fast, and falls twice so."""
-FLYING_HEIGHT = 0.1
-"""m above which the emulated drone counts as flying."""
+FLYING_TIME = 2.0
+"""s since the motors had thrust for which the drone counts as flying."""
 MAX_COMMAND = 100.0
 """m/s or rad/s; a faster command is dropped as unreadable."""
 
@@ -38,6 +43,7 @@ class _Port(IntEnum):
     MEMORY = 4
     LOG = 5
     SETPOINT = 7  # set-points of any other kind
+    HIGH_LEVEL = 8  # what the drone carries out by itself
     SUPERVISOR = 9
     PLATFORM = 13
     LINK = 15
@@ -61,13 +67,14 @@ _LOG_VARIABLES = {
     "pm.vbat": "f",
     "supervisor.info": "H",
 }
-_PARAMETERS = {"deck.bcFlow2": 1, "deck.bcMultiranger": 1}
+_PARAMETERS = ("deck.bcFlow2", "deck.bcMultiranger")
 _READ_ONLY_BYTE = 0x48  # the type of both parameters
 # Checksums of the tables of contents: any numbers, by which cflib finds a table in its cache.
 _LOG_CHECKSUM, _PARAMETER_CHECKSUM = 0x10C, 0x9A6
 _TOC_INFO, _TOC_ITEM = 3, 2
 _CREATE, _APPEND, _DELETE, _START, _STOP, _RESET = 6, 7, 2, 3, 4, 5
 _HOVER, _MOTORS_STOP = 10, 0
+_END_PRECEDENCE, _LAND = 0, 8
 _GET_PROTOCOL, _COUNT_MEMORIES = 0, 1
 _GET_STATE, _IS_ANSWER = 0x0C, 0x80
 _NO_SUCH_BLOCK = 2  # ENOENT
@@ -90,9 +97,12 @@ class Firmware:
         self.dropped = 0
         self.command_count = 0  # set-points that were read
         self.faults = 0  # bits of IS_TUMBLED, IS_LOCKED, IS_CRASHED
+        self.decks = dict.fromkeys(_PARAMETERS, 1)  # 0: the deck was not found
         self.is_armed = True  # a brushed Crazyflie arms itself, a brushless one does not
         self._target = 0.0  # m; 0: the motors are off
-        self._commanded_at = self._now = -math.inf
+        self._commanded_at = self._thrust_at = self._now = -math.inf
+        self._is_free = True  # no set-point has precedence over what the drone does by itself
+        self._own_rate = 0.0  # m/s of its own landing; 0: none
         self._blocks: dict[int, _Block] = {}
         self._values: dict[str, float] = dict.fromkeys(_LOG_VARIABLES, 0.0)
         self._values |= {name: NO_RETURN for name in _LOG_VARIABLES if name.startswith("range.")}
@@ -130,12 +140,17 @@ class Firmware:
         """Advance the drone to `now` in s: time-outs of the commander, and the height."""
         passed = min(max(now - self._now, 0.0), 0.1)
         self._now = now
+        if self._own_rate:
+            self._target = max(self._target - self._own_rate * passed, 0.0)
+            self._commanded_at = now
         silence = now - self._commanded_at
         if silence > LEVEL_TIMEOUT:
             self.twist = ZERO
         if silence > OFF_TIMEOUT or self.faults:
             self._target, self.twist = 0.0, ZERO
+            self._thrust_at = -math.inf  # the supervisor has left its state of flight
         if self.has_motors_on:
+            self._thrust_at = now
             step = CLIMB_SPEED * passed
             self.height += min(max(self._target - self.height, -step), step)
         else:
@@ -183,7 +198,7 @@ class Firmware:
     def _info(self) -> int:
         ready = CAN_FLY | IS_ARMED if self.is_armed else CAN_BE_ARMED
         info = self.faults or ready
-        return info | (IS_FLYING if self.height > FLYING_HEIGHT else 0)
+        return info | (IS_FLYING if self._now - self._thrust_at < FLYING_TIME else 0)
 
     def _answers(self, port: int, channel: int, payload: bytes, now: float) -> Iterator[bytes]:
         """The payloads of the answers to a request; none for an unknown port, channel or command.
@@ -209,11 +224,19 @@ class Firmware:
                 items = [_item(_READ_ONLY_BYTE, name) for name in _PARAMETERS]
                 yield from _toc(payload, items, _PARAMETER_CHECKSUM)
             case _Port.PARAMETERS, 1:  # the value of a parameter
-                yield payload[:2] + bytes([0, list(_PARAMETERS.values())[payload[0]]])
+                yield payload[:2] + bytes([0, self.decks[_PARAMETERS[payload[0]]]])
             case _Port.SUPERVISOR, 0 if payload[0] == _GET_STATE:
                 yield bytes([_IS_ANSWER | _GET_STATE]) + self._info().to_bytes(2, "little")
             case _Port.SETPOINT, 0:
+                self._own_rate = 0.0
+                self._is_free = False
                 self._command(payload, now)
+            case _Port.SETPOINT, 1 if payload[0] == _END_PRECEDENCE:
+                self._is_free = True
+            case _Port.HIGH_LEVEL, 0 if payload[0] == _LAND and self._is_free:
+                (seconds,) = struct.unpack("<f", payload[11:15])
+                self.twist = ZERO
+                self._own_rate = self.height / max(seconds, 0.1)
             case _Port.RPYT, 0:
                 (*_, thrust) = struct.unpack("<fffH", payload)
                 if thrust == 0:  # the drone is flown by other set-points; thrust 0 ends a flight

@@ -72,6 +72,32 @@ def test_a_stop_and_a_thrust_of_zero_stop_the_motors_in_the_air(packet: bytes) -
     assert drone.firmware.twist == ZERO
 
 
+def test_a_drone_counts_as_flying_until_two_seconds_after_its_thrust() -> None:
+    drone = Flown()
+    drone.firmware.receive(bytes([0x7C, 0]), drone.now)  # the motors stop
+    drone.pass_time(1.9)
+    assert drone.firmware.height == 0.0
+    assert info(drone.firmware) & IS_FLYING
+    drone.pass_time(0.2)
+    assert not info(drone.firmware) & IS_FLYING
+
+
+def test_a_drone_that_is_told_to_land_by_itself_needs_no_setpoints() -> None:
+    drone = Flown()
+    land = bytes([0x8C]) + struct.pack("<BBff?f", 8, 0, 0.0, 0.0, True, 4.0)
+    drone.firmware.receive(land, drone.now)  # the set-points still have precedence
+    drone.pass_time(0.2)
+    assert drone.firmware.height == pytest.approx(0.5)
+    for packet in (bytes([0x7D]) + struct.pack("<BI", 0, 0), land):
+        drone.firmware.receive(packet, drone.now)
+    drone.pass_time(2.0)
+    assert drone.firmware.height == pytest.approx(0.25, abs=0.02)
+    assert drone.firmware.has_motors_on
+    drone.pass_time(2.2)
+    assert drone.firmware.height == 0.0
+    assert not drone.firmware.has_motors_on
+
+
 def test_a_locked_drone_obeys_no_setpoint_and_says_so() -> None:
     drone = Flown()
     assert info(drone.firmware) == CAN_FLY | IS_ARMED | IS_FLYING
