@@ -12,7 +12,6 @@ import contextlib
 import math
 import time
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Annotated
 
@@ -45,7 +44,7 @@ from swarmd.core.values import (
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink
 from swarmd.drivers.crazyflie.flight import (
-    LANDING_RESERVE,
+    LANDED_HEIGHT,
     NOT_ARMED,
     Flight,
     FlightRules,
@@ -64,6 +63,7 @@ from swarmd.drivers.crazyflie.link import (
     IS_TUMBLED,
     MISSING,
     DroneLink,
+    call_in_thread,
     has_cflib,
 )
 from swarmd.drivers.crazyflie.sensors import BATTERY_VOLTS, SENSORS, ranges_of
@@ -77,10 +77,20 @@ REOPEN_TIMEOUT = 4.0
 """s without a log block after which the driver connects anew: the drone may have restarted."""
 CONNECT_TIMEOUT = 10.0  # s
 RETRY_PERIOD = 0.5  # s
+CLOSE_TIMEOUT = 0.5  # s
+LAND_TIMEOUT = 2.0
+"""s that the end of the driver gives a landing; then the firmware lands the drone by itself."""
 COMMAND_TIMEOUT = 0.3
 """s after which a command of the daemon counts as none."""
 LOW_BATTERY_TIME = 5.0
 """s for which the voltage must be low, as in the firmware: a climb lowers the voltage."""
+REST_SPEED = 0.15
+"""m/s: a state estimate that is faster while the drone stands is wrong, or the drone is carried."""
+REST_TIME = 1.0
+"""s for which the state estimate must rest on the floor before a take-off."""
+_DECKS = {"bcFlow2": "Flow deck v2", "bcMultiranger": "Multi-ranger"}
+_DECK_REMEDY = "switch the drone off, seat the deck, switch the drone on"
+_FLOOR_REMEDY = "set the drone on the floor, and restart it"
 _STAMP_PERIOD = 1 << 24  # ms, after which the stamps of the drone start again
 _HAZARDS = {
     IS_TUMBLED: Hazard(HazardKind.LIFTED, "tumbled"),
@@ -158,11 +168,12 @@ class CrazyflieDriver:
         self._sink: Sink = NullSink()
         self._link: DroneLink | None = None
         self._state: State | None = None  # by the daemon
-        self._command = ZERO, False, -math.inf  # twist, is_stopped, when
         self._seq = 0
         self._told = ""
-        self._sending: asyncio.Future[None] | None = None
-        self._waiting: HoverSetpoint | None = None
+        # A drone with an estimate in a shared frame has other means than the Flow deck.
+        self._needed_decks = [
+            name for name in _DECKS if name != "bcFlow2" or not options.pose_frame
+        ]
         self._forget()
 
     async def run(self, sink: Sink) -> None:
@@ -175,16 +186,11 @@ class CrazyflieDriver:
                 " as radio://0/80/2M/E7E7E7E7E7"
             )
         self._sink = sink
-        self._flight = Flight(self._rules)
         sink.state(False, f"nothing heard yet from {self._uri}")
-        self._threads = ThreadPoolExecutor(1, thread_name_prefix=f"crazyflie-{self._robot}")
-        try:
-            while True:
-                text = await self._connection()
-                self._close_gate(text)
-                await asyncio.sleep(RETRY_PERIOD)
-        finally:
-            self._threads.shutdown(wait=False)
+        while True:
+            text = await self._connection()
+            self._close_gate(text)
+            await asyncio.sleep(RETRY_PERIOD)
 
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
@@ -214,6 +220,7 @@ class CrazyflieDriver:
         except TimeoutError:
             pass  # the findings name what is missing
         supervisor, volts = self._supervisor, self._volts
+        decks, estimate = self._deck_fault(), self._estimate_fault(time.monotonic())
         connecting.cancel()
         await asyncio.gather(connecting, return_exceptions=True)
         nothing = f"none from {self._uri}: {heard.text}"
@@ -224,18 +231,24 @@ class CrazyflieDriver:
         ]
         if supervisor is None:
             return (*findings, Finding("supervisor", False, nothing, remedy))
+        findings += [
+            Finding("decks", not decks, decks or "found", _DECK_REMEDY),
+            Finding("estimate", not estimate, estimate or "rests", _FLOOR_REMEDY),
+        ]
         is_charged = volts >= self._options.low_battery
         battery = Finding("battery", is_charged, f"{volts:.2f} V", "charge the battery")
         return (*findings, _supervisor_finding(supervisor), battery)
 
     def _has_reported_all(self, heard: _LastInputs) -> bool:
-        """True once scan, odometry, hazards and the supervisor have come.
+        """True once scan, odometry, hazards, the supervisor and the decks have come, at rest.
 
         Hazards alone do not show that the supervisor has reported: before the supervisor's first
         report the driver reports the hazard NOT_HEARD.
         """
         has_inputs = {"scan", "odometry", "hazards"} <= set(heard.last)
-        return has_inputs and self._supervisor is not None
+        has_decks = self._decks.keys() >= set(self._needed_decks)
+        is_well = has_decks and not self._estimate_fault(time.monotonic())
+        return has_inputs and self._supervisor is not None and is_well
 
     # The connection
 
@@ -247,6 +260,7 @@ class CrazyflieDriver:
         loop = asyncio.get_running_loop()
         opened, lost = loop.create_future(), loop.create_future()
         self._forget()
+        self._flight = Flight(self._rules)
 
         # The threads of cflib call back; `post` brings their calls into the loop.
         def post(take: object, *values: object) -> None:
@@ -266,11 +280,12 @@ class CrazyflieDriver:
         self._link = link
         try:
             # `link.open` only begins to connect; then `opened` or `lost` gets a result.
-            opening = loop.run_in_executor(self._threads, link.open)
+            opening = call_in_thread(link.open)
             await asyncio.wait(
                 {opened, lost}, timeout=CONNECT_TIMEOUT, return_when=asyncio.FIRST_COMPLETED
             )
-            await opening  # raises what `open` has raised
+            if opening.done():
+                opening.result()  # raises what `open` has raised
             if not opened.done():
                 return lost.result() if lost.done() else f"{self._uri} does not answer"
             return await self._serve(lost)
@@ -281,7 +296,7 @@ class CrazyflieDriver:
         finally:
             self._gate.end()
             self._link = None
-            await asyncio.shield(loop.run_in_executor(self._threads, link.close))
+            await asyncio.wait({call_in_thread(link.close)}, timeout=CLOSE_TIMEOUT)
 
     async def _serve(self, lost: asyncio.Future[str]) -> str:
         """Send set-points each PERIOD until the connection ends; returns why it ended.
@@ -296,18 +311,18 @@ class CrazyflieDriver:
             silence_s = now - self._heard
             if self._gate.is_open and silence_s > SILENCE_TIMEOUT:
                 self._close_gate(f"no log data from {self._uri} for {SILENCE_TIMEOUT:g} s")
-            # The link of a flying drone stays open: closing the link would stop the motors.
-            if silence_s > REOPEN_TIMEOUT and self._flight.phase is Phase.GROUND:
+            if silence_s > REOPEN_TIMEOUT:
                 return f"no log data from {self._uri} for {REOPEN_TIMEOUT:g} s"
             self._tell_status(now)
             self._step()
         return str(lost.result())
 
     async def _land(self, lost: asyncio.Future[str]) -> None:
-        """Land the drone, and send the last set-point: motors off."""
-        rules = self._rules
-        limit = rules.height / rules.land_rate + 2.0 * LANDING_RESERVE
-        deadline = time.monotonic() + limit
+        """Land the drone, and send the last set-point: motors off.
+
+        A drone that is in the air after LAND_TIMEOUT is told to land by itself.
+        """
+        deadline = time.monotonic() + LAND_TIMEOUT
         while not lost.done() and time.monotonic() < deadline:
             setpoint = self._put_step(Wish.LAND, ZERO)
             # On the ground the step sends "motors off", or sends nothing to a silent drone.
@@ -315,9 +330,11 @@ class CrazyflieDriver:
             if self._flight.phase is Phase.GROUND and is_told:
                 break
             await asyncio.sleep(PERIOD)
-        while self._sending is not None and not self._sending.done():
-            await asyncio.wait({self._sending})
-            await asyncio.sleep(0)
+        await asyncio.sleep(2.0 * PERIOD)  # until the last set-point is on its way
+        if self._flight.phase is not Phase.GROUND and self._link is not None:
+            landing = call_in_thread(partial(self._link.land, self._flight.descent_time))
+            await asyncio.wait({landing}, timeout=2.0 * PERIOD)
+            await asyncio.sleep(PERIOD)
 
     def _close_gate(self, text: str) -> None:
         """Drop commands from now on, and report in `text` why the drone counts as lost."""
@@ -326,14 +343,19 @@ class CrazyflieDriver:
         self._told = text
 
     def _forget(self) -> None:
-        """Forget what the drone reported."""
+        """Forget what the drone reported, and what was to be sent to it."""
+        self._command = ZERO, False, -math.inf  # twist, is_stopped, when
+        self._sending: asyncio.Future[None] | None = None
+        self._waiting: HoverSetpoint | None = None
         self._supervisor: int | None = None  # bits of the drone's supervisor, such as CAN_FLY
         self._volts = math.nan
         self._supervisor_at = self._ranges_at = self._height_at = self._heard = -math.inf
         self._volts_low_since = math.inf
         self._height, self._is_clear = 0.0, False
+        self._speed = 0.0  # m/s, of the state estimate
+        self._rests_since = math.inf  # the state estimate, on the floor
+        self._decks: dict[str, float] = {}
         self._hazards: tuple[Hazard, ...] = (_NOT_HEARD,)
-        self._stamps: dict[str, int] = {}
         self._laps = 0
         self._newest = 0
 
@@ -344,6 +366,9 @@ class CrazyflieDriver:
             return
         if not all(math.isfinite(value) for value in values.values()):
             self._sink.dropped(name)
+            return
+        if name == "deck":
+            self._decks |= values
             return
         now = time.monotonic()
         self._heard = now
@@ -387,6 +412,10 @@ class CrazyflieDriver:
         twist = Twist(c * vx + s * vy, turn_rate, c * vy - s * vx)
         pose = Pose(x, y, yaw)
         self._height, self._height_at = z, now
+        self._speed = math.hypot(vx, vy)
+        if self._speed > REST_SPEED or abs(z) > LANDED_HEIGHT:
+            self._rests_since = math.inf
+        self._rests_since = min(self._rests_since, now)
         self._sink.take(OdometryInput(Odometry(stamp, pose, twist)))
         options = self._options
         if options.pose_frame:
@@ -437,8 +466,29 @@ class CrazyflieDriver:
             is_flying=None if info is None else bool(info & IS_FLYING),
             may_fly=info is not None and bool(info & CAN_FLY) and not _hazards(info),
             is_unarmed=info is not None and _is_unarmed(info),
+            fault=self._deck_fault() or self._estimate_fault(now),
             is_clear=self._is_clear and now - self._ranges_at <= SILENCE_TIMEOUT,
             is_battery_low=now - self._volts_low_since >= LOW_BATTERY_TIME,
+        )
+
+    def _deck_fault(self) -> str:
+        """Which deck is missing, or not heard yet; empty if all are there."""
+        for name in self._needed_decks:
+            if name not in self._decks:
+                return f"the parameter deck.{name} is not heard yet"
+            if not self._decks[name]:
+                return f"no {_DECKS[name]}: deck.{name} is 0"
+        return ""
+
+    def _estimate_fault(self, now: float) -> str:
+        """Why the state estimate is not that of a standing drone; empty if it is."""
+        if now - self._height_at > SILENCE_TIMEOUT:
+            return "the state estimate is not heard"
+        if now - self._rests_since >= REST_TIME:
+            return ""
+        return (
+            f"the state estimate has not rested for {REST_TIME:g} s: {self._speed:.2f} m/s at"
+            f" {self._height:.2f} m; expected at most {REST_SPEED:g} m/s at {LANDED_HEIGHT:g} m"
         )
 
     def _wish(self) -> tuple[Wish, Twist]:
@@ -446,7 +496,9 @@ class CrazyflieDriver:
         if self._state is State.ESTOPPED:
             return Wish.LAND, ZERO
         is_late = time.monotonic() - since > COMMAND_TIMEOUT
-        if is_stopped or is_late or not self._gate.is_open:
+        if is_late or not self._gate.is_open:
+            return Wish.WAIT, ZERO
+        if is_stopped:
             return Wish.HOVER, ZERO
         wants = self._state is State.RUNNING or not twist.is_zero
         return (Wish.FLY, twist) if wants else (Wish.HOVER, ZERO)
@@ -463,7 +515,7 @@ class CrazyflieDriver:
         return setpoint
 
     def _put(self, setpoint: HoverSetpoint) -> None:
-        """Send a set-point on the executor's thread; it replaces a set-point that waits there."""
+        """Send a set-point on a thread; it replaces a set-point that waits for the one before."""
         link = self._link
         if link is None:
             return
@@ -471,13 +523,14 @@ class CrazyflieDriver:
             self._waiting = setpoint
             return
         self._waiting = None
-        loop = asyncio.get_running_loop()
-        self._sending = loop.run_in_executor(self._threads, partial(link.send, setpoint))
+        self._sending = call_in_thread(partial(link.send, setpoint))
         self._sending.add_done_callback(self._on_sent)
 
     def _on_sent(self, sending: asyncio.Future[None]) -> None:
         if not sending.cancelled():
             sending.exception()  # the callback of a lost link reports it
+        if sending is not self._sending:  # of an earlier connection
+            return
         waiting, self._waiting = self._waiting, None
         if waiting is not None:
             self._sending = None

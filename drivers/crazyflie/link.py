@@ -1,16 +1,28 @@
 """The connection to one drone by cflib, whose threads call back.
 
-cflib (a Crazyflie object) has threads of its own, and its calls may block: all calls here are made
-on the one thread of an executor. `close_link` of cflib sends thrust 0, which would stop the motors
-of a flying drone. So the driver lands the drone first. `DroneLink.close` closes the radio link
-before `close_link`, which then has no link to send thrust 0 on.
+cflib (a Crazyflie object) has threads of its own, and its calls may block, for good if the radio
+was unplugged. So `call_in_thread` makes each call, on a thread that no end of the process awaits.
+
+Three habits of cflib are kept from harm:
+
+- `close_link` sends thrust 0, which would stop the motors of a flying drone. So the driver lands
+  the drone first, and `DroneLink.close` closes the radio link before `close_link`, which then has
+  no link to send thrust 0 on.
+- A send that fails calls the error callback while cflib holds its lock for sending. cflib's own
+  callback then waits for threads that may wait for that lock. `DroneLink` has a callback that only
+  reports; the driver then closes the link from another thread.
+- A thread sends pings ten times a second, and keeps the process alive. `DroneLink` starts no such
+  thread: nothing here reads the statistics of the link.
 """
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import math
+import threading
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from importlib.util import find_spec
 from typing import Any
 
@@ -37,12 +49,30 @@ the status no set-point is sent to a drone that stands."""
 _HALF_SIZE = {"stateEstimate.z": "FP16"}  # a block has 26 bytes
 
 OnData = Callable[[str, int, Mapping[str, float]], None]
-"""Takes the values of a log block: its name, the drone's stamp in ms (24 bits), the values."""
+"""Takes the values of a log block: its name, the drone's stamp in ms (24 bits), the values.
+
+Also takes the parameters of group `deck`, under that name, with the stamp 0.
+"""
 
 
 def has_cflib() -> bool:
     """True if the library is installed."""
     return find_spec("cflib") is not None
+
+
+def call_in_thread(call: Callable[[], None]) -> asyncio.Future[None]:
+    """Make a call on a new daemon thread; the result or exception of the future is the call's."""
+    done: Future[None] = Future()
+
+    def run() -> None:
+        try:
+            call()
+            done.set_result(None)
+        except Exception as error:
+            done.set_exception(error)
+
+    threading.Thread(target=run, name="crazyflie", daemon=True).start()
+    return asyncio.wrap_future(done)
 
 
 class DroneLink:
@@ -59,9 +89,11 @@ class DroneLink:
             cflib.crtp.init_drivers()
         self._uri, self._on_lost, self._on_data = uri, on_lost, on_data
         self._drone: Any = Crazyflie()
+        self._drone._link_error_cb = lambda text: on_lost(_first_line(text))
+        self._drone.link_statistics.start = lambda: None
         self._drone.connected.add_callback(lambda uri: self._begin_logs(on_open))
         self._drone.connection_failed.add_callback(lambda uri, text: on_lost(_first_line(text)))
-        self._drone.connection_lost.add_callback(lambda uri, text: on_lost(_first_line(text)))
+        self._drone.param.add_update_callback(group="deck", cb=self._take_deck)
 
     def open(self) -> None:
         """Begin to connect; `on_open` or `on_lost` follows."""
@@ -78,6 +110,15 @@ class DroneLink:
         self._drone.commander.send_hover_setpoint(
             twist.linear, twist.lateral, math.degrees(twist.angular), setpoint.height
         )
+
+    def land(self, seconds: float) -> None:
+        """Tell the drone to land by itself, from where it is, within `seconds`.
+
+        The first packet ends the precedence of the set-points before it.
+        """
+        if self._drone.link is not None:
+            self._drone.commander.send_notify_setpoint_stop()
+            self._drone.high_level_commander.land(0.0, seconds, yaw=None)
 
     def close(self) -> None:
         """End the connection and its threads; sends nothing."""
@@ -103,6 +144,9 @@ class DroneLink:
             self._on_lost(f"the firmware has no such log variable: {error}")
             return
         on_open()
+
+    def _take_deck(self, name: str, value: str) -> None:
+        self._on_data("deck", 0, {name.removeprefix("deck."): float(value)})
 
     def _take(self, stamp: int, values: Mapping[str, float], block: Any) -> None:
         self._on_data(block.name, stamp, dict(values))

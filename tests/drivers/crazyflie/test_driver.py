@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import threading
+import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,11 +29,11 @@ from swarmd.drivers.crazyflie.link import IS_TUMBLED
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, DriverHarness, play
 
-pytest.importorskip("cflib", reason="extra crazyflie")
+UdpDriver: Any = pytest.importorskip("cflib.crtp.udpdriver", reason="extra crazyflie").UdpDriver
 
 PLATFORM = load_platform("crazyflie")
 TWIST = Twist(0.125, 0.0, 0.0625)  # exact in single precision
-QUICK = {"take_off_rate": 1.0, "land_rate": 1.0, "land_after": 1.0}
+QUICK = {"take_off_rate": 1.0, "land_rate": 0.4, "land_after": 1.0}
 
 
 class Drone:
@@ -46,6 +49,7 @@ class Drone:
         self._endpoint = "udp/127.0.0.1:0"
         self._tells_status = True
         self.ranges = np.array([1.0, 1.5, np.inf, 1.2])
+        self.twist = Twist(0.1, 0.2, 0.05)  # of the state estimate
         self.reconnect()
 
     def make(self, options: Mapping[str, Value]) -> Driver:
@@ -71,7 +75,7 @@ class Drone:
         if self._tells_status:  # first: a driver that is up knows that the motors are off
             self.robots.publish_status("cf")
         self.robots.publish("cf", ScanInput(scan))
-        odometry = Odometry(stamp, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2, 0.05))
+        odometry = Odometry(stamp, Pose(0.1, 0.2, 0.3), self.twist)
         self.robots.publish("cf", OdometryInput(odometry))
 
     def publish_hazard(self, *, is_present: bool) -> None:
@@ -81,6 +85,10 @@ class Drone:
     def commands(self) -> Sequence[Twist]:
         taken, self._taken = self._taken, []
         return taken
+
+    def is_at_rest(self) -> bool:
+        firmware = self.robots.firmware("cf")
+        return not firmware.has_motors_on and firmware.height == 0.0
 
     def close(self) -> None:
         self.robots.close()
@@ -157,69 +165,119 @@ def test_a_flying_drone_lands_softly_after(cause: str, monkeypatch: pytest.Monke
     play(drone, story)
 
 
-def test_a_drone_beside_an_obstacle_does_not_take_off() -> None:
+async def stands(harness: DriverHarness, drone: Drone, part: str) -> None:
+    """Command motion until the driver tells `part` as the cause of a drone that stands."""
+    firmware = drone.robots.firmware("cf")
+    harness.driver.send(ZERO, 1, 1)
+    harness.driver.send(ZERO, 1, 1)
+
+    def is_told() -> bool:
+        harness.driver.send(TWIST, 1, 1)
+        assert not firmware.has_motors_on
+        return part in harness.sink.states[-1][1]
+
+    await harness.until(is_told, publishing=True)
+
+
+def test_a_drone_flies_once_nothing_forbids_it() -> None:
     drone = Drone()
+    firmware = drone.robots.firmware("cf")
     drone.ranges[3] = 0.3
+    drone.twist = Twist(1.5)
+    firmware.is_armed = False
 
     async def story(harness: DriverHarness) -> None:
-        firmware = drone.robots.firmware("cf")
-        harness.driver.send(ZERO, 1, 1)
-        harness.driver.send(ZERO, 1, 1)
-
-        def is_told() -> bool:
-            harness.driver.send(TWIST, 1, 1)
-            assert not firmware.has_motors_on
-            return "not clear" in harness.sink.states[-1][1]
-
-        await harness.until(is_told, publishing=True)
+        await stands(harness, drone, "not armed")
+        firmware.is_armed = True  # by hand
+        await stands(harness, drone, "1.50 m/s at 0.00 m")
+        drone.twist = ZERO
+        await stands(harness, drone, "a range is not clear")
         drone.ranges[3] = 2.0
         await flying(harness, drone)
 
     play(drone, story)
 
 
-def test_a_drone_that_is_not_armed_stays_on_the_ground_and_says_so() -> None:
+@pytest.mark.parametrize(
+    ("deck", "cause"),
+    [("bcFlow2", "no Flow deck v2"), ("bcMultiranger", "no Multi-ranger")],
+)
+def test_a_drone_without_a_deck_stands_and_names_the_deck(deck: str, cause: str) -> None:
     drone = Drone()
-    firmware = drone.robots.firmware("cf")
-    firmware.is_armed = False
+    drone.robots.firmware("cf").decks[f"deck.{deck}"] = 0
+    drone.ranges[:] = -np.inf  # what the firmware reports without a Multi-ranger
+    play(drone, partial(stands, drone=drone, part=f"{cause}: deck.{deck} is 0"))
+
+
+def test_a_drone_with_a_pose_in_a_shared_frame_needs_no_flow_deck() -> None:
+    drone = Drone()
+    drone.robots.firmware("cf").decks["deck.bcFlow2"] = 0
+    play(drone, partial(flying, drone=drone), pose_frame="hall")
+
+
+def test_a_landing_that_lasts_is_left_to_the_firmware_when_the_driver_ends() -> None:
+    drone = Drone()
+
+    async def story(harness: DriverHarness) -> None:
+        await flying(harness, drone)
+        seen = heights(drone)
+        ending = asyncio.create_task(harness.end())
+        await harness.until(ending.done, publishing=True)
+        assert drone.robots.firmware("cf").has_motors_on
+        await harness.until(lambda: has_landed_softly(seen))
+
+    play(drone, story, land_rate=0.15)
+
+
+def test_a_send_that_fails_under_the_lock_of_the_library_hangs_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The failure lasts longer than the period of the library's pings, which wait for the lock."""
+    drone = Drone()
+
+    def failing(self: Any, packet: object) -> None:
+        time.sleep(0.25)
+        if self.link_error_callback is not None:
+            self.link_error_callback("refused")
 
     async def story(harness: DriverHarness) -> None:
         harness.driver.send(ZERO, 1, 1)
-        harness.driver.send(ZERO, 1, 1)
-
-        def is_told() -> bool:
-            harness.driver.send(TWIST, 1, 1)
-            assert not firmware.has_motors_on
-            return "not armed" in harness.sink.states[-1][1]
-
-        await harness.until(is_told, publishing=True)
-        firmware.is_armed = True  # by hand
-        await flying(harness, drone)
+        monkeypatch.setattr(UdpDriver, "send_packet", failing)
+        await harness.until(lambda: not harness.sink.is_up, publishing=True)
+        assert harness.sink.states[-1][1] == "refused"
+        monkeypatch.undo()
+        await harness.connect()
+        await harness.end()
 
     play(drone, story)
+    waited_for = [one.name for one in threading.enumerate() if not one.daemon]
+    assert waited_for == [threading.main_thread().name]
 
 
 @pytest.mark.parametrize(
-    ("firmware", "is_well", "part"),
+    ("firmware", "speed", "subject", "is_well", "part"),
     [
-        ({}, True, "ready to fly"),
-        ({"is_armed": False}, True, "not armed"),
-        ({"faults": IS_TUMBLED}, False, "tumbled"),
+        ({}, 0.0, "supervisor", True, "ready to fly"),
+        ({"is_armed": False}, 0.0, "supervisor", True, "not armed"),
+        ({"faults": IS_TUMBLED}, 0.0, "supervisor", False, "tumbled"),
+        ({"decks": {"deck.bcFlow2": 0, "deck.bcMultiranger": 1}}, 0.0, "decks", False, "Flow deck"),
+        ({}, 1.5, "estimate", False, "1.50 m/s"),
     ],
 )
 def test_a_check_says_whether_the_drone_can_fly(
-    firmware: dict[str, Any], is_well: bool, part: str
+    firmware: dict[str, Any], speed: float, subject: str, is_well: bool, part: str
 ) -> None:
     drone = Drone()
+    drone.twist = Twist(speed)
     for name, value in firmware.items():
         setattr(drone.robots.firmware("cf"), name, value)
 
     async def checked() -> Finding:
-        checking = asyncio.create_task(drone.make({}).check(30.0))
+        checking = asyncio.create_task(drone.make({}).check(30.0 if speed == 0.0 else 4.0))
         while not checking.done():
             drone.publish()
             await asyncio.sleep(0.05)
-        return next(row for row in checking.result() if row.subject == "supervisor")
+        return next(row for row in checking.result() if row.subject == subject)
 
     try:
         finding = asyncio.run(checked())
